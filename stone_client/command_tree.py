@@ -6,12 +6,13 @@ The words of release 0.1 are in `stone_client/old_words.py`.
 
 from collections.abc import Iterator, Sequence
 
+from stone_client.admin_tree import ADMIN, ADMINISTRATION
 from stone_client.lazy_commands import CommandPlace, GroupPlace, Place, places
 from stone_client.platform_part import platform_places
 
 PACKAGE = "stone_client.commands"
 HERE, SERVER = "On this machine", "With a server"
-PANELS = (HERE, SERVER)
+PANELS = (HERE, SERVER, ADMINISTRATION)
 
 
 def _at(module: str, **words: str) -> tuple[CommandPlace, ...]:
@@ -81,7 +82,7 @@ GROUPS = (
         _at("notifications", list="listed", on="on", off="off", deliveries="deliveries"),
     ),
 )
-OWN: tuple[Place, ...] = (*places(HERE, PACKAGE, "validate", "baseline", "explain"), *GROUPS)
+OWN: tuple[Place, ...] = (*places(HERE, PACKAGE, "validate", "baseline", "explain"), *GROUPS, ADMIN)
 COMMANDS: tuple[Place, ...] = tuple(
     place for panel in PANELS for place in (*platform_places(), *OWN) if place.panel == panel
 )

@@ -1,0 +1,59 @@
+"""The tree of `stone admin`: the nouns of an administrator, each with its verbs."""
+
+from stone_client.lazy_commands import CommandPlace, GroupPlace
+
+PACKAGE = "stone_client.commands.admin"
+ADMINISTRATION = "Administration"
+
+
+def _group(word: str, text: str, **words: str) -> GroupPlace:
+    """Return the functions of the module `word` as the commands of a group, by word."""
+    found = (
+        CommandPlace(name.replace("_", "-"), "", f"{PACKAGE}.{word}", function) for name, function in words.items()
+    )
+    return GroupPlace(word, "", text, tuple(found))
+
+
+ADMIN = GroupPlace(
+    "admin",
+    ADMINISTRATION,
+    "Manage users, teams, benchmarks, jobs and backups; for administrators.",
+    (
+        _group(
+            "users",
+            "List, add, change and delete users.",
+            **{"list": "listed", "add": "add", "role": "set_role", "password": "set_password"},
+            **{"deactivate": "deactivate", "reactivate": "reactivate", "delete": "delete"},
+        ),
+        _group("tokens", "List and revoke the tokens of a user.", list="listed", revoke="revoke"),
+        _group(
+            "teams",
+            "List teams, change their captains and members, grant submissions.",
+            **{"list": "listed", "captain": "captain", "remove": "remove", "grant": "grant"},
+        ),
+        _group("benchmarks", "List benchmarks, create and change them from a file.", list="listed", apply="apply_file"),
+        _group(
+            "phases",
+            "Show a phase, create its inputs, read and dismiss its alarms.",
+            **{"show": "show", "inputs": "inputs", "alarms": "alarms", "dismiss": "dismiss"},
+        ),
+        _group("truths", "List and build the ground truths of a phase.", list="listed", build="build"),
+        _group(
+            "rescores",
+            "Score a phase again, compare, and put the result in force.",
+            **{"list": "listed", "start": "start", "diff": "diff", "activate": "activate", "abandon": "abandon"},
+        ),
+        _group(
+            "jobs",
+            "List, retry and stop the jobs of all users.",
+            **{"list": "listed", "retry": "retry", "cancel": "cancel", "terminate": "terminate"},
+        ),
+        _group(
+            "queues",
+            "List, pause, drain and resume the queues of jobs.",
+            **{"list": "listed", "pause": "pause", "drain": "drain", "resume": "resume"},
+        ),
+        CommandPlace("workers", "", f"{PACKAGE}.workers", "workers"),
+        CommandPlace("audit", "", f"{PACKAGE}.audit", "audit"),
+    ),
+)

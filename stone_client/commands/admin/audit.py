@@ -1,0 +1,45 @@
+"""`stone admin audit`: the audit log, and whether it is whole."""
+
+from itertools import islice
+from typing import Annotated
+
+import typer
+
+from stone_client.options import ServerOption
+from stone_client.record_tables import echo_records
+from stone_client.streams import JsonOption, echo_json
+
+COLUMNS = {"logged": "logged_at", "actor": "actor", "act": "act", "subject": "subject_id", "reason": "reason"}
+BROKEN = 1
+
+
+def audit(
+    act: Annotated[str | None, typer.Option(metavar="ACT", help="Entries of this act only: phase.change.")] = None,
+    actor: Annotated[str | None, typer.Option(metavar="USER", help="Entries of this user only.")] = None,
+    subject: Annotated[str | None, typer.Option(metavar="ID", help="Entries about this thing only.")] = None,
+    limit: Annotated[int, typer.Option(metavar="N", min=1, max=100_000, help="The newest N entries.")] = 100,
+    is_verification: Annotated[bool, typer.Option("--verify", help="Verify the log's chain of hashes.")] = False,
+    server: ServerOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List the audit log, newest first, or verify that no entry was changed or removed."""
+    from stone_client.connection import connected
+
+    choices = {"act": act, "actor": actor, "subject_id": subject}
+    query = {key: value for key, value in choices.items() if value is not None}
+    if is_verification and query:
+        raise typer.BadParameter("the whole log is verified, without a choice of entries", param_hint="--verify")
+    with connected(server) as api:
+        if not is_verification:
+            found = list(islice(api.pages("/admin/audit-log", **query), limit))
+            echo_records("entries", found, COLUMNS, as_json=as_json)
+            return
+        record = api.read("/admin/audit-log/verification")
+    if as_json:
+        echo_json(record)
+    elif record["is_whole"]:
+        typer.echo(f"whole: {record['lines']} entries, last hash {record['head_hash']}")
+    else:
+        typer.echo(f"BROKEN at entry {record['first_broken']} of {record['lines']}")
+    if not record["is_whole"]:
+        raise typer.Exit(BROKEN)

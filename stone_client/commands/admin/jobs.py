@@ -1,0 +1,94 @@
+"""`stone admin jobs`: everybody's jobs, listed, retried and stopped."""
+
+from enum import StrEnum
+from itertools import islice
+from typing import Annotated
+
+import typer
+
+from stone_client.commands.admin import RequiredReason
+from stone_client.options import ServerOption
+from stone_client.record_tables import echo_records
+from stone_client.streams import JsonOption, echo_json
+
+COLUMNS = {
+    "job": "title",
+    "state": "state",
+    "owner": "owner",
+    "sequence": "sequence",
+    "created": "created_at",
+    "attempts left": "attempts_left",
+    "id": "id",
+}
+ACT_COLUMNS = {"job": "job_id", "state": "state", "refused": "failure"}
+REFUSED = 1
+
+
+class State(StrEnum):
+    QUEUED = "queued"
+    RUNNING = "running"
+    SUCCEEDED = "succeeded"
+    FAILED = "failed"
+    CANCELLED = "cancelled"
+
+
+JobsArgument = Annotated[
+    list[str], typer.Argument(metavar="JOB...", help="Ids of jobs; the whole run of each is meant.")
+]
+
+
+def listed(
+    state: Annotated[State | None, typer.Option(metavar="STATE", help="Jobs in this state only.")] = None,
+    queue: Annotated[str | None, typer.Option(metavar="QUEUE", help="Single jobs of this queue only.")] = None,
+    owner: Annotated[str | None, typer.Option(metavar="USER", help="Jobs of this user only.")] = None,
+    is_dead: Annotated[bool, typer.Option("--dead", help="Failed jobs without an attempt left only.")] = False,
+    limit: Annotated[int, typer.Option(metavar="N", min=1, max=100_000, help="The newest N jobs.")] = 50,
+    server: ServerOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List the jobs of all users, newest first."""
+    from stone_client.connection import connected
+
+    choices = {"state": state, "queue": queue, "owner": owner, "dead": "true" if is_dead else None}
+    query = {key: str(value) for key, value in choices.items() if value is not None}
+    with connected(server) as api:
+        found = list(islice(api.pages("/admin/jobs", **query), limit))
+    echo_records("jobs", found, COLUMNS, as_json=as_json)
+
+
+def retry(
+    job_ids: JobsArgument, reason: RequiredReason, server: ServerOption = None, as_json: JsonOption = False
+) -> None:
+    """Queue failed or cancelled runs again."""
+    _act("retry", job_ids, reason, server, as_json=as_json)
+
+
+def cancel(
+    job_ids: JobsArgument, reason: RequiredReason, server: ServerOption = None, as_json: JsonOption = False
+) -> None:
+    """Stop runs at their next report of progress; `retry` queues them again."""
+    _act("cancel", job_ids, reason, server, as_json=as_json)
+
+
+def terminate(
+    job_ids: JobsArgument, reason: RequiredReason, server: ServerOption = None, as_json: JsonOption = False
+) -> None:
+    """Stop the processes of runs at once; `retry` queues them again."""
+    _act("terminate", job_ids, reason, server, as_json=as_json)
+
+
+def _act(act: str, job_ids: list[str], reason: str, server: str | None, *, as_json: bool) -> None:
+    """Act on the run of each job; one that is refused does not keep the others from it, and ends with exit code 1."""
+    from stone_client.connection import connected
+
+    body = {"act": act, "job_ids": job_ids, "reason": reason}
+    with connected(server) as api:
+        answer = api.send("POST", "/admin/jobs/acts", json=body).json()
+    done = answer["items"] if isinstance(answer, dict) else answer
+    if as_json:
+        echo_json({"jobs": done})
+    else:
+        told = [{**one, "failure": one["failure"] and one["failure"]["sentence"]} for one in done]
+        echo_records("jobs", told, ACT_COLUMNS, as_json=False)
+    if any(one["failure"] for one in done):
+        raise typer.Exit(REFUSED)

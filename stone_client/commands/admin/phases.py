@@ -1,0 +1,102 @@
+"""`stone admin phases`: a phase as its administrator sees it, its inputs, its alarms."""
+
+from typing import Annotated
+
+import typer
+
+from stone_base.errors import one_line
+from stone_client.commands.admin import RequiredReason
+from stone_client.confirmation import PermanentAct, YesOption, require_confirmation
+from stone_client.options import BenchmarkArgument, PhaseArgument, ServerOption
+from stone_client.progress import reported
+from stone_client.record_tables import echo_records
+from stone_client.streams import JsonOption, echo_json
+from stone_client.tables import DASH
+
+WaitOption = Annotated[bool, typer.Option("--wait/--no-wait", help="Wait until the job has ended.")]
+SHOWN = (
+    *("dataset", "part", "mask", "is_hidden", "every_nth", "standing", "opens_at", "closes_at", "named_from_at"),
+    *("scorings_per_window", "window_s", "scorings_total", "validations_per_day", "team_members", "id"),
+)
+
+
+def show(
+    benchmark: BenchmarkArgument, phase: PhaseArgument, server: ServerOption = None, as_json: JsonOption = False
+) -> None:
+    """Show the rules of a phase, and findings such as labels that became public."""
+    from stone_client.connection import connected
+    from stone_client.server.benchmarks import read_phase
+
+    with connected(server) as api:
+        record = api.read(f"/admin/phases/{read_phase(api, benchmark, phase)['id']}")
+    if as_json:
+        echo_json(record)
+        return
+    for field in SHOWN:
+        typer.echo(one_line(f"{field}: {DASH if record[field] is None else record[field]}"))
+    for finding in record["findings"]:
+        typer.echo(one_line(f"{finding['severity']}: {finding['code']}: {finding['message']}"), err=True)
+
+
+def inputs(
+    benchmark: BenchmarkArgument,
+    phase: PhaseArgument,
+    reason: RequiredReason,
+    is_awaited: WaitOption = True,
+    server: ServerOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Create the missing inputs of a phase: what participants predict from."""
+    from stone_client.connection import connected
+    from stone_client.server.benchmarks import read_phase
+    from stone_client.server.job_following import follow
+
+    with connected(server) as api:
+        own = read_phase(api, benchmark, phase)["id"]
+        job = api.create(f"/admin/phases/{own}/inputs", {"reason": reason})
+        if is_awaited:
+            with reported() as progress:
+                job = dict(follow(api, job["id"], progress))
+        made = list(api.pages(f"/phases/{own}/inputs"))
+    if as_json:
+        echo_json({"job": job, "inputs": made})
+        return
+    columns = {"sequence": "name", "files": "files", "bytes": "tar_bytes", "created": "created_at"}
+    echo_records("inputs", made, columns, as_json=False)
+
+
+def alarms(
+    benchmark: BenchmarkArgument,
+    phase: PhaseArgument,
+    has_dismissed: Annotated[bool, typer.Option("--all", help="Also dismissed alarms.")] = False,
+    server: ServerOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List the open alarms of a phase: entries that are too much alike, or too good."""
+    from stone_client.connection import connected
+    from stone_client.server.benchmarks import read_phase
+
+    with connected(server) as api:
+        path = f"/admin/phases/{read_phase(api, benchmark, phase)['id']}/alarms"
+        found = list(api.pages(path, **({"dismissed": "true"} if has_dismissed else {})))
+    columns = {"kind": "kind", "subject": "subject", "raised": "created_at", "dismissed": "dismissed_at", "id": "id"}
+    echo_records("alarms", found, columns, as_json=as_json)
+
+
+def dismiss(
+    alarm: Annotated[str, typer.Argument(metavar="ALARM", help="An alarm's id.")],
+    reason: RequiredReason,
+    is_confirmed: YesOption = False,
+    server: ServerOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Dismiss an alarm with the outcome of its review."""
+    from stone_client.connection import connected
+
+    require_confirmation(PermanentAct(f"dismiss alarm {alarm}", "it is never raised again"), is_given=is_confirmed)
+    with connected(server) as api:
+        record = api.create(f"/admin/alarms/{alarm}/dismiss", {"reason": reason})
+    if as_json:
+        echo_json(record)
+    else:
+        typer.echo(f"dismissed: {record['kind']} {record['id']}")

@@ -1,0 +1,52 @@
+"""`stone admin tokens`: the tokens of a user, listed and revoked."""
+
+from typing import Annotated
+
+import typer
+
+from stone_client.commands.admin import RequiredReason
+from stone_client.commands.admin.users import UserArgument
+from stone_client.confirmation import PermanentAct, YesOption, require_confirmation
+from stone_client.options import ServerOption
+from stone_client.record_tables import echo_records
+from stone_client.streams import JsonOption, echo_json
+
+COLUMNS = {"name": "name", "scopes": "scopes", "expires": "expires_at", "used": "used_at", "id": "id"}
+
+
+def listed(user: UserArgument, server: ServerOption = None, as_json: JsonOption = False) -> None:
+    """List a user's tokens, newest first; secrets are stored nowhere."""
+    from stone_client.connection import connected
+    from stone_client.server.admin.users import user_named
+
+    with connected(server) as api:
+        found = list(api.pages(f"/users/{user_named(api, user)['id']}/tokens"))
+    echo_records("tokens", found, COLUMNS, as_json=as_json)
+
+
+def revoke(
+    user: UserArgument,
+    reason: RequiredReason,
+    token: Annotated[str | None, typer.Argument(metavar="[TOKEN]", help="A token's id (default: all).")] = None,
+    is_confirmed: YesOption = False,
+    server: ServerOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """End one token of a user, or all tokens and sessions, but not the token of this command."""
+    from stone_client.connection import connected
+    from stone_client.server.admin.users import user_named
+
+    with connected(server) as api:
+        found = user_named(api, user)
+        own, what = f"/users/{found['id']}", f"token {token}" if token else "all tokens and sessions"
+        act = PermanentAct(f"revoke {what} of {found['name']}", "programs that use them are refused from then on")
+        require_confirmation(act, is_given=is_confirmed)
+        if token is None:
+            record = api.create(f"{own}/credentials/revoke", {"reason": reason})
+        else:
+            api.send("POST", f"{own}/tokens/{token}/revoke", json={"reason": reason})
+            record = {"tokens": 1, "browsers": 0}
+    if as_json:
+        echo_json({"user": found["name"], **record})
+    else:
+        typer.echo(f"revoked: {record['tokens']} tokens, {record['browsers']} sessions")

@@ -1,0 +1,1 @@
+"""Requests of administrators: users, benchmarks from a file, re-scores."""

@@ -1,0 +1,201 @@
+"""A benchmark described by a file: what the server has differently, and the requests that make it so.
+
+**Conventions.** `benchmark.yaml` has `name`, `dataset`, `title`, `description`, `is_public` and `phases`, each phase by
+its name with the fields of the API. A field that the file leaves out stays as it is on the server; so does a phase that
+the file does not name. Applied again, the file changes nothing. An application that was cut off is completed by the
+next one.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, date, datetime
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+from ruamel.yaml.events import AliasEvent
+
+from stone_base.errors import Refused
+from stone_client.api import Api
+from stone_client.errors import ServerRefusedError
+from stone_client.server.sequences import Item
+
+MOST_BYTES = 256 * 1024
+OF_BENCHMARK = ("title", "description", "is_public")
+FIXED = ("every_nth",)
+OF_PHASE = (
+    *("part", "is_hidden", "mask", "every_nth", "dataset", "title", "opens_at", "closes_at", "named_from_at"),
+    *("scorings_per_window", "window_s", "scorings_total", "validations_per_day", "team_members"),
+)
+
+
+@dataclass(frozen=True)
+class BenchmarkFile:
+    """A benchmark as a file describes it: its own fields, and those of each phase by name."""
+
+    name: str
+    dataset: str
+    fields: Mapping[str, Any]
+    phases: Mapping[str, Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class BenchmarkChange:
+    """A request, and the differences that it removes: (field, value on the server, value of the file)."""
+
+    subject: str
+    method: str
+    path: str
+    body: Mapping[str, Any]
+    differences: tuple[tuple[str, Any, Any], ...]
+    revision: int | None = None
+
+    def as_record(self) -> dict[str, Any]:
+        act = "create" if self.method == "POST" else "change"
+        fields = [{"field": name, "from": before, "to": after} for name, before, after in self.differences]
+        return {"act": act, "subject": self.subject, "fields": fields}
+
+
+def bad_benchmark_file(path: Path, why: str) -> Refused:
+    return Refused("bad_benchmark_file", f"{path} describes no benchmark: {why}")
+
+
+def read_benchmark_file(path: Path) -> BenchmarkFile:
+    """Return the benchmark that the file describes. Raises `bad_benchmark_file`."""
+    described = _mapping(path, "the file", _parsed(path))
+    _refuse_unknown(path, "the file", described, ("name", "dataset", "phases", *OF_BENCHMARK))
+    name, dataset = (described.get(key) for key in ("name", "dataset"))
+    if not isinstance(name, str) or not isinstance(dataset, str):
+        raise bad_benchmark_file(path, "`name` and `dataset` are required, each a text")
+    phases = _mapping(path, "`phases`", described.get("phases") or {})
+    for phase, fields in phases.items():
+        _refuse_unknown(path, f"phase {phase}", _mapping(path, f"phase {phase}", fields), OF_PHASE)
+        if missing := [key for key in ("part", "is_hidden") if key not in fields]:
+            raise bad_benchmark_file(path, f"phase {phase} lacks {' and '.join(missing)}")
+    own = {key: described[key] for key in OF_BENCHMARK if key in described}
+    return BenchmarkFile(name, dataset, own, {str(phase): _plain(fields) for phase, fields in phases.items()})
+
+
+def changes_of(api: Api, wanted: BenchmarkFile) -> list[BenchmarkChange]:
+    """Return the requests that bring the server to the file, in their order; none if it is as the file says."""
+    standing = _standing(api, wanted.name)
+    return list(_creation(wanted) if standing is None else _changes(wanted, standing))
+
+
+def phases_beside(api: Api, wanted: BenchmarkFile) -> list[str]:
+    """Return the names of phases on the server that the file does not name; they stay."""
+    standing = _standing(api, wanted.name)
+    return [one["name"] for one in (standing or {"phases": []})["phases"] if one["name"] not in wanted.phases]
+
+
+def apply(api: Api, changes: list[BenchmarkChange], reason: str) -> list[str]:
+    """Send the requests, and return the findings of phases as sentences. Raises what `Api.send` raises."""
+    findings: list[str] = []
+    for change in changes:
+        match = {} if change.revision is None else {"If-Match": f'"{change.revision}"'}
+        answer = api.send(change.method, change.path, json={**change.body, "reason": reason}, headers=match).json()
+        for phase in (answer, *answer.get("phases", ())):
+            findings += [f"{phase['name']}: {one['message']}" for one in phase.get("findings", ())]
+    return findings
+
+
+def _standing(api: Api, name: str) -> Item | None:
+    try:
+        return api.read(f"/benchmarks/{quote(name, safe='')}")
+    except ServerRefusedError as error:
+        if error.status != 404:
+            raise
+        return None
+
+
+def _creation(wanted: BenchmarkFile) -> Iterator[BenchmarkChange]:
+    """The benchmark with its phases in one request; then its visibility, which has no place in that."""
+    said = {key: value for key, value in wanted.fields.items() if key != "is_public"}
+    body = {"name": wanted.name, "dataset": wanted.dataset, **said}
+    if wanted.phases:
+        body["phases"] = [{"name": name, **fields} for name, fields in wanted.phases.items()]
+    shown = {**body, "phases": list(wanted.phases) or ["val and test, by default"]}
+    added = tuple((key, None, value) for key, value in shown.items())
+    yield BenchmarkChange(f"benchmark {wanted.name}", "POST", "/admin/benchmarks", body, added)
+    if wanted.fields.get("is_public"):
+        yield _of_benchmark(wanted, {"is_public": False}, ("is_public",))
+
+
+def _changes(wanted: BenchmarkFile, standing: Item) -> Iterator[BenchmarkChange]:
+    if different := [key for key, value in wanted.fields.items() if standing[key] != value]:
+        yield _of_benchmark(wanted, standing, different)
+    phases = {one["name"]: one for one in standing["phases"]}
+    for name, fields in wanted.phases.items():
+        subject, effective = f"phase {name}", {"dataset": wanted.dataset, **fields}
+        if name not in phases:
+            path = f"/admin/benchmarks/{quote(wanted.name, safe='')}/phases"
+            added = tuple((key, None, value) for key, value in effective.items())
+            yield BenchmarkChange(subject, "POST", path, {"name": name, **effective}, added)
+            continue
+        differences = tuple(
+            (key, phases[name][key], value)
+            for key, value in effective.items()
+            if not _is_same(key, phases[name][key], value)
+        )
+        if fixed := [key for key, _, _ in differences if key in FIXED]:
+            raise Refused("phase_fixed", f"{fixed[0]} of phase {name} never changes; add a phase of another name")
+        if differences:
+            body = {key: value for key, _, value in differences}
+            path, revision = f"/admin/phases/{phases[name]['id']}", phases[name]["revision"]
+            yield BenchmarkChange(subject, "PATCH", path, body, differences, revision)
+
+
+def _of_benchmark(wanted: BenchmarkFile, standing: Item, keys: Any) -> BenchmarkChange:
+    body = {key: wanted.fields[key] for key in keys}
+    differences = tuple((key, standing[key], value) for key, value in body.items())
+    path = f"/admin/benchmarks/{quote(wanted.name, safe='')}"
+    return BenchmarkChange(f"benchmark {wanted.name}", "PATCH", path, body, differences)
+
+
+def _is_same(key: str, standing: Any, wanted: Any) -> bool:
+    if key.endswith("_at") and isinstance(standing, str) and isinstance(wanted, str):
+        try:
+            return datetime.fromisoformat(standing) == datetime.fromisoformat(wanted)
+        except (ValueError, TypeError):
+            return False
+    return bool(standing == wanted)
+
+
+def _plain(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields as JSON has them; a date without a zone is in UTC."""
+    return {str(key): _moment(value) if isinstance(value, date) else value for key, value in fields.items()}
+
+
+def _moment(value: date) -> str:
+    moment = value if isinstance(value, datetime) else datetime(value.year, value.month, value.day, tzinfo=UTC)
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).isoformat()
+
+
+def _parsed(path: Path) -> Any:
+    try:
+        with path.open("rb") as file:
+            content = file.read(MOST_BYTES + 1)
+        if len(content) > MOST_BYTES:
+            raise bad_benchmark_file(path, f"it is larger than {MOST_BYTES} bytes")
+        text = content.decode("utf-8-sig")
+        if any(isinstance(event, AliasEvent) for event in YAML(typ="safe", pure=True).parse(text)):
+            raise bad_benchmark_file(path, "aliases (*name) are not allowed")
+        return YAML(typ="safe", pure=True).load(text)
+    except (YAMLError, ValueError, TypeError, RecursionError, AssertionError) as error:
+        if isinstance(error, Refused):
+            raise
+        why = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise bad_benchmark_file(path, f"it is no YAML ({why[:200]})") from None
+
+
+def _mapping(path: Path, what: str, value: Any) -> Mapping[str, Any]:
+    if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
+        raise bad_benchmark_file(path, f"{what} is no mapping of names to values")
+    return value
+
+
+def _refuse_unknown(path: Path, what: str, fields: Mapping[str, Any], known: tuple[str, ...]) -> None:
+    if unknown := [key for key in fields if key not in known]:
+        raise bad_benchmark_file(path, f"{what} has {unknown[0]!r}; known are {', '.join(known)}")

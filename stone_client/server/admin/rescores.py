@@ -1,0 +1,24 @@
+"""Paths of re-scores, by benchmark, phase and id, or the newest."""
+
+from stone_base.errors import Refused
+from stone_client.api import Api
+from stone_client.server.benchmarks import read_phase
+
+
+def rescores_path(api: Api, benchmark: str, phase: str) -> str:
+    return f"/admin/phases/{read_phase(api, benchmark, phase)['id']}/rescores"
+
+
+def rescore_path(api: Api, benchmark: str, phase: str, named: str) -> str:
+    """Return the path of the re-score with this id; `latest` is the newest. Raises `no_rescore`."""
+    path = rescores_path(api, benchmark, phase)
+    ids = [str(one["id"]) for one in api.pages(path)]
+    if named == "latest" and ids:
+        return f"{path}/{ids[0]}"
+    if named not in ids:
+        raise Refused(
+            "no_rescore",
+            f"{named[:80]!r} is no re-score of {benchmark} / {phase}: expected is latest or an id of its {len(ids)} "
+            "(`stone admin rescores list` lists them)",
+        )
+    return f"{path}/{named}"
