@@ -53,6 +53,11 @@ ADMIN = GroupPlace(
             "List, pause, drain and resume the queues of jobs.",
             **{"list": "listed", "pause": "pause", "drain": "drain", "resume": "resume"},
         ),
+        _group(
+            "backup",
+            "Back up the platform on this machine, and restore it.",
+            **{"to": "take", "list": "listed", "verify": "verify", "prune": "prune", "restore": "restore"},
+        ),
         CommandPlace("workers", "", f"{PACKAGE}.workers", "workers"),
         CommandPlace("audit", "", f"{PACKAGE}.audit", "audit"),
     ),

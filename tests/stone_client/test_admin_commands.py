@@ -10,6 +10,7 @@ from services.domain.benchmarks.teams import teams
 from services.runtime.access.passwords import verify_password
 from services.runtime.access.users import find_user
 from services.runtime.orm import Benchmark, Job, Phase, Rescore, Team, User
+from services.runtime.platform import Platform
 from stone_client.admin_tree import ADMIN
 from stone_client.command_tree import leaves
 from testing.api.serving import person
@@ -200,17 +201,33 @@ def test_a_rescore_is_started_read_and_put_in_force_with_consent(
     assert answered("admin", "phases", "alarms", *at)["alarms"] == []
 
 
+def test_a_backup_is_taken_listed_verified_and_restored(platform: Platform, tmp_path: Path) -> None:
+    platform.settings.root.mkdir(parents=True, exist_ok=True)
+    folder, data = tmp_path / "backups", ("--data", platform.settings.root)
+    taken = answered("admin", "backup", "to", folder, *data)
+    assert taken["is_well"]
+    assert stone("admin", "backup", "to", folder, *data).exit_code == 0
+    names = [one["name"] for one in answered("admin", "backup", "list", folder)["snapshots"]]
+    assert (len(names), names[0]) == (2, taken["snapshot"])
+    assert answered("admin", "backup", "verify", folder)["damaged"] == []
+    assert stone("admin", "backup", "prune", folder, "--keep", "1").exit_code == 2
+    assert answered("admin", "backup", "prune", folder, "--keep", "1", "--yes")["snapshots"] == 1
+    assert refused(stone("admin", "backup", "restore", folder, *data)) == "target_not_empty"
+    assert answered("admin", "backup", "restore", folder, "--data", tmp_path / "new")["is_well"]
+    content = max(folder.rglob("*"), key=lambda path: path.stat().st_size if path.is_file() else -1)
+    content.write_bytes(b"damage")
+    damaged = stone("admin", "backup", "verify", folder)
+    assert (damaged.exit_code, "DAMAGED" in damaged.stderr) == (1, True)
+
+
+READING = ("list", "show", "audit", "workers", "diff", "alarms")
 ACTING = [
-    word
-    for word, _ in leaves((ADMIN,))
-    if word.split()[-1] not in ("list", "show", "audit", "workers", "diff", "alarms")
+    words for words, _ in leaves((ADMIN,)) if words.split()[-1] not in READING and not words.startswith("admin backup")
 ]
 
 
 @pytest.mark.parametrize("words", ACTING)
 def test_every_act_needs_a_reason(words: str) -> None:
-    if words.startswith("admin backup"):
-        pytest.skip("a backup is no act on the server")
     result = stone(*words.split(), "--server", "http://127.0.0.1:9")
     assert result.exit_code == 2
 
