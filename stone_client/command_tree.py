@@ -82,7 +82,7 @@ GROUPS = (
         _at("notifications", list="listed", on="on", off="off", deliveries="deliveries"),
     ),
 )
-OWN: tuple[Place, ...] = (*places(HERE, PACKAGE, "validate", "baseline", "explain"), *GROUPS, ADMIN)
+OWN: tuple[Place, ...] = (*places(HERE, PACKAGE, "validate", "baseline", "score", "explain"), *GROUPS, ADMIN)
 COMMANDS: tuple[Place, ...] = tuple(
     place for panel in PANELS for place in (*platform_places(), *OWN) if place.panel == panel
 )

@@ -16,7 +16,7 @@ from stone_client.lazy_commands import Place
 
 PACKAGE = "stone_local"
 PLATFORM_COMMANDS = (
-    "simulate", "inspect", "calibration", "recover", "label", "export", "check", "score", "ceiling",
+    "simulate", "inspect", "calibration", "recover", "label", "export", "check", "ceiling",
     "model", "demo", "serve",
 )  # fmt: skip
 
@@ -57,6 +57,6 @@ def _refusal_of(name: str) -> Callable[[], NoReturn]:
 def platform_not_installed(command: str) -> Refused:
     return Refused(
         "platform_not_installed",
-        f"`stone {command}` needs the platform, and here is only its client: install the distribution "
-        "stone-platform beside it, or run the command in a checkout of the platform (`make install`)",
+        f"`stone {command}` needs the platform, and only its client is installed here: in a checkout of the platform "
+        f"run `make install`, then `.venv/bin/stone {command}` there",
     )

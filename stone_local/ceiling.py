@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from services.eval.ground_truth import Mask, find_ground_truth
 from services.eval.pipeline import score
 from services.ingest.sequence import OpenedSequence
 from services.labeler.local_run import LabelOptions, Progress
@@ -25,6 +24,7 @@ from stone_files.atomic import atomic_file
 from stone_local.frame_order import in_time_order
 from stone_recordings.sync.halved_sweeps import HalvedSweeps, Halving
 from stone_submissions.archive import frame_file, write_files
+from stone_submissions.ground_truth import Mask, find_ground_truth
 
 HALVES = ("even", "odd")
 ROW_FILE = "ceiling.json"

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from services.eval.ground_truth import TimedSequence
 from stone.splits.drives import DrivenTrack, driven_track, drives_of
 from stone_submissions.errors import GroundTruthError
+from stone_submissions.ground_truth import TimedSequence
 
 TABLE = "frames.parquet"
 COLUMNS = ("frame_token", "stamp_ns")

@@ -23,7 +23,7 @@ MODEL = GroupPlace(
 COMMANDS: tuple[Place, ...] = (
     *places(HERE, PACKAGE, "simulate", "inspect"),
     CALIBRATION,
-    *places(HERE, PACKAGE, "recover", "label", "export", "check", "score", "ceiling"),
+    *places(HERE, PACKAGE, "recover", "label", "export", "check", "ceiling"),
     MODEL,
     *places(HERE, PACKAGE, "demo", "serve"),
 )

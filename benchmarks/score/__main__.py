@@ -24,10 +24,10 @@ from rich.table import Table
 from benchmarks.score.material import Material, material
 from benchmarks.score.peers import ByteMoving, Plain, occ3d
 from services.eval.examination import CountedFrames, TruthOf, count_range, sampled_tokens
-from services.eval.score_record import interval_record, spectra_of
 from services.eval.truth_pack import TruthPack
 from stone.scoring.confusion import named_ratios
 from stone.scoring.metric import METRIC_VERSION, METRICS
+from stone.scoring.score_record import interval_record, spectra_of
 from stone_base.label_grid import GRIDS
 from stone_submissions.archive import SubmissionZip, open_submission
 

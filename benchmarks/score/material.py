@@ -14,7 +14,8 @@ import numpy as np
 from benchmarks.grids import frames, seen_by_lidar
 from services.eval.truth_pack import write_truth_pack
 from stone.labels.grid import Grid
-from stone.scoring.bitplanes import TruthPlanes, truth_planes
+from stone.scoring.bitplanes import truth_planes
+from stone.scoring.frame_counts import TruthPlanes
 from stone_base.label_grid import PAPER, LabelGrid
 from stone_files.npz import npz_bytes
 from stone_submissions.manifest import Manifest

@@ -13,7 +13,10 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 VENDORED = ("stone_base", "stone_files", "stone_submissions", "stone_exports", "stone_datasets")
 SCIENCE = (
     "__init__.py", "errors.py", "geometry/__init__.py", "geometry/se3.py", "sensors/__init__.py",
-    "labels/__init__.py", "labels/baseline.py",
+    "labels/__init__.py", "labels/baseline.py", "scoring/__init__.py", "scoring/confusion.py",
+    "scoring/frame_counts.py", "scoring/intervals.py", "scoring/metric.py", "scoring/numpy_counts.py",
+    "scoring/plane_layout.py", "scoring/score_record.py", "scoring/signature.py", "scoring/spectra.py",
+    "scoring/student.py", "scoring/truth_hash.py",
     "sensors/calibration.py", "sensors/projection.py", "splits/__init__.py", "splits/drives.py",
 )  # fmt: skip
 

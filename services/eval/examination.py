@@ -34,18 +34,16 @@ from services.runtime.sandbox import (
 )
 from services.runtime.sandbox.fork_client import warm_unless_served
 from stone.errors import PlatformFaultError, Refused
-from stone.scoring.bitplanes import (
-    NO_COLUMN_COUNTS,
+from stone.scoring.bitplanes import NO_COLUMN_COUNTS, count_by_ring, late_confusion
+from stone.scoring.frame_counts import (
     ColumnCounts,
     Confusion,
     Drivable,
     LabelRangeError,
     TruthPlanes,
-    count_by_ring,
-    late_confusion,
+    counted_every,
     no_column_counts,
 )
-from stone.scoring.columns import counted_every
 from stone.scoring.metric import CLASSES
 from stone.scoring.plane_layout import RINGS
 from stone_base.label_grid import PAPER, LabelGrid

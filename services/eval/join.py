@@ -23,9 +23,9 @@ from services.domain.benchmarks.submissions.scoring_jobs import rescore_specs
 from services.domain.benchmarks.submissions.scoring_ranges import Span
 from services.domain.benchmarks.submissions.submissions import settle
 from services.eval.examination import Counts, ExaminedRange, ImpossibleCountsError, counts_in, joined, unpacked
-from services.eval.score_record import SequenceFacts, SubmissionCounts, record_of, spectra_npz
 from services.eval.scored_case import Case, ReadyTruth, live_submission
 from services.eval.scoring_workspace import EvalStageContext
+from services.eval.spectra_file import spectra_npz
 from services.runtime.code_version import code_version
 from services.runtime.jobs.changes import lock_run
 from services.runtime.jobs.completion import Failure
@@ -36,6 +36,7 @@ from services.runtime.jobs.specs import Outcome
 from services.runtime.orm import Phase, Score, ScorePart
 from services.runtime.store.blobs import PreparedBlob, prepare
 from stone.errors import StoneError
+from stone.scoring.score_record import SequenceFacts, SubmissionCounts, record_of
 from stone.scoring.signature import Signature
 from stone_files.npz import npz_bytes
 from stone_submissions.verdict import Validation, merged, validation_of

@@ -17,21 +17,15 @@ from pathlib import Path
 
 from services.domain.benchmarks.submissions.scoring_ranges import ranges_of
 from services.eval.examination import Counts, ExaminedRange, TruthOf, examined, joined, sampled_tokens
-from services.eval.ground_truth import (
-    FrameOrder,
-    GroundTruth,
-    Mask,
-    find_ground_truth,
-    read_sure_truth,
-    read_truth,
-    truth_hash,
-    whole_hash,
-)
-from services.eval.score_record import ConfidenceLimit, Scores, SequenceFacts, SubmissionCounts
-from stone.scoring.bitplanes import TruthPlanes
+from services.eval.ground_truth import planes_of_labels
+from services.runtime.code_version import code_version
+from stone.scoring.frame_counts import TruthPlanes
+from stone.scoring.score_record import ConfidenceLimit, Scores, SubmissionCounts, facts_of
 from stone.scoring.signature import Signature
+from stone.scoring.truth_hash import truth_hash, whole_hash
 from stone_base.label_grid import LabelGrid
 from stone_submissions.archive import SubmissionZip, open_submission
+from stone_submissions.ground_truth import FrameOrder, Mask, find_ground_truth, read_labels
 from stone_submissions.validation import THREADS, Progress, silent
 from stone_submissions.verdict import SubmissionRefusedError, verdict
 
@@ -59,34 +53,24 @@ def score(
     paths, hashes, left_out = truth.paths(), dict[str, bytes](), dict[str, int]()
 
     def truth_of(token: str) -> TruthPlanes:
-        if least_confidence > 0:
-            planes, left_out[token] = read_sure_truth(paths[token], mask, least_confidence, found)
-        else:
-            planes = read_truth(paths[token], mask, found)
+        labels = read_labels(paths[token], mask, found, least_confidence)
+        planes, left_out[token] = planes_of_labels(labels, paths[token], found), labels.left_out
         hashes[token] = truth_hash(planes)
         return planes
 
     with open_submission(zip_path, truth.manifest.tokens, found) as submission:
         counted = count(submission, truth.manifest.tokens, truth_of, threads=threads, progress=progress)
     counts_of_frames = SubmissionCounts(
-        counted.confusions, counted.bev, _facts(truth), counted.column_counts, counted.late
+        counted.confusions,
+        counted.bev,
+        facts_of(truth.manifest.sequences, truth.timed),
+        counted.column_counts,
+        counted.late,
     )
     limit = ConfidenceLimit(least_confidence, sum(left_out.values())) if least_confidence > 0 else None
     evaluated = truth.mask if limit is None else f"{truth.mask},confidence>={least_confidence:g}"
-    return Scores(
-        counts_of_frames, Signature(whole_hash(hashes), evaluated, grid=found), truth.timed is not None, limit
-    )
-
-
-def _facts(truth: GroundTruth) -> tuple[SequenceFacts, ...]:
-    return tuple(
-        SequenceFacts(name, len(tokens))
-        if truth.timed is None
-        else SequenceFacts(
-            name, len(tokens), drive=truth.timed[name].drive, first_stamp_ns=truth.timed[name].first_stamp_ns
-        )
-        for name, tokens in truth.manifest.sequences.items()
-    )
+    signature = Signature(whole_hash(hashes), evaluated, grid=found)
+    return Scores(counts_of_frames, signature, truth.timed is not None, code_version("scores"), limit)
 
 
 def count(

@@ -13,14 +13,15 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field
 
-from services.eval.ground_truth import MAX_LABELS_BYTES, Mask, truth_in
+from services.eval.ground_truth import truth_in
 from services.eval.truth_pack import write_truth_pack
 from services.runtime.sandbox import ProgressCallback
 from services.runtime.sandbox.answers import Hex256, SandboxAnswer
 from services.runtime.store.packs import short_pack
 from stone.errors import Refused
-from stone.scoring.bitplanes import TruthPlanes
+from stone.scoring.frame_counts import TruthPlanes
 from stone_submissions.errors import GroundTruthError
+from stone_submissions.ground_truth import MAX_LABELS_BYTES, Mask
 from stone_submissions.manifest import MAX_FRAMES, Manifest
 
 PACK = "truth.pack"

@@ -17,7 +17,6 @@ from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.phases.ground_truths import LABELS, first_activation
 from services.domain.benchmarks.phases.unordered_frames import UnorderedFrames, unordered_frames
-from services.eval.ground_truth import Mask
 from services.eval.kernel_warmup import warm
 from services.eval.sandboxed_truth import PACK, PackedLabelFile, TruthAnswer, TruthInputs, labels_unfit, write_truth
 from services.eval.scoring_workspace import EvalStageContext
@@ -32,6 +31,7 @@ from services.runtime.store.pack_reading import ExportLocation, StoredFiles, sto
 from services.runtime.store.packs import PackedFiles
 from services.runtime.store.protocol import Store
 from stone_base.label_grid import PAPER, LabelGrid, recorded_grid
+from stone_submissions.ground_truth import Mask
 from stone_submissions.manifest import MAX_FRAMES, SEQUENCE_NAME, Manifest, is_token, write_manifest
 
 MANIFEST = "manifest.json"

@@ -26,17 +26,18 @@ import deflate
 import numpy as np
 from numpy.typing import NDArray
 
-from services.eval.ground_truth import LATE, truth_hash, whole_hash
 from stone.errors import Refused, StoneError
-from stone.scoring.bitplanes import TruthPlanes, frame_counts, truth_of_planes
-from stone.scoring.columns import counted_every
+from stone.scoring.bitplanes import frame_counts, truth_of_planes
+from stone.scoring.frame_counts import TruthPlanes, counted_every
 from stone.scoring.metric import CLASSES
 from stone.scoring.plane_layout import RINGS, layout_of
 from stone.scoring.plane_runs import PLANES, PlaneRuns, planes_of, runs_of
+from stone.scoring.truth_hash import truth_hash, whole_hash
 from stone_base.label_grid import PAPER, LabelGrid, grid_of
 from stone_files.atomic import atomic_file
 from stone_files.npz import npz_bytes
 from stone_submissions.errors import UnreadableInputError
+from stone_submissions.ground_truth import LATE
 from stone_submissions.manifest import Manifest
 from stone_submissions.validation import THREADS, Progress, silent
 

@@ -41,7 +41,7 @@ ENTRIES: Mapping[ResultKind, tuple[str, ...]] = MappingProxyType(
             "services.eval.pipeline:score",
             "services.eval.examination:count_submission",
             "services.eval.examination:unpacked",
-            "services.eval.score_record:spectra_npz",
+            "services.eval.spectra_file:spectra_npz",
         ),
         "comparisons": (
             "services.eval.comparison.stage:count_pairs",

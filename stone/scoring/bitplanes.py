@@ -11,75 +11,36 @@ Source: counts of unions from counts of intersections by inclusion–exclusion; 
 Quass, 1997).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stone.errors import ShapeError, StoneError
+from stone.errors import ShapeError
 from stone.kernels.column_words import drivable32, pack1, pack8
 from stone.kernels.lanes import popcount, prefetch
 from stone.labels.grid import Grid
-from stone.scoring.columns import count_columns, count_pairs, overhead_voxels
+from stone.scoring.columns import count_columns, count_pairs
+from stone.scoring.frame_counts import (
+    ColumnCounts,
+    Confusion,
+    Drivable,
+    FrameCounts,
+    LabelRangeError,
+    Planes,
+    TruthPlanes,
+    no_column_counts,
+    overhead_voxels,
+)
 from stone.scoring.metric import CLASSES
 from stone.scoring.plane_layout import CHUNK, RINGS, layout_of
 from stone_base.label_grid import PAPER, LabelGrid
 
 WORD = 32  # voxels
 
-Planes = NDArray[np.uint64]
 Columns = NDArray[np.uint32]
-Confusion = NDArray[np.int32]
-Drivable = NDArray[np.int32]
-
-
-class LabelRangeError(StoneError):
-    """A grid holds a value that is no class."""
-
-    code = "label_out_of_range"
-
-    def __init__(self, value: int) -> None:
-        self.value = value
-        super().__init__(
-            f"a voxel holds {value}; classes are 0 to 3 (is 'unknown' written as 255, or another class map?)"
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class TruthPlanes:
-    """Ground truth of one frame of a grid, ring-sorted: `planes` (3, words) = low, high, evaluated.
-
-    `counts` (3, 4) are, by ring, the voxels evaluated and those with the low, the high and both bits set. `late`
-    (words,) are the voxels of `stone.labels.late_voxels`, evaluated or not; None if unknown.
-    """
-
-    planes: Planes
-    counts: NDArray[np.int64]
-    grid: LabelGrid = PAPER
-    late: Planes | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class ColumnCounts:
-    """The counts of `stone.scoring.columns`: `pairs` (…, 3, 4) [ring, set], `columns` (…, 3, 4, 4) as a confusion."""
-
-    pairs: NDArray[np.int32]
-    columns: Confusion
-
-    def of_frame(self, index: int) -> "ColumnCounts":
-        """Return those of one of several frames, as a view."""
-        return ColumnCounts(self.pairs[index], self.columns[index])
-
-
-@dataclass(frozen=True, eq=False)
-class FrameCounts:
-    """What is kept of a frame: `confusion` (3, 4, 4) [ring, truth, prediction] in voxels, `bev` (3, 3) in columns."""
-
-    confusion: Confusion
-    bev: Drivable
-    column_counts: ColumnCounts
 
 
 @njit(cache=True, nogil=True)
@@ -250,13 +211,6 @@ def _count(source: Any, truth: Planes, counts: NDArray[np.int64], schedule: Any,
         bev[ring, 1:] -= bev[ring, 0]
         outs[1][ring] = bev[ring]
     return beyond
-
-
-def no_column_counts(shape: tuple[int, ...]) -> ColumnCounts:
-    """Column counts of frames of this shape, all zero."""
-    return ColumnCounts(
-        np.zeros((*shape, RINGS, CLASSES), np.int32), np.zeros((*shape, RINGS, CLASSES, CLASSES), np.int32)
-    )
 
 
 def truth_planes(

@@ -10,8 +10,8 @@ hold no voxel but evaluated ones, and columns of a prediction that may.
 - The *class of a column* is the worst (N, P, T, free) of its voxels, without those N that are more than the robot's
   height above its lowest T or P.
 
-Both are counted in at most `COUNTED_FRAMES` frames of a submission, evenly spaced: neighbouring frames see the same
-ground, and counting costs as much as half of all else that is done for a frame.
+Both are counted in at most `COUNTED_FRAMES` frames of a submission (`frame_counts.py`), evenly spaced: neighbouring
+frames see the same ground, and counting costs as much as half of all else that is done for a frame.
 """
 
 from typing import Any
@@ -22,23 +22,9 @@ from numpy.typing import NDArray
 
 from stone.kernels.lanes import popcount
 
-CLEARANCE_M = 1.6
-"""The height of a robot that drives under an obstacle."""
 _ONE = np.uint64(1)
 
-COUNTED_FRAMES = 250
-
 Columns = NDArray[np.uint32]
-
-
-def overhead_voxels(voxel_m: float) -> int:
-    """Return how many voxels above the surface an N leaves `CLEARANCE_M` between both."""
-    return round(CLEARANCE_M / voxel_m) + 1
-
-
-def counted_every(frames: int) -> int:
-    """Return n: of this many frames the first and every n-th after it are counted."""
-    return max(1, -(-frames // COUNTED_FRAMES))
 
 
 @njit(cache=True, nogil=True)

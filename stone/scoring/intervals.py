@@ -37,6 +37,7 @@ from stone.scoring.spectra import (
     sampling_variances,
     sums_of_sequences,
 )
+from stone.scoring.student import critical_value, two_sided
 
 # Influence of each frame on a ratio of sums: what its counts move the ratio by, to first order.
 #
@@ -159,9 +160,7 @@ class Estimate:
 
     def interval(self, level: float = LEVEL) -> tuple[float, float]:
         """Central, symmetric around the value."""
-        from scipy.special import stdtrit  # a third of a second, which no process pays at its start
-
-        reach = self.error * float(stdtrit(self.degrees, (1 + level) / 2))
+        reach = self.error * critical_value(level, self.degrees)
         return self.value - reach, self.value + reach
 
     def ratio_interval(self, level: float = LEVEL) -> tuple[float, float]:
@@ -175,9 +174,7 @@ class Estimate:
     @property
     def p(self) -> float:
         """Two-sided, that the true value is 0."""
-        from scipy.special import stdtr
-
-        return float(2 * stdtr(self.degrees, -abs(self.value) / self.error))
+        return two_sided(self.value / self.error, self.degrees)
 
 
 def ratio_spectra(confusions: Counts, frames_of_sequence: Sequence[int], metric: str = METRIC_VERSION) -> RatioSpectra:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from stone.errors import ShapeError
 from stone.kernels.column_words import unroll8
-from stone.scoring.bitplanes import Planes
+from stone.scoring.frame_counts import Planes
 from stone.scoring.plane_layout import WHOLE
 
 PLANES = 3

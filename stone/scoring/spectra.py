@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import accumulate, pairwise
+from math import gamma
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,14 +83,22 @@ class SpectrumLayout:
 
 def coefficients(influences: NDArray[np.floating], layout: SpectrumLayout) -> NDArray[np.float64]:
     """The kept coefficients (K, …) of influences (F, …). Raises `ShapeError` where lengths and frames disagree."""
-    from scipy.fft import dct  # not loaded by who only reads coefficients
-
     frames = layout.frames_of_sequence
     if len(influences) != sum(frames) or min(frames, default=0) < 1:
         raise ShapeError("influences", influences.shape, f"({sum(frames)}, …), sequences of a frame or more each")
     runs = pairwise(accumulate(frames, initial=0))
-    found = (dct(influences[start:stop], type=2, axis=0, norm="ortho") for start, stop in runs)
+    found = (_cosine_transform(influences[start:stop]) for start, stop in runs)
     return np.concatenate([of_sequence[:kept] for of_sequence, kept in zip(found, layout.kept, strict=True)])
+
+
+def _cosine_transform(signal: NDArray[np.floating]) -> NDArray[np.float64]:
+    """The orthonormal transform of type II along the first axis, by the FFT of as many values (Makhoul 1980)."""
+    frames = len(signal)
+    turns = np.exp(-0.5j * np.pi * np.arange(frames) / frames).reshape(-1, *[1] * (signal.ndim - 1))
+    transformed = (np.fft.fft(np.concatenate([signal[::2], signal[1::2][::-1]]), axis=0) * turns).real
+    transformed *= np.sqrt(2 / frames)
+    transformed[0] *= np.sqrt(0.5)
+    return np.asarray(transformed, np.float64)
 
 
 def sums_of_sequences(kept: Coefficients, layout: SpectrumLayout) -> NDArray[np.float64]:
@@ -330,9 +339,8 @@ def _models(groups: Sequence[Floats], density: Callable[[Floats], Floats]) -> _M
 
 def _long_variance(frames: NDArray[np.int64], lowest: float) -> Floats:
     """Return the variance of the sum by each power law, 1 at the lowest of these frequencies, over each floor."""
-    from scipy.special import gamma  # a third of a second, which no process pays at its start
-
-    at_zero = (frames[:, None] * lowest) ** (2 * MEMORIES) / (gamma(2 + 2 * MEMORIES) * np.cos(np.pi * MEMORIES))
+    gammas = np.array([gamma(2 + 2 * memory) for memory in MEMORIES.tolist()])
+    at_zero = (frames[:, None] * lowest) ** (2 * MEMORIES) / (gammas * np.cos(np.pi * MEMORIES))
     return np.concatenate([frames @ (at_zero + floor) for floor in FLOORS])
 
 

@@ -15,7 +15,6 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from services.eval.ground_truth import find_ground_truth
 from services.eval.pipeline import score
 from services.runtime.embedded.first_start import first_password_file
 from services.runtime.embedded.supervisor import RunningPlatform
@@ -50,6 +49,7 @@ from stone_local.demo.benchmark import (
     write_entry,
 )
 from stone_local.frame_order import TABLE, in_time_order
+from stone_submissions.ground_truth import find_ground_truth
 from stone_submissions.manifest import write_manifest
 from stone_submissions.validation import validate
 from stone_submissions.verdict import SubmissionRefusedError

@@ -20,5 +20,5 @@ def torch_needed() -> Iterator[None]:
         raise Refused(
             "no_torch",
             f"{missing} is not installed here: run `make baselines`, then .venv-baselines/bin/stone with the same "
-            "arguments (or pip install 'stone-platform[baselines]')",
+            "arguments",
         ) from error

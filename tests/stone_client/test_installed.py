@@ -135,6 +135,8 @@ def test_a_command_of_the_platform_says_what_to_install(alone: Path) -> None:
     said = alone_stone(alone, "calibration", "check")
     assert said.returncode == 1
     assert said.stderr.startswith("platform_not_installed: `stone calibration` needs the platform")
+    assert "`make install`, then `.venv/bin/stone calibration`" in said.stderr
+    assert "stone-platform" not in said.stderr, "no index has that distribution, and anybody could put one there"
 
 
 def test_validation_needs_nothing_of_the_platform(alone: Path, tmp_path: Path) -> None:
@@ -174,6 +176,6 @@ def test_training_without_torch_is_refused_in_one_line(tmp_path: Path) -> None:
     (line,) = result.stderr.splitlines()
     assert line == (
         "no_torch: torch is not installed here: run `make baselines`, then .venv-baselines/bin/stone with the same "
-        "arguments (or pip install 'stone-platform[baselines]')"
+        "arguments"
     )
     assert not (tmp_path / "run").exists()

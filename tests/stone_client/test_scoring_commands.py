@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.stone_client.participating import stone
+from stone_client import scoring
+from stone_local import scoring as by_kernels
+from stone_submissions.ground_truth import Mask
+from stone_submissions.verdict import SubmissionRefusedError
+from tests.stone_client.participating import quiet, stone
 
 TOKENS = ("0" * 32, "1" * 32)
 
@@ -100,3 +104,40 @@ def test_ground_truth_without_labels_is_refused(tmp_path: Path) -> None:
     result = stone("score", submission, "--ground-truth", tmp_path / "empty")
     assert result.exit_code == 1
     assert result.stderr.startswith("bad_ground_truth: ")
+
+
+@pytest.mark.parametrize(("mask", "least_confidence"), [("all", 0.0), ("lidar", 0.0), ("all", 0.7)])
+def test_without_the_platform_the_record_is_the_same(tmp_path: Path, mask: Mask, least_confidence: float) -> None:
+    """But for the code that counted, and the order of frames in time, which the client does not read."""
+    rng = np.random.default_rng(3)
+    grids = dict[str, NDArray[np.uint8]]()
+    for number in range(12):
+        token = f"{number:032x}"
+        folder = tmp_path / "truth" / "gts" / f"drive-{number // 2}" / token
+        folder.mkdir(parents=True)
+        truth = np.roll(world(), number, axis=0)
+        extra = {name: rng.integers(0, 2, truth.shape, np.uint8) for name in ("mask_lidar", "late")}
+        np.savez_compressed(
+            folder / "labels.npz", semantics=truth, confidence=rng.integers(0, 256, truth.shape, np.uint8), **extra
+        )
+        is_wrong = rng.random(truth.shape, np.float32) < 0.1 + 0.02 * (number // 2)
+        grids[token] = np.where(is_wrong, rng.integers(0, 4, truth.shape), truth).astype(np.uint8)
+    submission = write_zip(tmp_path / "sub.zip", grids)
+    ours, theirs = (
+        of.score(
+            submission, tmp_path / "truth", mask=mask, least_confidence=least_confidence, progress=quiet
+        ).as_record()
+        for of in (scoring, by_kernels)
+    )
+    assert ours.pop("code_version").startswith("stone-client ")
+    theirs.pop("code_version")
+    assert ours == theirs
+    assert ours["intervals"]["new_place"]["iou_occ"] is not None
+    assert ours["late"] is not None
+
+
+def test_without_the_platform_a_wrong_frame_is_refused_with_all_others(tmp_path: Path, truth: Path) -> None:
+    submission = write_zip(tmp_path / "sub.zip", {TOKENS[0]: world() + 7, TOKENS[1]: world()[:9]})
+    with pytest.raises(SubmissionRefusedError) as caught:
+        scoring.score(submission, truth, progress=quiet)
+    assert [one.code for one in caught.value.validation.errors] == ["label_out_of_range", "bad_shape"]

@@ -11,14 +11,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from services.eval.ground_truth import KEYS
 from stone.labels.grid import Grid
 from stone.scoring.agreement import agreement_ratios
-from stone.scoring.bitplanes import LabelRangeError, count_by_ring, truth_planes
+from stone.scoring.bitplanes import count_by_ring, truth_planes
+from stone.scoring.frame_counts import LabelRangeError
 from stone.scoring.metric import CLASSES
 from stone.scoring.plane_layout import RINGS
 from stone_base.label_grid import LabelGrid
 from stone_submissions.errors import GroundTruthError, SubmissionError
+from stone_submissions.ground_truth import KEYS
 from stone_submissions.npz_frame import npz_members, read_grid
 from stone_submissions.validation import Progress, silent
 

@@ -10,10 +10,10 @@ from services.domain.viewer.frame_picture import comparison_picture
 from services.eval.comparison.counting import FrameGrids, LabelGrids, counted_pairs, label_grids
 from services.eval.comparison.record import ComparedFrames, comparison_record
 from services.eval.comparison.stage import no_shared_frame
-from services.eval.ground_truth import MAX_LABELS_BYTES, find_ground_truth
 from stone_base.label_grid import LabelGrid, require_one_geometry
 from stone_files.atomic import atomic_file
 from stone_submissions.errors import GroundTruthError
+from stone_submissions.ground_truth import MAX_LABELS_BYTES, find_ground_truth
 from stone_submissions.manifest import read_bounded
 from stone_submissions.validation import Progress, silent
 

@@ -1,14 +1,18 @@
 """The client's distribution: of the platform's release, of its own packages, and with few requirements."""
 
 import ast
+import json
 import re
 import shutil
 import subprocess
 import sys
 import tomllib
+import zipfile
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pytest
 from packaging.requirements import Requirement
 
 from api.client_wheel import FILENAME, ClientWheel, install_line
@@ -74,10 +78,19 @@ print(all(path.startswith(sys.argv[1]) for path in ours))
 """
 
 
-def test_the_devkit_opens_the_release_with_what_the_wheel_holds_alone(tmp_path: Path) -> None:
-    """Catches alone a module that the devkit loads and the wheel lacks."""
-    write_released_zip(tmp_path / "STONE.zip", ReleasedDataset(cameras=("CAM_FRONT",)))
-    wheel = tmp_path / "wheel"
+SCORED = """
+import sys
+for barred in ("numba", "scipy", "torch", "pyarrow", "pydantic_settings", "stone_local", "services"):
+    sys.modules[barred] = None
+from stone_client.main import main
+main()
+"""
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the wheel holds, as pip lays it out."""
+    wheel = tmp_path_factory.mktemp("alone") / "wheel"
     shutil.copytree(ROOT / "stone_client", wheel / "stone_client")
     below = wheel / "stone_client" / "_vendor"
     for package in vendored():
@@ -85,7 +98,44 @@ def test_the_devkit_opens_the_release_with_what_the_wheel_holds_alone(tmp_path: 
     for module in vendored("SCIENCE"):
         (below / "stone" / module).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / "stone" / module, below / "stone" / module)
-    known = {"PYTHONPATH": f"{wheel}:{below}", "PYTHONSAFEPATH": "1"}
-    command = [sys.executable, "-c", OPENED, str(wheel)]
-    outcome = subprocess.run(command, check=False, capture_output=True, text=True, cwd=tmp_path, env=known)
+    return wheel
+
+
+def run_alone(wheel: Path, folder: Path, program: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """The program in `folder`, where nothing of ours can be imported but what the wheel holds."""
+    known = {"PYTHONPATH": f"{wheel}:{wheel / 'stone_client' / '_vendor'}", "PYTHONSAFEPATH": "1"}
+    command = [sys.executable, "-c", program, *arguments]
+    return subprocess.run(command, check=False, capture_output=True, text=True, cwd=folder, env=known)
+
+
+def test_the_devkit_opens_the_release_with_what_the_wheel_holds_alone(alone: Path, tmp_path: Path) -> None:
+    """Catches alone a module that the devkit loads and the wheel lacks."""
+    write_released_zip(tmp_path / "STONE.zip", ReleasedDataset(cameras=("CAM_FRONT",)))
+    outcome = run_alone(alone, tmp_path, OPENED, str(alone))
     assert outcome.stdout.splitlines() == ["8 1 (200, 200, 16) 4 (48, 64, 3)", "True"], outcome.stderr
+
+
+def test_a_submission_is_scored_with_what_the_wheel_holds_alone(alone: Path, tmp_path: Path) -> None:
+    """Catches alone a module that scoring loads and the wheel lacks."""
+    grid = np.zeros((256, 256, 32), np.uint8)
+    grid[100:150, 100:150, 10], grid[20:30, 20:30, 5:20] = 1, 3
+    (tmp_path / "gts" / "forest" / ("0" * 32)).mkdir(parents=True)
+    np.savez_compressed(tmp_path / "gts" / "forest" / ("0" * 32) / "labels.npz", semantics=grid)
+    with zipfile.ZipFile(tmp_path / "sub.zip", "w") as archive, archive.open("0" * 32 + ".npz", "w") as member:
+        np.savez_compressed(member, semantics=np.where(grid == 3, 2, grid))
+    outcome = run_alone(alone, tmp_path, SCORED, "score", "sub.zip", "--ground-truth", ".", "--json")
+    assert outcome.returncode == 0, outcome.stderr
+    assert json.loads(outcome.stdout)["total"] == {
+        "iou_occ": 1.0,
+        "iou_t": 1.0,
+        "iou_p": 0.0,
+        "iou_n": 0.0,
+        "miou": 1 / 3,
+    }
+
+
+def test_the_baseline_is_loaded_from_what_the_wheel_holds_alone(alone: Path, tmp_path: Path) -> None:
+    """Catches alone a module that the baseline loads and the wheel lacks."""
+    (tmp_path / "m.json").write_text(json.dumps({"stone_manifest": 1, "sequences": {"forest": ["0" * 32]}}))
+    outcome = run_alone(alone, tmp_path, SCORED, "baseline", ".", "--manifest", "m.json", "-o", "sub.zip")
+    assert outcome.stderr.startswith("not_an_export: "), outcome.stderr

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.eval.ground_truth import find_ground_truth
 from stone.sensors.sequence import frame_token
 from stone_base.label_grid import PAPER
 from stone_files.npz import npz_bytes
+from stone_submissions.ground_truth import find_ground_truth
 from stone_submissions.manifest import write_manifest
 from testing.worlds import benchmark_world
 from testing.worlds.sending import standing_world

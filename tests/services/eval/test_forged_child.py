@@ -24,13 +24,14 @@ from numpy.typing import NDArray
 
 from services.eval import examination
 from services.eval.examination import ARRAYS, Counts, Examination, ExaminedRange, counts_in, examine
-from services.eval.ground_truth import find_ground_truth, read_truth
+from services.eval.ground_truth import read_truth
 from services.eval.truth_pack import TruthPack, write_truth_pack
 from services.eval.truth_supports import can_be_counted
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.sandbox import SandboxLimits, SandboxWatch, sandboxed_with_progress
 from services.runtime.sandbox.messages import ANSWER, CRASH, REFUSAL, TICK, send_message
 from stone.errors import PlatformFaultError, Refused, StoneError
+from stone_submissions.ground_truth import find_ground_truth
 from stone_submissions.validation import validate
 from testing.worlds.submission_files import write_submission
 from tests.services.eval.conftest import World

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from services.domain.benchmarks.golden import golden_archive, golden_file, golden_names
-from services.eval.ground_truth import Mask
 from services.eval.pipeline import score
 from stone.scoring.confusion import named_ratios
 from stone.scoring.metric import METRICS, RATIOS
+from stone_submissions.ground_truth import Mask
 from stone_submissions.validation import validate
 from stone_submissions.verdict import SubmissionRefusedError
 from tests.golden_vectors import MASKS, expected, files, read

@@ -10,17 +10,18 @@ from numpy.typing import NDArray
 from typer.main import get_command
 
 from services.eval.examination import Examination, examine
-from services.eval.ground_truth import Mask, find_ground_truth, read_truth
+from services.eval.ground_truth import read_truth
 from services.eval.pipeline import score
-from services.eval.score_record import SequenceFacts, SubmissionCounts, record_of
 from services.eval.truth_pack import TruthPack, write_truth_pack
 from services.runtime.sandbox import SandboxWatch
 from stone.scoring.metric import RATIOS
+from stone.scoring.score_record import SequenceFacts, SubmissionCounts, record_of
 from stone_base.label_grid import GRIDS, PAPER, RELEASE, LabelGrid
 from stone_client.main import app
 from stone_files.grid_file import GRID_FILE, grid_text
 from stone_files.npz import npz_bytes
 from stone_submissions.archive import frame_file, write_files
+from stone_submissions.ground_truth import Mask, find_ground_truth
 from stone_submissions.manifest import read_manifest, write_manifest
 from stone_submissions.validation import validate
 from testing.refusals import refused_as

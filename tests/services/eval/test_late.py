@@ -9,17 +9,19 @@ import pytest
 
 from services.domain.benchmarks.alarms.alarms import DEFAULTS, ScoredEntry, late_suspicion
 from services.eval.examination import ARRAYS, counts_of, examined
-from services.eval.ground_truth import find_ground_truth, read_truth, truth_hash
+from services.eval.ground_truth import read_truth
 from services.eval.pipeline import score
 from services.eval.truth_pack import TruthPack, write_truth_pack
 from services.labeler.local_run import label
 from stone.labels.baseline import predict_from_sweep
 from stone.scoring.confusion import named_ratios
+from stone.scoring.truth_hash import truth_hash
 from stone.sensors.calibration import Box
 from stone.sensors.sequence import frame_token
 from stone_base.label_grid import PAPER
 from stone_files.npz import npz_bytes
 from stone_submissions.archive import open_submission
+from stone_submissions.ground_truth import find_ground_truth
 from testing.worlds.submission_files import write_submission
 from tests.plain_confusion import confusion_matrix
 from tests.services.eval.conftest import Grid, speckled

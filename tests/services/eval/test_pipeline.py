@@ -15,10 +15,10 @@ import pytest
 
 from services.domain.benchmarks.submissions import scoring_ranges
 from services.eval.examination import count_range
-from services.eval.ground_truth import Mask, TimedSequence, find_ground_truth, read_truth
+from services.eval.ground_truth import read_truth
 from services.eval.pipeline import score
-from stone.scoring.bitplanes import TruthPlanes
 from stone.scoring.confusion import named_ratios
+from stone.scoring.frame_counts import TruthPlanes
 from stone.scoring.metric import RATIOS
 from stone_base.label_grid import PAPER
 from stone_files.dataset_layouts import LAYOUTS
@@ -26,6 +26,7 @@ from stone_files.npz import npz_bytes
 from stone_local.frame_order import TABLE, in_time_order
 from stone_submissions.archive import open_submission
 from stone_submissions.errors import GroundTruthError, UnreadableInputError
+from stone_submissions.ground_truth import Mask, TimedSequence, find_ground_truth
 from stone_submissions.validation import check_range, validate
 from stone_submissions.verdict import SubmissionRefusedError
 from testing.refusals import refused_as
@@ -130,7 +131,7 @@ def test_columns_are_counted_in_few_frames_evenly_spaced(
     world: World, submission: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of three frames the first and the third, whatever ranges they are counted in."""
-    monkeypatch.setattr("stone.scoring.columns.COUNTED_FRAMES", 2)
+    monkeypatch.setattr("stone.scoring.frame_counts.COUNTED_FRAMES", 2)
     everywhere = np.ones(PAPER.shape, np.bool_)
     tokens = find_ground_truth(world.folder).manifest.tokens
     counted = [slow_counts(world.labels[token], world.predictions[token], everywhere) for token in tokens[::2]]

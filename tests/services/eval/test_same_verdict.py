@@ -16,11 +16,12 @@ import pytest
 from typer.main import get_command
 
 from services.eval.examination import Examination, examine
-from services.eval.ground_truth import find_ground_truth, read_truth
+from services.eval.ground_truth import read_truth
 from services.eval.truth_pack import write_truth_pack
 from services.runtime.sandbox import SandboxWatch
 from stone_client.main import app
 from stone_files.npz import npz_bytes
+from stone_submissions.ground_truth import find_ground_truth
 from stone_submissions.manifest import write_manifest
 from stone_submissions.validation import validate
 from tests.services.eval.attacks import FREE, TOKENS

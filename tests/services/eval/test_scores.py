@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.eval.score_record import (
+from services.eval.spectra_file import spectra_npz
+from stone.errors import ShapeError
+from stone.scoring.confusion import extras, named_ratios
+from stone.scoring.intervals import SCOPES, Estimate, estimates
+from stone.scoring.metric import METRIC_VERSION, METRICS, OCCUPIED_VERSION, RATIOS
+from stone.scoring.score_record import (
     RING_NAMES,
     SequenceFacts,
     SubmissionCounts,
     interval_record,
     record_of,
-    spectra_npz,
     spectra_of,
 )
-from stone.errors import ShapeError
-from stone.scoring.confusion import extras, named_ratios
-from stone.scoring.intervals import SCOPES, Estimate, estimates
-from stone.scoring.metric import METRIC_VERSION, METRICS, OCCUPIED_VERSION, RATIOS
 from testing.refusals import refused_as
 
 SEQUENCES = (

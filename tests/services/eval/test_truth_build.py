@@ -18,15 +18,7 @@ from services.domain.benchmarks.phases.ground_truths import start_truth
 from services.domain.benchmarks.phases.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
 from services.domain.benchmarks.phases.unordered_frames import unordered_frames
 from services.eval import sandboxed_truth, truth_build
-from services.eval.ground_truth import (
-    MAX_LABELS_BYTES,
-    Mask,
-    find_ground_truth,
-    read_truth,
-    truth_hash,
-    truth_in,
-    whole_hash,
-)
+from services.eval.ground_truth import read_truth, truth_in
 from services.eval.sandboxed_truth import TruthAnswer, TruthInputs, write_truth
 from services.eval.truth_pack import TruthPack
 from services.runtime.orm import (
@@ -43,9 +35,11 @@ from services.runtime.orm import (
 )
 from services.runtime.platform import Platform
 from services.runtime.sandbox import ProgressCallback, job_sandbox
-from stone.scoring.bitplanes import TruthPlanes
+from stone.scoring.frame_counts import TruthPlanes
+from stone.scoring.truth_hash import truth_hash, whole_hash
 from stone_base.label_grid import LabelGrid
 from stone_files.npz import npz_bytes
+from stone_submissions.ground_truth import MAX_LABELS_BYTES, Mask, find_ground_truth
 from stone_submissions.manifest import read_manifest
 from testing.api.serving import person
 from testing.worlds import made, published

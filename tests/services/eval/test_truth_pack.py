@@ -10,12 +10,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from services.eval.ground_truth import Mask, find_ground_truth, read_truth
+from services.eval.ground_truth import read_truth
 from services.eval.pipeline import score
 from services.eval.truth_pack import TRAILER, PackSummary, TruthPack, TruthPackError, write_truth_pack
-from stone.scoring.bitplanes import TruthPlanes
+from stone.scoring.frame_counts import TruthPlanes
 from stone.sensors.sequence import NAME
 from stone_submissions.errors import GroundTruthError, UnreadableInputError
+from stone_submissions.ground_truth import Mask, find_ground_truth
 from stone_submissions.manifest import Manifest, read_manifest, write_manifest
 from testing.refusals import refused_as
 from testing.worlds.submission_files import write_submission

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.eval.ground_truth import read_truth, truth_hash
+from services.eval.ground_truth import read_truth
 from services.labeler.local_run import LabelOptions, label
 from services.labeler.parameters import REFERENCES, LabelParameters
 from stone.labels.grid import frame_bounds
@@ -14,6 +14,7 @@ from stone.labels.sight_batches import SightBatch
 from stone.labels.traversability import NON_TRAVERSABLE, POTENTIAL, TRAVERSABLE, threshold
 from stone.labels.visibility import sight_lines
 from stone.labels.voxels import VOXEL_M
+from stone.scoring.truth_hash import truth_hash
 from stone.sensors.calibration import Box
 from stone_base.label_grid import PAPER
 from testing.rays import cast, in_voxels, lit_share, open_share

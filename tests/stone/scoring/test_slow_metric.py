@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from stone.errors import ShapeError
 from stone.labels.grid import Grid
-from stone.scoring.bitplanes import LabelRangeError, Planes, frame_counts, truth_planes
+from stone.scoring.bitplanes import frame_counts, truth_planes
 from stone.scoring.confusion import extras, named_ratios, tolerant_ratios
+from stone.scoring.frame_counts import LabelRangeError, Planes
 from stone.scoring.metric import METRICS, RATIOS
 from stone.scoring.plane_layout import RINGS, column_rings, layout_of
 from stone.scoring.plane_runs import PlaneRuns, planes_of, runs_of

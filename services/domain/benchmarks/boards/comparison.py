@@ -136,7 +136,7 @@ def _difference(a: float | None, b: float | None, is_exact: bool) -> float | Non
 
 # Reads the spectra that are kept of a score.
 #
-# **Conventions.** The file is ours (`services/eval/score_record.py` writes it), so what it holds is believed.
+# **Conventions.** The file is ours (`services/eval/spectra_file.py` writes it), so what it holds is believed.
 # Scores whose metric's intervals are withdrawn may have another file, from which nothing is read.
 
 

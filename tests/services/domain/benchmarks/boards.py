@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion
 from services.domain.benchmarks.submissions.score_rows import NewScore, write_score
 from services.domain.benchmarks.visibility import Viewer
-from services.eval.score_record import SequenceFacts, SubmissionCounts, record_of, spectra_npz
+from services.eval.spectra_file import spectra_npz
 from services.runtime.orm import Activation, GroundTruthRow, Phase, Score, SubmissionRow, new_id
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.store import blobs
-from stone.scoring.bitplanes import ColumnCounts
+from stone.scoring.frame_counts import ColumnCounts
 from stone.scoring.metric import METRIC_VERSION, RATIOS
+from stone.scoring.score_record import SequenceFacts, SubmissionCounts, record_of
 from stone_files.npz import npz_bytes
 from tests.services.domain.benchmarks.scored import Place, entry, phase_of_rows, team
 

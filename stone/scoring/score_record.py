@@ -8,15 +8,13 @@ in [0, 1] or None where undefined. The record is exact: who may see which part o
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import accumulate, pairwise
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from services.runtime.code_version import code_version
-from stone.scoring.bitplanes import ColumnCounts, Confusion, Drivable
-from stone.scoring.columns import counted_every
 from stone.scoring.confusion import Counts, extras, named_ratios, supports, tolerant_ratios
+from stone.scoring.frame_counts import ColumnCounts, Confusion, Drivable, counted_every
 from stone.scoring.intervals import (
     SCOPES,
     UNKNOWN_ORDER,
@@ -30,7 +28,6 @@ from stone.scoring.intervals import (
 from stone.scoring.metric import METRIC_VERSION, OCCUPIED_VERSION, RATIOS, Metric, metric_of
 from stone.scoring.plane_layout import RING_EDGES_M
 from stone.scoring.signature import Signature
-from stone_files.npz import npz_bytes
 
 Record = dict[str, Any]
 RING_NAMES = tuple(
@@ -55,6 +52,27 @@ class SequenceFacts:
     def in_time(self) -> NDArray[np.intp]:
         """Return the indices of its frames in time order."""
         return np.argsort(self.places) if self.places else np.arange(self.frames)
+
+
+class Timed(Protocol):
+    """A sequence whose frames' order in time is known."""
+
+    @property
+    def first_stamp_ns(self) -> int: ...
+    @property
+    def drive(self) -> str | None: ...
+
+
+def facts_of(
+    sequences: Mapping[str, Sequence[str]], timed: Mapping[str, Timed] | None = None
+) -> tuple[SequenceFacts, ...]:
+    """Return the facts about sequences of these frame tokens, in time order if they are `timed`."""
+    if timed is None:
+        return tuple(SequenceFacts(name, len(tokens)) for name, tokens in sequences.items())
+    return tuple(
+        SequenceFacts(name, len(tokens), drive=timed[name].drive, first_stamp_ns=timed[name].first_stamp_ns)
+        for name, tokens in sequences.items()
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,11 +133,13 @@ class ConfidenceLimit:
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """One submission against one ground truth; whether its frames are in time order, which intervals need."""
+    """One submission against one ground truth; whether its frames are in time order, which intervals need; and the
+    version of the code that counted it."""
 
     counts_of_frames: SubmissionCounts
     signature: Signature
     is_in_time_order: bool
+    code_version: str
     limit: ConfidenceLimit | None = None
 
     def as_record(self) -> Record:
@@ -132,7 +152,7 @@ class Scores:
             **told,
             **({"confidence": self.limit.as_record(occupied)} if self.limit else {}),
             "signature": str(self.signature),
-            "code_version": code_version("scores"),
+            "code_version": self.code_version,
         }
 
 
@@ -227,11 +247,10 @@ def _part(confusion: NDArray[np.int64], frames: int, metric: str) -> Record:
     return {**named_ratios(confusion, metric), "support": supports(confusion), "frames": frames}
 
 
-# Intervals of a score as its record has them, and the file by which it is compared with others.
+# Intervals of a score as its record has them.
 #
 # **Conventions.** By scope (`these_places`, `new_place`) and ratio: `intervals` has [low, high] or None, `silences`
-# the code of why there is none (`stone.scoring.intervals`), or None. The file holds the `RatioSpectra` of the score; of
-# two scores by one ground truth they say how surely the two differ.
+# the code of why there is none (`stone.scoring.intervals`), or None.
 
 
 Ratios = Mapping[str, float | None]
@@ -264,18 +283,6 @@ def interval_record(
             scope: dict(zip(RATIOS, map(_silence, of_scope), strict=True)) for scope, of_scope in found.items()
         },
     }
-
-
-def spectra_npz(spectra: RatioSpectra) -> bytes:
-    """The same spectra, the same bytes."""
-    return npz_bytes(
-        {
-            "frames_of_sequence": np.array(spectra.layout.frames_of_sequence, np.int64),
-            "coefficients": spectra.coefficients.astype(np.float32),
-            "sequence_weight": spectra.sequence_weight.astype(np.float32),
-            "spread": spectra.spread.astype(np.float32),
-        }
-    )
 
 
 def _bounds(found: Estimate | Silence) -> list[float] | None:

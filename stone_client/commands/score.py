@@ -2,12 +2,14 @@
 
 from collections.abc import Mapping
 from enum import StrEnum
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from stone_client.options import GridOption, SubmissionArgument
+from stone_client.platform_part import is_platform_installed, platform_module
 from stone_client.progress import reported
 from stone_client.refusals import refuse_submission
 from stone_client.streams import JsonOption, echo_json
@@ -54,20 +56,18 @@ def score(
     as_json: JsonOption = False,
 ) -> None:
     """Score a submission against labels: IoU of occupancy and of each class, over all voxels and within occupied."""
-    from services.eval.pipeline import score as score_submission
     from stone_files.grid_file import chosen_grid
-    from stone_local.frame_order import in_time_order
     from stone_submissions.verdict import SubmissionRefusedError
 
+    scoring = platform_module("scoring", "score") if is_platform_installed() else import_module("stone_client.scoring")
     with reported() as progress:
         try:
-            scores = score_submission(
+            scores = scoring.score(
                 submission,
                 ground_truth,
                 mask=mask.value,
                 least_confidence=least_confidence,
                 progress=progress,
-                order=in_time_order,
                 grid=chosen_grid(grid) if grid else None,
             )
         except SubmissionRefusedError as error:

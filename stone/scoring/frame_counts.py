@@ -1,0 +1,89 @@
+"""The counts of a frame, whatever counts them, and in which frames the counts by column are made.
+
+**Conventions.** A confusion is [ring, truth, prediction] int32; columns seen from above are counted [ring, 3]: drivable
+in both, in the truth only, in the prediction only (`stone/scoring/bitplanes.py`, `stone/scoring/columns.py`). This
+module needs NumPy alone.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.errors import StoneError
+from stone.scoring.metric import CLASSES
+from stone.scoring.plane_layout import RINGS
+from stone_base.label_grid import PAPER, LabelGrid
+
+Confusion = NDArray[np.int32]
+Drivable = NDArray[np.int32]
+Planes = NDArray[np.uint64]
+
+CLEARANCE_M = 1.6
+"""The height of a robot that drives under an obstacle."""
+
+COUNTED_FRAMES = 250
+
+
+class LabelRangeError(StoneError):
+    """A grid holds a value that is no class."""
+
+    code = "label_out_of_range"
+
+    def __init__(self, value: int) -> None:
+        self.value = value
+        super().__init__(
+            f"a voxel holds {value}; classes are 0 to 3 (is 'unknown' written as 255, or another class map?)"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class TruthPlanes:
+    """Ground truth of one frame of a grid, ring-sorted: `planes` (3, words) = low, high, evaluated.
+
+    `counts` (3, 4) are, by ring, the voxels evaluated and those with the low, the high and both bits set. `late`
+    (words,) are the voxels of `stone.labels.late_voxels`, evaluated or not; None if unknown.
+    """
+
+    planes: Planes
+    counts: NDArray[np.int64]
+    grid: LabelGrid = PAPER
+    late: Planes | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ColumnCounts:
+    """The counts of `stone.scoring.columns`: `pairs` (…, 3, 4) [ring, set], `columns` (…, 3, 4, 4) as a confusion."""
+
+    pairs: NDArray[np.int32]
+    columns: Confusion
+
+    def of_frame(self, index: int) -> "ColumnCounts":
+        """Return those of one of several frames, as a view."""
+        return ColumnCounts(self.pairs[index], self.columns[index])
+
+
+@dataclass(frozen=True, eq=False)
+class FrameCounts:
+    """What is kept of a frame: `confusion` (3, 4, 4) [ring, truth, prediction] in voxels, `bev` (3, 3) in columns."""
+
+    confusion: Confusion
+    bev: Drivable
+    column_counts: ColumnCounts
+
+
+def no_column_counts(shape: tuple[int, ...]) -> ColumnCounts:
+    """Column counts of frames of this shape, all zero."""
+    return ColumnCounts(
+        np.zeros((*shape, RINGS, CLASSES), np.int32), np.zeros((*shape, RINGS, CLASSES, CLASSES), np.int32)
+    )
+
+
+def overhead_voxels(voxel_m: float) -> int:
+    """Return how many voxels above the surface an N leaves `CLEARANCE_M` between both."""
+    return round(CLEARANCE_M / voxel_m) + 1
+
+
+def counted_every(frames: int) -> int:
+    """Return n: of this many frames the first and every n-th after it are counted."""
+    return max(1, -(-frames // COUNTED_FRAMES))
