@@ -1,13 +1,30 @@
-"""The `stone` command: words, options, progress and exit codes around the pipelines.
+"""The `stone` command and its SDK: `from stone_client import Stone`.
 
 **Conventions.** The wheel holds the packages that the client stands on in `_vendor`, so an environment gets one import
-root. That folder comes last on the path: if the platform is installed beside the client, its packages are the ones
-that are imported, once. A checkout has no such folder.
+root. If the platform is installed beside the client, that folder comes last on the path: the platform's packages are
+the ones that are imported, once. Else it comes first, since another distribution owns a package `stone` too. A checkout
+has no such folder.
 """
 
 import sys
+from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from stone_client.sdk import Stone as Stone
+
+__all__ = ["Stone"]
 
 _VENDOR = Path(__file__).with_name("_vendor")
-if _VENDOR.is_dir():
-    sys.path.append(str(_VENDOR))
+if _VENDOR.is_dir() and str(_VENDOR) not in sys.path:
+    sys.path.insert(len(sys.path) if find_spec("stone_local") else 0, str(_VENDOR))
+
+
+def __getattr__(name: str) -> Any:
+    """The SDK, loaded when it is asked for: a command that does without it starts faster. Raises AttributeError."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from stone_client import sdk
+
+    return getattr(sdk, name)

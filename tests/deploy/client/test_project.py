@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+import sysconfig
 import tomllib
 import zipfile
 from pathlib import Path
@@ -139,3 +140,41 @@ def test_the_baseline_is_loaded_from_what_the_wheel_holds_alone(alone: Path, tmp
     (tmp_path / "m.json").write_text(json.dumps({"stone_manifest": 1, "sequences": {"forest": ["0" * 32]}}))
     outcome = run_alone(alone, tmp_path, SCORED, "baseline", ".", "--manifest", "m.json", "-o", "sub.zip")
     assert outcome.stderr.startswith("not_an_export: "), outcome.stderr
+
+
+PROVOKED = """
+import sys
+import stone_client
+print(sys.path.index(sys.argv[1]))
+import stone.errors
+print(stone.errors.__file__.startswith(sys.argv[1]))
+"""
+
+
+@pytest.mark.parametrize("is_beside", [False, True], ids=["alone", "beside the platform"])
+def test_another_distributions_package_stone_hides_nothing_of_ours(
+    alone: Path, tmp_path: Path, is_beside: bool
+) -> None:
+    """Beside the platform its packages are imported, so that each class exists once."""
+    theirs, below = tmp_path / "theirs", alone / "stone_client" / "_vendor"
+    (theirs / "stone").mkdir(parents=True)
+    (theirs / "stone" / "__init__.py").write_text("")
+    if is_beside:
+        shutil.copytree(below / "stone", theirs / "stone", dirs_exist_ok=True)
+        (theirs / "stone_local").mkdir()
+    known = {"PYTHONPATH": f"{theirs}:{alone}", "PYTHONSAFEPATH": "1"}
+    command = [sys.executable, "-S", "-c", PROVOKED, str(below)]  # without the checkout that is installed in place
+    outcome = subprocess.run(command, check=True, capture_output=True, text=True, cwd=tmp_path, env=known)
+    place, is_ours = outcome.stdout.split()
+    assert (int(place) > 0, is_ours) == (is_beside, str(not is_beside))
+
+
+def test_the_command_has_a_name_that_no_other_distribution_has_and_runs_as_a_module(
+    alone: Path, tmp_path: Path
+) -> None:
+    scripts = project(ROOT / "deploy" / "client")["project"]["scripts"]
+    assert scripts["stone-client"] == scripts["stone"]
+    known = {"PYTHONPATH": f"{alone}:{sysconfig.get_path('purelib')}", "PYTHONSAFEPATH": "1"}
+    command = [sys.executable, "-S", "-m", "stone_client", "--version"]
+    outcome = subprocess.run(command, check=True, capture_output=True, text=True, cwd=tmp_path, env=known)
+    assert outcome.stdout.startswith("stone ")
