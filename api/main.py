@@ -129,7 +129,7 @@ def make_api(platform: Platform, shown: problems.Shown = problems.as_it_is) -> F
     """The application on this platform; refusals and faults are answered as `shown` shows them."""
     api = FastAPI(
         routes=list(_routes()),
-        title="STONE",
+        title="STONE API",
         version="1",
         description=DESCRIPTION,
         openapi_url=f"{PREFIX}/openapi.json",

@@ -17,6 +17,7 @@ from pydantic.json_schema import models_json_schema
 
 from api.answers import refusal
 from api.problems import Problem, ProblemFinding
+from api.words import describe
 
 PREFIX = "/api/v1"
 METHODS = ("get", "put", "post", "delete", "patch", "options", "head")
@@ -69,14 +70,27 @@ def operations(document: dict[str, Any]) -> Iterator[tuple[str, str, Operation]]
 
 
 def _document(api: FastAPI) -> dict[str, Any]:
-    document = get_openapi(title=api.title, version=api.version, description=api.description, routes=api.routes)
+    servers = [{"url": "/", "description": "This server."}]
+    document = get_openapi(
+        title=api.title, version=api.version, description=api.description, routes=api.routes, servers=servers
+    )
     schemas = document.setdefault("components", {}).setdefault("schemas", {})
     schemas |= _problem_schemas()
     for name in ("HTTPValidationError", "ValidationError"):  # FastAPI's own shape of a 422, which is not ours
         schemas.pop(name, None)
     for path, method, operation in operations(document):
         _complete(path, method, operation)
+        _give_examples(operation, schemas)
+    describe(document)
     return document
+
+
+def _give_examples(operation: Operation, schemas: dict[str, Any]) -> None:
+    """Give each body the examples of its schema."""
+    for content in operation.get("requestBody", {}).get("content", {}).values():
+        examples = schemas.get(content["schema"].get("$ref", "").rpartition("/")[2], {}).get("examples", ())
+        if examples:
+            content["example"] = examples[0]
 
 
 def _problem_schemas() -> dict[str, Any]:

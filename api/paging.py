@@ -37,8 +37,8 @@ class PageQuery:
 
 
 async def page_query(
-    cursor: Annotated[str | None, Query(max_length=LONGEST_CURSOR, description="`next` of the page before")] = None,
-    limit: Annotated[int, Query(ge=1, le=MOST, description="how many at most")] = 50,
+    cursor: Annotated[str | None, Query(max_length=LONGEST_CURSOR, description="`next` of the previous page.")] = None,
+    limit: Annotated[int, Query(ge=1, le=MOST, description="Largest number of items in the answer.")] = 50,
 ) -> PageQuery:
     return PageQuery(cursor, limit)
 

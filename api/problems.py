@@ -68,7 +68,7 @@ class Problem(BaseModel):
     errors: list[ProblemFinding] = []
     errors_total: int = 0
     next_slot_at: datetime | None = Field(
-        default=None, description="when it may be asked for again, where that is known"
+        default=None, description="Time at which the request can succeed; null if unknown."
     )
 
 

@@ -31,7 +31,10 @@ router = APIRouter(tags=["benchmarks"])
 AT = "/benchmarks/{benchmark_name}/phases/{phase_name}"
 MANIFEST = file_responses("application/json")
 VECTORS = file_responses("application/zip")
-Form = Annotated[Literal["json", "markdown"], Query(alias="format", description="markdown is the definition alone")]
+Form = Annotated[
+    Literal["json", "markdown"],
+    Query(alias="format", description="Format of the answer; `markdown` is the definition alone."),
+]
 MARKDOWN: Responses = {200: {"content": {"text/markdown": {"schema": {"type": "string"}}}}}
 
 

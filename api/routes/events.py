@@ -43,7 +43,9 @@ EVENT_STREAM = "text/event-stream"
 KEEPALIVE_S = 15.0
 LONGEST_S = 900.0
 RETRY_MS = 1000
-LastEventId = Annotated[str | None, Header(pattern=r"^\d{1,18}$", description="`id` of the last event seen")]
+LastEventId = Annotated[
+    str | None, Header(pattern=r"^\d{1,18}$", description="`id` of the last event that was received.")
+]
 EVENT = {
     "type": "string",
     "description": "Server-sent events of three lines each: `event` (`progress` or `ended`), `id`, and `data` (JSON).",

@@ -44,7 +44,7 @@ PREDICTED = PICTURE | refusals(403, 409)
 HELD_PICTURES, HELD_GRIDS = 128, 4
 Shown = Literal["prediction", "truth", "difference"]
 ShowQuery = Annotated[
-    Shown, Query(description="the predicted labels, the ground truth of this score, or where they differ")
+    Shown, Query(description="The predicted labels, the ground truth of this score, or their difference.")
 ]
 Grid = NDArray[np.uint8]
 

@@ -18,7 +18,7 @@ from api.views.jobs import LogQuery, facts_of_rows, job_detail, log_page
 from api.visible import job_of
 
 router = APIRouter(prefix="/jobs", tags=["jobs"])
-After = Annotated[str | None, Query(max_length=90, description="`next` of the page before")]
+After = Annotated[str | None, Query(max_length=90, description="`next` of the previous page.")]
 Lines = Annotated[int, Query(ge=1, le=1000)]
 
 

@@ -21,7 +21,7 @@ from services.domain.datasets.statistics import Record
 from services.runtime.platform import Platform
 
 router = APIRouter(prefix="/statistics", tags=["dataset"])
-VersionQuery = Annotated[str | None, Query(pattern=VERSION_PATTERN, description="a version of the dataset")]
+VersionQuery = Annotated[str | None, Query(pattern=VERSION_PATTERN, description="Name of a dataset version.")]
 PNG = {"image/png": {"schema": {"type": "string", "format": "binary"}}}
 NOT_MODIFIED = {"description": "The caller has it already"}
 

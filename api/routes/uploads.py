@@ -70,9 +70,13 @@ async def create_upload(
     request: Request,
     platform: PlatformDep,
     caller: Uploader,
-    _upload_length: Annotated[str, Header(alias="Upload-Length", description="bytes")] = "",
-    _upload_metadata: Annotated[str, Header(alias="Upload-Metadata", description="key base64, …")] = "",
-    _upload_concat: Annotated[str, Header(alias="Upload-Concat", description="partial, or final;URL URL …")] = "",
+    _upload_length: Annotated[str, Header(alias="Upload-Length", description="Length of the file in bytes.")] = "",
+    _upload_metadata: Annotated[
+        str, Header(alias="Upload-Metadata", description="Pairs of key and base64 value, separated by commas.")
+    ] = "",
+    _upload_concat: Annotated[
+        str, Header(alias="Upload-Concat", description="`partial`, or `final;` and the URLs of the parts.")
+    ] = "",
 ) -> Response:
     """Create an upload; bytes in the body are taken at once (creation-with-upload).
 
@@ -119,8 +123,10 @@ async def send_bytes(
     request: Request,
     platform: PlatformDep,
     caller: Uploader,
-    _upload_offset: Annotated[str, Header(alias="Upload-Offset", description="bytes")] = "",
-    _upload_checksum: Annotated[str | None, Header(alias="Upload-Checksum", description="sha1 base64")] = None,
+    _upload_offset: Annotated[str, Header(alias="Upload-Offset", description="Offset of this body in bytes.")] = "",
+    _upload_checksum: Annotated[
+        str | None, Header(alias="Upload-Checksum", description="`sha1` and the base64 digest of this body.")
+    ] = None,
 ) -> Response:
     """Append the body at the offset. After a power cut ask again where to resume; a complete upload survives it."""
     piece = piece_of(request, count_of(request, "Upload-Offset"))
@@ -152,7 +158,7 @@ async def override_method(
     request: Request,
     platform: PlatformDep,
     caller: Uploader,
-    x_http_method_override: Annotated[str, Header(description="PATCH or DELETE")] = "",
+    x_http_method_override: Annotated[str, Header(description="Method that is meant: PATCH or DELETE.")] = "",
 ) -> Response:
     """PATCH or DELETE for clients whose network lets neither through (tus 1.0, X-HTTP-Method-Override)."""
     if x_http_method_override == "PATCH":

@@ -21,7 +21,7 @@ from services.runtime.access.roles import Role
 router = APIRouter(prefix="/users", tags=["people"])
 
 Administrator = Annotated[Caller, Depends(require("admin", "administrator"))]
-NamePart = Annotated[str | None, Query(pattern=PLAIN, max_length=64, description="a part of the name")]
+NamePart = Annotated[str | None, Query(pattern=PLAIN, max_length=64, description="Part of the name.")]
 RoleQuery = Annotated[Role | None, Query()]
 
 

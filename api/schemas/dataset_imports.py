@@ -106,7 +106,7 @@ class DatasetImportItem(Answer):
     existing: Existing
     sets_splits: bool
     state: str
-    failure: FailureItem | None = Field(description="the first fault: its sentence begins with file, row and token")
+    failure: FailureItem | None = Field(description="The first fault; its sentence begins with file, row and token.")
     scenes_total: int | None
     scenes_done: int
     frames: int | None

@@ -14,11 +14,13 @@ from stone.scoring.intervals import Scope, Silence
 SIGNATURE_EXAMPLE = "metric:stone-iou-2|truth:9f86d081884c7d65|mask:all|grid:256x256x32@0.2m|classes:0=free,1=T,2=P,3=N"
 
 Form = Literal["json", "csv", "parquet", "md", "tex"]
-TrackQuery = Annotated[Track, Query(description="a declared modality, or all")]
-AsOfQuery = Annotated[Moment | None, Query(description="the board as it stood then; nothing for now")]
-EntriesQuery = Annotated[Which, Query(description="the best of each team, or all")]
-FormQuery = Annotated[Form, Query(alias="format", description="md and tex are tables for papers")]
-SubmissionQuery = Annotated[str, Query(pattern=ID_PATTERN, description="a submission of this phase")]
+TrackQuery = Annotated[Track, Query(description="Modality that the board is limited to, or `all`.")]
+AsOfQuery = Annotated[Moment | None, Query(description="Time of the board (default: now).")]
+EntriesQuery = Annotated[Which, Query(description="Which entries are shown: the best of each team, or all.")]
+FormQuery = Annotated[
+    Form, Query(alias="format", description="Format of the answer; md and tex are tables for papers.")
+]
+SubmissionQuery = Annotated[str, Query(pattern=ID_PATTERN, description="Id of a submission of this phase.")]
 
 Interval = tuple[float, float]
 

@@ -18,8 +18,10 @@ from stone.scoring.intervals import Silence
 
 SCORED_AT = "2026-06-02T09:14:02.512000Z"
 
-ScoreQuery = Annotated[IdQuery, Query(description="an older score of the submission; nothing for that in force")]
-ByQuery = Annotated[By, Query(description="what the frames are grouped by; distance is from the robot")]
+ScoreQuery = Annotated[
+    IdQuery, Query(description="Id of an older score of the submission (default: the score in force).")
+]
+ByQuery = Annotated[By, Query(description="What the frames are grouped by; the distance is from the robot.")]
 
 
 class ExtrasItem(DangerItem):

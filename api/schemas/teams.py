@@ -13,7 +13,8 @@ LONGEST_S = 60 * 86_400
 
 MemberName = Annotated[str, Path(pattern=r"^[a-z0-9._@+-]{1,64}$", examples=["ada"])]
 ReasonQuery = Annotated[
-    str, Query(pattern=PLAIN, max_length=500, description="why; asked of administrators who do not lead the team")
+    str,
+    Query(pattern=PLAIN, max_length=500, description="Reason; required of administrators who do not lead the team."),
 ]
 
 

@@ -34,7 +34,7 @@ KEY = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 
 
 async def speak_tus(
-    tus_resumable: Annotated[str, Header(description=f"`{VERSION}`", examples=[VERSION])] = "",
+    tus_resumable: Annotated[str, Header(description=f"Version of tus: `{VERSION}`.", examples=[VERSION])] = "",
 ) -> None:
     """A dependency: the client says that it speaks our version. Raises `tus_version`."""
     if tus_resumable != VERSION:

@@ -36,11 +36,11 @@ HELD_SCENES, HELD_FRAMES = 16, 128
 NPZ = "application/octet-stream"
 VersionQuery = Annotated[
     str | None,
-    Query(alias="v", pattern=ID_PATTERN, description="The label set that is meant: the answer may then be kept"),
+    Query(alias="v", pattern=ID_PATTERN, description="Id of the label set; caches may then keep the answer."),
 ]
 
 ColoursQuery = Annotated[
-    ColourName, Query(description="`paper`: the classes in the green, yellow and red of the paper")
+    ColourName, Query(description="Colours of the classes; `paper` has the green, yellow and red of the paper.")
 ]
 
 

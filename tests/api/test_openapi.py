@@ -4,6 +4,7 @@ import importlib
 import json
 import pkgutil
 import re
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,6 +18,7 @@ from api.openapi import operations
 from api.problems import MEDIA_TYPE
 from api.schemas.base import Answer, Body, instant
 from api.schemas.notifications import DeliveryItem
+from api.words import FIELDS, PARAMETERS
 from services.runtime.access.roles import ROLES, SCOPES
 from services.runtime.platform import Platform
 from testing.api.serving import client_of
@@ -88,9 +90,35 @@ def test_every_body_has_an_example(document: dict[str, Any]) -> None:
     for path, method, operation in operations(document):
         for content in (operation.get("requestBody") or {}).get("content", {}).values():
             name = content["schema"].get("$ref", "").rpartition("/")[2]
-            if name and "multipart" not in str(operation["requestBody"]) and "examples" not in schemas[name]:
+            is_form = "multipart" in str(operation["requestBody"])
+            if name and not is_form and content.get("example") != schemas[name].get("examples", [None])[0]:
                 bare.append((path, method, name))
     assert bare == []
+
+
+def test_every_property_and_parameter_is_described_by_a_sentence(document: dict[str, Any]) -> None:
+    schemas = document["components"]["schemas"]
+    said = {f"{name}.{field}": value for name, schema in schemas.items()
+            for field, value in schema.get("properties", {}).items()}  # fmt: skip
+    for path, method, operation in operations(document):
+        said |= {f"{method} {path} {one['name']}": one for one in operation.get("parameters", ())}
+    said |= schemas
+    assert [name for name, value in said.items() if not re.match(r"[A-Z`].*[.…]$", value["description"], re.S)] == []
+
+
+def test_every_sentence_describes_something(document: dict[str, Any]) -> None:
+    schemas = document["components"]["schemas"].items()
+    fields = {name for schema, value in schemas for field in value.get("properties", {})
+              for name in (field, f"{schema}.{field}")}  # fmt: skip
+    parameters = {one["name"] for _, _, operation in operations(document) for one in operation.get("parameters", ())}
+    assert set(FIELDS) <= fields
+    assert set(PARAMETERS) <= parameters
+
+
+def test_the_document_names_its_server_and_generates_no_package_that_is_ours(document: dict[str, Any]) -> None:
+    assert [one["url"] for one in document["servers"]] == ["/"]
+    package = document["info"]["title"].lower().replace(" ", "_") + "_client"  # as openapi-python-client makes it
+    assert not (Path(api.schemas.__file__).parents[2] / package).exists()
 
 
 def test_the_pages_for_people_need_no_other_host(api: httpx.Client) -> None:

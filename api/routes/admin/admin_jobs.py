@@ -47,7 +47,7 @@ router = APIRouter(prefix="/admin", tags=["administration"])
 QueueName = Annotated[str, Path(pattern=r"^[a-z]{1,16}$", examples=["labeler"])]
 QueueAct = Literal["pause", "drain", "resume"]
 MODE_AFTER = {"pause": "paused", "drain": "draining", "resume": "open"}
-IdPart = Annotated[str | None, Query(pattern="^[0-9a-f]{4,32}$", description="start or end of an ID")]
+IdPart = Annotated[str | None, Query(pattern="^[0-9a-f]{4,32}$", description="Start or end of the id.")]
 
 
 @dataclass(frozen=True)

@@ -25,12 +25,10 @@ from services.runtime.store import blobs
 
 router = APIRouter(prefix="/calibrations", tags=["calibrations"])
 YAML, ZIP = "application/yaml", "application/zip"
-UPLOADED = "YAML or JSON of any format that is read, or a zip of such files that complete each other; at most 1 MiB"
+UPLOADED = "YAML or JSON of any known format, or a zip of files that complete each other; at most 1 MiB."
 CalibrationUpload = Annotated[UploadFile, File(description=UPLOADED)]
-Moment = Annotated[AwareDatetime | None, Form(description="when the calibration begins, or ceases, to be true")]
-AGAINST = (
-    "the calibration that is compared with; without it the version before this one, this one itself if it is first"
-)
+Moment = Annotated[AwareDatetime | None, Form(description="Time from which, or up to which, the calibration holds.")]
+AGAINST = "Id of the calibration to compare with (default: the previous version)."
 AgainstQuery = Annotated[str | None, Query(pattern=ID_PATTERN, description=AGAINST)]
 FORM = "multipart/form-data"
 NameQuery = Annotated[str | None, Query(pattern=PLAIN, max_length=100)]

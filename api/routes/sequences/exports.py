@@ -39,7 +39,7 @@ from stone_files.archives import MOST_NAME, NAME
 
 router = APIRouter(prefix="/sequences/{sequence_id}/exports", tags=["exports"])
 FilePath = Annotated[str, Path(pattern=f"^{NAME.pattern}$", max_length=MOST_NAME, examples=["sha256sum.txt"])]
-Kind = Annotated[ArchiveKind, Query(alias="format", description="tar for streams, zip for people")]
+Kind = Annotated[ArchiveKind, Query(alias="format", description="Format of the archive: tar or zip.")]
 FILE = file_responses(FILE_TYPE)
 ARCHIVE = file_responses(*ARCHIVE_TYPES)
 

@@ -24,7 +24,7 @@ BINARY = "application/octet-stream"
 CAMERAS = MEDIA_TYPES["STR1"]
 PlaybackQuery = Annotated[
     str | None,
-    Query(alias="v", pattern=ID_PATTERN, description="The playback that is meant: the answer may then be kept"),
+    Query(alias="v", pattern=ID_PATTERN, description="Id of the playback; caches may then keep the answer."),
 ]
 
 

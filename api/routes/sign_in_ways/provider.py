@@ -31,8 +31,8 @@ COOKIE_PATH = "/api/v1/sign-in"
 LASTS_S = 600
 LONGEST_COOKIE = 64 + 4 * LONGEST
 
-Back = Annotated[str, Query(max_length=LONGEST, description="the page of ours to come back to")]
-Said = Annotated[str, Query(max_length=4096, description="what the provider answers")]
+Back = Annotated[str, Query(max_length=LONGEST, description="Path of the page to return to.")]
+Said = Annotated[str, Query(max_length=4096, description="Parameter of the provider's answer.")]
 
 
 @router.get("", summary="How one may sign in here")
