@@ -59,8 +59,8 @@ def documented(api: FastAPI) -> Callable[[], dict[str, Any]]:
 
 
 def operation_id(route: APIRoute) -> str:
-    """`<noun>_<what the route is called>`: short, and one of a kind since a module is a noun."""
-    return f"{route.endpoint.__module__.rpartition('.')[2]}_{route.name}"
+    """Return the name of the route: a verb and a noun, unique in the document."""
+    return route.name
 
 
 def operations(document: dict[str, Any]) -> Iterator[tuple[str, str, Operation]]:
@@ -120,7 +120,7 @@ def _complete(path: str, method: str, operation: Operation) -> None:
 def _summary(operation: Operation) -> str:
     """The summary that a route gives itself; else the description's beginning instead of the function's name."""
     given: str = operation["summary"]
-    is_made_of_a_name = operation["operationId"].endswith("_" + given.replace(" ", "_").lower())
+    is_made_of_a_name = operation["operationId"] == given.replace(" ", "_").lower()
     if not is_made_of_a_name or "description" not in operation:
         return given
     return CLAUSE_END.split(operation["description"], maxsplit=1)[0].removesuffix(".").replace("\n", " ")

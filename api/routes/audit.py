@@ -18,7 +18,7 @@ Subject = Annotated[str | None, Query(pattern=PLAIN, max_length=64)]
 
 
 @router.get("", summary="List the audit log, newest first")
-def lines(
+def list_audit_lines(
     _caller: Administrator,
     query: PageDep,
     platform: PlatformDep,
@@ -32,7 +32,7 @@ def lines(
 
 
 @router.get("/verification", summary="Verify the integrity of the log")
-def verification(_caller: Administrator, platform: PlatformDep) -> AuditVerification:
+def verify_audit_log(_caller: Administrator, platform: PlatformDep) -> AuditVerification:
     with platform.database.reading() as session:
         broken, head = audit.verify(session), audit.head(session)
     return AuditVerification(is_whole=broken is None, first_broken=broken, lines=head.number, head_hash=head.hash)

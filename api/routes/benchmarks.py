@@ -91,7 +91,7 @@ def show_phase(phase_id: IdPath, _caller: Reader, platform: PlatformDep, respons
     response_class=Response,
     responses=MANIFEST | refusals(409),
 )
-def download_manifest(at: AtPhase, platform: PlatformDep, request: Request) -> Response:
+def download_phase_manifest(at: AtPhase, platform: PlatformDep, request: Request) -> Response:
     """Which frames a submission must hold, as `stone validate --manifest` reads it."""
     with platform.database.reading() as session:
         phase = at.find(session)
@@ -120,7 +120,7 @@ def show_metric(at: AtPhase, metric: MetricName, platform: PlatformDep, form: Fo
 
 
 @router.get(f"{AT}/metrics/{{metric}}/vectors", response_class=Response, responses=VECTORS)
-def download_vectors(at: AtPhase, metric: MetricName, platform: PlatformDep, request: Request) -> Response:
+def download_metric_vectors(at: AtPhase, metric: MetricName, platform: PlatformDep, request: Request) -> Response:
     """Golden vectors: grids and what the metric says of them, to hold another implementation against."""
     with platform.database.reading() as session:
         at.find(session)

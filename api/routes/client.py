@@ -10,7 +10,7 @@ router = APIRouter(tags=["client"])
 
 
 @router.get("/client", summary="Show the supported client releases and the wheel")
-def client_offer(request: Request) -> ClientOffer:
+def show_client(request: Request) -> ClientOffer:
     wheel: ClientWheel | None = request.app.state.client_wheel
     return ClientOffer(release=RELEASE, oldest_client=OLDEST_CLIENT, wheel=_item(wheel) if wheel else None)
 

@@ -83,7 +83,9 @@ def show_dataset(
 @router.get(
     "/{dataset_name}/manifest", summary="A dataset version's manifest", response_class=Response, responses=MANIFEST
 )
-def download_manifest(dataset_name: DatasetName, _caller: Reader, platform: PlatformDep, request: Request) -> Response:
+def download_dataset_manifest(
+    dataset_name: DatasetName, _caller: Reader, platform: PlatformDep, request: Request
+) -> Response:
     """The manifest: sequences, statistics, and every file of train and val with its sha256."""
     with platform.database.reading() as session:
         row = dataset_of(session, dataset_name)
@@ -99,7 +101,7 @@ def download_manifest(dataset_name: DatasetName, _caller: Reader, platform: Plat
     response_class=Response,
     responses=ARCHIVE,
 )
-def download_part(
+def download_dataset_part(
     dataset_name: DatasetName, part: OpenPart, _caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:
     """Train or val as a tar, whole or a range of it; `sha256sum.txt` in it checks every other file."""

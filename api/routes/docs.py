@@ -29,7 +29,7 @@ ANYBODY = ({"": ["anybody"]},)
 
 
 @router.get("/docs", summary="API reference", response_class=HTMLResponse)
-def pages(request: Request) -> HTMLResponse:
+def show_reference(request: Request) -> HTMLResponse:
     document: dict[str, Any] = request.app.openapi()
     by_tag: dict[str, list[str]] = {}
     for path, method, operation in operations(document):

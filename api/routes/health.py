@@ -25,7 +25,7 @@ WATCHERS = ["admin", "administrator"]
 
 
 @router.get("/healthz", summary="Liveness of the process")
-def liveness() -> Liveness:
+def show_liveness() -> Liveness:
     return Liveness(status="ok")
 
 
@@ -35,7 +35,7 @@ def liveness() -> Liveness:
     response_model=Readiness,
     responses={503: {"model": Readiness, "description": "At least one is away"}},
 )
-def readiness(request: Request, response: Response) -> Readiness:
+def show_readiness(request: Request, response: Response) -> Readiness:
     probes: Probes = request.app.state.probes
     found = probes.ask()
     is_ready = all(one.state == "up" for one in found.values())
@@ -64,6 +64,6 @@ def may_read_metrics(
     response_class=Response,
     responses={200: {"content": {EXPOSITION: {"schema": {"type": "string"}}}}, 401: refusal(401), **refusals(403)},
 )
-def metrics(request: Request, _allowed: Annotated[None, Depends(may_read_metrics)]) -> Response:
+def show_metrics(request: Request, _allowed: Annotated[None, Depends(may_read_metrics)]) -> Response:
     meters: Any = request.app.state.meters
     return Response(meters.exposition(), media_type=EXPOSITION)

@@ -49,7 +49,7 @@ def show_job(job_id: IdPath, caller: Reader, platform: PlatformDep) -> JobDetail
 
 
 @router.get("/{job_id}/logs", summary="The log of a job of one's own", responses=refusals(403, 404))
-def read_logs(
+def list_job_log(
     job_id: IdPath, caller: Reader, platform: PlatformDep, query: Annotated[LogQuery, Depends(log_query)]
 ) -> LogPage:
     """What a job, or every job of a run, has said so far."""

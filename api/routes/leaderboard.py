@@ -67,7 +67,7 @@ def show_leaderboard(
 
 
 @router.get("/leaderboard/history", summary="When the leaderboard changed, and its best mIoU", responses=refusals(404))
-def show_history(at: AtPhase, platform: PlatformDep, track: TrackQuery = "all") -> HistoryAnswer:
+def show_leaderboard_history(at: AtPhase, platform: PlatformDep, track: TrackQuery = "all") -> HistoryAnswer:
     """When the board changed, and the best mIoU since each change."""
     with platform.database.reading() as session:
         return history_answer(session, at.find(session), track)

@@ -30,7 +30,7 @@ router = APIRouter(prefix="/notifications", tags=["people"])
 
 
 @router.get("", summary="Show the notification settings")
-def shown(caller: Reader, platform: PlatformDep) -> NotificationsItem:
+def show_notifications(caller: Reader, platform: PlatformDep) -> NotificationsItem:
     with platform.database.reading() as session:
         return notifications_item(session, caller.user_id, platform.settings)
 
@@ -80,7 +80,7 @@ def set_webhook(body: WebhookBody, caller: AccountHolder, response: Response, pl
 
 
 @router.post("/webhook/secret", summary="Give one's webhook a new secret", responses=refusals(404))
-def rotate_secret(caller: AccountHolder, response: Response, platform: PlatformDep) -> IssuedWebhook:
+def rotate_webhook_secret(caller: AccountHolder, response: Response, platform: PlatformDep) -> IssuedWebhook:
     """The old one signs nothing any more; a webhook that was switched off is sent to again."""
     with platform.database.transaction() as session:
         row = webhooks.rotate_secret(session, caller.user_id)
@@ -96,7 +96,7 @@ def remove_webhook(caller: AccountHolder, platform: PlatformDep) -> None:
 
 
 @router.get("/deliveries", summary="List the deliveries, newest first")
-def deliveries(caller: Reader, query: PageDep, platform: PlatformDep) -> Page[DeliveryItem]:
+def list_deliveries(caller: Reader, query: PageDep, platform: PlatformDep) -> Page[DeliveryItem]:
     """With the result of the last attempt; kept for a month."""
     with platform.database.reading() as session:
         return deliveries_page(session, query, caller.user_id)

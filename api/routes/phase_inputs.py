@@ -39,7 +39,7 @@ TAR = file_responses(MEDIA_TYPES["tar"])
     status_code=202,
     responses=refusals(404, 409),
 )
-def create_inputs(
+def create_phase_inputs(
     phase_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep, response: Response
 ) -> JobDetail:
     """Have the inputs made of every sequence of the phase that has none yet; the job at `Location` says how far."""
@@ -50,7 +50,7 @@ def create_inputs(
 
 
 @router.get("/phases/{phase_id}/inputs", summary="Which inputs of the phase are available", responses=refusals(404))
-def list_inputs(phase_id: IdPath, _caller: Reader, platform: PlatformDep, query: PageDep) -> Page[PhaseInputItem]:
+def list_phase_inputs(phase_id: IdPath, _caller: Reader, platform: PlatformDep, query: PageDep) -> Page[PhaseInputItem]:
     """The sequences of the phase whose inputs are there, by name."""
     with platform.database.reading() as session:
         phase = phase_of(session, phase_id)
@@ -68,10 +68,10 @@ def list_inputs(phase_id: IdPath, _caller: Reader, platform: PlatformDep, query:
     summary="Size and checksum of a sequence's inputs (phase)",
     response_class=Response,
     responses=TAR,
-    name="describe_input",
+    name="describe_phase_input",
     description="Size and checksum of the tar.",
 )
-def download_input(
+def download_phase_input(
     phase_id: IdPath, sequence_name: SequenceName, _caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:
     """The inputs of a sequence as a tar, whole or a range of it; `sha256sum.txt` in it checks every other file."""

@@ -11,14 +11,14 @@ router = APIRouter(tags=["problems"])
 
 
 @router.get("/problems", summary="List all problem types")
-def kinds() -> list[ProblemItem]:
+def list_problems() -> list[ProblemItem]:
     listed = sorted(PROBLEM_TYPES.items(), key=lambda one: (one[1].status, one[0]))
     return [ProblemItem(code=code, status=kind.status, title=kind.title) for code, kind in listed]
 
 
 @router.get("/problems/{code}", summary="Show one problem type", responses=refusals(404))
-def kind(code: str) -> ProblemItem:
-    for item in kinds():
+def show_problem(code: str) -> ProblemItem:
+    for item in list_problems():
         if item.code == code:
             return item
     raise NotFoundError("problem", code)

@@ -34,7 +34,7 @@ log = structlog.get_logger(__name__)
 
 
 @router.post("/sessions", status_code=201, summary="Sign a browser in", responses=refusals(401, 403))
-def sign_in(body: SignInBody, request: Request, response: Response, platform: PlatformDep) -> SessionItem:
+def create_session(body: SignInBody, request: Request, response: Response, platform: PlatformDep) -> SessionItem:
     if not platform.settings.api.passwords:
         raise Refused(
             "passwords_off", "passwords are switched off here (STONE_API__PASSWORDS); sign in with the provider"
@@ -63,7 +63,7 @@ def sign_in(body: SignInBody, request: Request, response: Response, platform: Pl
 
 
 @router.delete("/sessions/current", status_code=204, summary="Sign this browser out", responses=refusals(409))
-def sign_out(caller: Anybody, response: Response, platform: PlatformDep) -> None:
+def delete_current_session(caller: Anybody, response: Response, platform: PlatformDep) -> None:
     if not caller.is_session:
         raise ApiError("conflict", "a token is no session; revoke it by DELETE /tokens/{id}")
     with platform.database.transaction() as session:
@@ -73,13 +73,13 @@ def sign_out(caller: Anybody, response: Response, platform: PlatformDep) -> None
 
 
 @router.get("/sessions", summary="The browsers one is signed in with, newest first")
-def browsers(caller: Reader, platform: PlatformDep) -> list[BrowserItem]:
+def list_sessions(caller: Reader, platform: PlatformDep) -> list[BrowserItem]:
     with platform.database.reading() as session:
         return browsers_of(session, caller.user_id, caller.credential_id)
 
 
 @router.delete("/sessions/others", status_code=204, summary="Sign all one's other browsers out")
-def sign_others_out(caller: AccountHolder, platform: PlatformDep) -> None:
+def delete_other_sessions(caller: AccountHolder, platform: PlatformDep) -> None:
     """Sign out all browsers but the calling one; a call with a token signs out all of them. If one of them approved a
     program that has not fetched its token, the program gets none."""
     with platform.database.transaction() as session:
@@ -88,13 +88,13 @@ def sign_others_out(caller: AccountHolder, platform: PlatformDep) -> None:
 
 
 @router.get("/me", summary="Who is calling and what they may")
-async def me(caller: Reader) -> MeItem:
+async def show_caller(caller: Reader) -> MeItem:
     # It is known already: a thread would be waited for longer than this takes.
     return MeItem.of(caller, scopes=sorted(caller.scopes), csrf_token=caller.csrf_token or None)
 
 
 @router.put("/me/password", status_code=204, summary="Change one's own password", responses=refusals(401))
-def change_own_password(body: PasswordBody, caller: AccountHolder, request: Request, platform: PlatformDep) -> None:
+def change_password(body: PasswordBody, caller: AccountHolder, request: Request, platform: PlatformDep) -> None:
     tried = _counted_try(request, platform, caller.name)
     with platform.database.reading() as session:
         user = session.get_one(User, caller.user_id)

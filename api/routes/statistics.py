@@ -37,7 +37,7 @@ def show_statistics(caller: Reader, platform: PlatformDep, dataset: VersionQuery
     response_class=Response,
     responses={200: {"description": "The figure", "content": PNG}, 304: NOT_MODIFIED, **refusals(404)},
 )
-def show_composition(
+def download_composition(
     caller: Reader,
     platform: PlatformDep,
     request: Request,

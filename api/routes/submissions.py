@@ -189,7 +189,7 @@ def show_quota(phase_id: IdPath, team_id: IdPath, caller: Reader, platform: Plat
     summary="Hide a submission from leaderboards, or show it",
     responses=refusals(403, 404),
 )
-def put_visibility(
+def change_submission_visibility(
     submission_id: IdPath, body: VisibilityBody, caller: Administrator, platform: PlatformDep
 ) -> SubmissionDetail:
     """Leave a submission out of every board, or show it again."""

@@ -38,7 +38,7 @@ Reader = Annotated[Caller, Depends(require("read"))]
 
 
 @router.post("", status_code=201, summary="Create a team", responses=refusals(409))
-def found(body: TeamBody, caller: Participant, platform: PlatformDep) -> TeamItem:
+def create_team(body: TeamBody, caller: Participant, platform: PlatformDep) -> TeamItem:
     """The caller is its captain. A name that only looks different from another team's is taken."""
     with platform.database.transaction() as session:
         team = teams.found(session, body.name, caller.user_id)
@@ -47,14 +47,14 @@ def found(body: TeamBody, caller: Participant, platform: PlatformDep) -> TeamIte
 
 
 @router.get("", summary="One's teams, newest first; for administrators all")
-def listed(caller: Reader, query: PageDep, platform: PlatformDep) -> Page[TeamItem]:
+def list_teams(caller: Reader, query: PageDep, platform: PlatformDep) -> Page[TeamItem]:
     with platform.database.reading() as session:
         rows = page(session, teams_of(caller), Team.id.desc(), query)
         return Page[TeamItem](items=team_items(session, rows.rows), next=rows.next)
 
 
 @router.post("/memberships", status_code=201, summary="Join a team by invitation", responses=refusals(404))
-def join(body: JoinBody, caller: Participant, platform: PlatformDep) -> TeamItem:
+def join_team(body: JoinBody, caller: Participant, platform: PlatformDep) -> TeamItem:
     """The caller takes part at once wherever the team does and the phase has not ended."""
     with platform.database.transaction() as session:
         team = teams.join(session, body.secret, session.get_one(User, caller.user_id))
@@ -63,14 +63,14 @@ def join(body: JoinBody, caller: Participant, platform: PlatformDep) -> TeamItem
 
 
 @router.get("/{team_id}", responses=refusals(404))
-def show(team_id: IdPath, caller: Reader, platform: PlatformDep) -> TeamItem:
+def show_team(team_id: IdPath, caller: Reader, platform: PlatformDep) -> TeamItem:
     """A team of one's own; for administrators any."""
     with platform.database.reading() as session:
         return team_items(session, [team_of(session, caller, team_id)])[0]
 
 
 @router.post("/{team_id}/invitations", status_code=201, responses=refusals(404))
-def invite(
+def create_invitation(
     team_id: IdPath, body: InvitationBody, caller: Participant, platform: PlatformDep, response: Response
 ) -> IssuedInvitation:
     """Let one user in, whoever shows the secret first. Only the captain may."""
@@ -90,7 +90,7 @@ def list_invitations(team_id: IdPath, caller: Reader, platform: PlatformDep) -> 
 
 
 @router.delete("/{team_id}/invitations/{invitation_id}", status_code=204, responses=refusals(404))
-def withdraw(team_id: IdPath, invitation_id: IdPath, caller: Participant, platform: PlatformDep) -> None:
+def withdraw_invitation(team_id: IdPath, invitation_id: IdPath, caller: Participant, platform: PlatformDep) -> None:
     """Make an open invitation void. Only the captain may."""
     with platform.database.transaction() as session:
         team = team_of(session, caller, team_id)
@@ -106,7 +106,7 @@ def withdraw(team_id: IdPath, invitation_id: IdPath, caller: Participant, platfo
     status_code=204,
     responses=refusals(404, 409),
 )
-def remove(
+def remove_member(
     team_id: IdPath, member: MemberName, caller: Participant, platform: PlatformDep, reason: ReasonQuery = ""
 ) -> None:
     """Leave, or have somebody leave. What was scored stays the team's, and so does the member for those phases."""
@@ -120,7 +120,7 @@ def remove(
 
 
 @router.put("/{team_id}/captain", responses=refusals(404, 409))
-def hand_over(team_id: IdPath, body: CaptainBody, caller: Participant, platform: PlatformDep) -> TeamItem:
+def change_captain(team_id: IdPath, body: CaptainBody, caller: Participant, platform: PlatformDep) -> TeamItem:
     """Make another member the captain."""
     with platform.database.transaction() as session:
         team = team_of(session, caller, team_id)

@@ -24,7 +24,7 @@ router = APIRouter(prefix="/tokens", tags=["people"])
 
 
 @router.post("", status_code=201, summary="Issue a token of one's own", responses=refusals(409))
-def issue(body: TokenBody, caller: AccountHolder, response: Response, platform: PlatformDep) -> IssuedToken:
+def create_token(body: TokenBody, caller: AccountHolder, response: Response, platform: PlatformDep) -> IssuedToken:
     """The answer holds the secret and is kept nowhere: repeated under the same Idempotency-Key, it is a 409."""
     wanted = TokenRequest(body.name, None if body.scopes is None else frozenset(body.scopes), body.expires_s)
     with platform.database.transaction() as session:
@@ -37,13 +37,13 @@ def issue(body: TokenBody, caller: AccountHolder, response: Response, platform: 
 
 
 @router.get("", summary="One's own tokens, newest first")
-def listed(caller: Reader, query: PageDep, platform: PlatformDep) -> Page[TokenItem]:
+def list_tokens(caller: Reader, query: PageDep, platform: PlatformDep) -> Page[TokenItem]:
     with platform.database.reading() as session:
         return tokens_page(session, query, caller.user_id)
 
 
 @router.delete("/current", status_code=204, summary="Revoke the token that asks", responses=refusals(409))
-def revoke_current(caller: Anybody, platform: PlatformDep) -> None:
+def revoke_current_token(caller: Anybody, platform: PlatformDep) -> None:
     """Whatever its scopes are; with it goes all that it made."""
     if caller.is_session:
         raise ApiError("conflict", "a session is no token; sign out by DELETE /sessions/current")
@@ -51,7 +51,7 @@ def revoke_current(caller: Anybody, platform: PlatformDep) -> None:
 
 
 @router.delete("/{token_id}", status_code=204, summary="Revoke a token of one's own", responses=refusals(404))
-def revoke(token_id: IdPath, caller: AccountHolder, platform: PlatformDep) -> None:
+def revoke_token(token_id: IdPath, caller: AccountHolder, platform: PlatformDep) -> None:
     """With it goes all that it made."""
     _revoke(platform, caller, token_id)
 

@@ -50,7 +50,7 @@ SpeakTus = Depends(speak_tus)
 
 
 @router.options("", status_code=204, response_class=Response, responses=OPTIONS_SAY)
-def say_what_is_spoken(platform: PlatformDep) -> Response:
+def describe_uploads(platform: PlatformDep) -> Response:
     """What of tus this server speaks; needs no token."""
     return Response(
         status_code=204,
@@ -96,7 +96,9 @@ async def create_upload(
 @router.post(
     "/form", summary="Upload a small file in one request", status_code=201, responses=FORMED, openapi_extra=FORM
 )
-async def create_by_form(request: Request, platform: PlatformDep, caller: Former, response: Response) -> UploadItem:
+async def create_upload_by_form(
+    request: Request, platform: PlatformDep, caller: Former, response: Response
+) -> UploadItem:
     """A small file whole at once: `curl -F file=@run.mcap -F purpose=recording -F target_id=…`."""
     upload = await accept_form(request, platform, caller)
     response.headers["Location"] = f"{request.url.path.removesuffix('/form')}/{upload.id}"
@@ -104,7 +106,7 @@ async def create_by_form(request: Request, platform: PlatformDep, caller: Former
 
 
 @router.head("/{upload_id}", response_class=Response, dependencies=[SpeakTus], responses=HEAD_SAYS)
-def ask_offset(upload_id: IdPath, platform: PlatformDep, caller: Uploader) -> Response:
+def show_upload_offset(upload_id: IdPath, platform: PlatformDep, caller: Uploader) -> Response:
     """Where to resume. An upload that lacked only its last step is completed by this."""
     upload = settle_if_whole(platform, find_own(platform, upload_id, caller))
     return Response(status_code=200, headers=upload_headers(upload, bytes_here(platform, upload)))
@@ -118,7 +120,7 @@ def ask_offset(upload_id: IdPath, platform: PlatformDep, caller: Uploader) -> Re
     responses=PATCHED,
     openapi_extra=STREAM,
 )
-async def send_bytes(
+async def append_to_upload(
     upload_id: IdPath,
     request: Request,
     platform: PlatformDep,
@@ -138,7 +140,7 @@ async def send_bytes(
 
 
 @router.delete("/{upload_id}", status_code=204, response_class=Response, dependencies=[SpeakTus], responses=TERMINATED)
-def give_up(upload_id: IdPath, platform: PlatformDep, caller: Uploader) -> Response:
+def terminate_upload(upload_id: IdPath, platform: PlatformDep, caller: Uploader) -> Response:
     """Terminate an upload that no recording uses; its bytes and its quota are free again."""
     terminate(platform, find_own(platform, upload_id, caller))
     return Response(status_code=204)
@@ -153,7 +155,7 @@ def give_up(upload_id: IdPath, platform: PlatformDep, caller: Uploader) -> Respo
     responses=PATCHED,
     openapi_extra=STREAM,
 )
-async def override_method(
+async def override_upload_method(
     upload_id: IdPath,
     request: Request,
     platform: PlatformDep,
@@ -162,9 +164,9 @@ async def override_method(
 ) -> Response:
     """PATCH or DELETE for clients whose network lets neither through (tus 1.0, X-HTTP-Method-Override)."""
     if x_http_method_override == "PATCH":
-        return await send_bytes(upload_id, request, platform, caller)
+        return await append_to_upload(upload_id, request, platform, caller)
     if x_http_method_override == "DELETE":
-        return await in_thread(give_up, upload_id, platform, caller)
+        return await in_thread(terminate_upload, upload_id, platform, caller)
     raise ApiError(
         "bad_tus_header", f"X-HTTP-Method-Override is {x_http_method_override[:80]!r}; expected PATCH or DELETE"
     )

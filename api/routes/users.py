@@ -26,7 +26,7 @@ RoleQuery = Annotated[Role | None, Query()]
 
 
 @router.post("", status_code=201, summary="Add a user", responses=refusals(409))
-def add(body: UserBody, caller: Administrator, platform: PlatformDep) -> UserItem:
+def create_user(body: UserBody, caller: Administrator, platform: PlatformDep) -> UserItem:
     password_hash = _hashed(body.password, body.name)
     with platform.database.transaction() as session:
         user = users.create_user(session, body.name, body.role)
@@ -37,7 +37,7 @@ def add(body: UserBody, caller: Administrator, platform: PlatformDep) -> UserIte
 
 
 @router.get("", summary="All users, newest first")
-def listed(
+def list_users(
     _caller: Administrator, query: PageDep, platform: PlatformDep, name: NamePart = None, role: RoleQuery = None
 ) -> Page[UserItem]:
     with platform.database.reading() as session:
@@ -45,7 +45,7 @@ def listed(
 
 
 @router.patch("/{user_id}", summary="Change a user's role, password or access", responses=refusals(404, 409))
-def change(user_id: IdPath, body: UserChange, caller: Administrator, platform: PlatformDep) -> UserItem:
+def change_user(user_id: IdPath, body: UserChange, caller: Administrator, platform: PlatformDep) -> UserItem:
     with platform.database.reading() as session:
         name = user_of(session, user_id).name
     password_hash = _hashed(body.password, name)
@@ -59,7 +59,9 @@ def change(user_id: IdPath, body: UserChange, caller: Administrator, platform: P
     return user_item(user)
 
 
-@router.post("/{user_id}/erase", summary="Erase a user's account for good", responses=refusals(404, 409))
+@router.post(
+    "/{user_id}/erase", name="erase_user", summary="Erase a user's account for good", responses=refusals(404, 409)
+)
 def erase(user_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep) -> UserItem:
     """Name, password, tokens and browsers go at once; what they made stays, under no name."""
     with platform.database.transaction() as session:
@@ -70,7 +72,7 @@ def erase(user_id: IdPath, body: ReasonBody, caller: Administrator, platform: Pl
 
 
 @router.get("/{user_id}/tokens", summary="A user's tokens, newest first", responses=refusals(404))
-def tokens_of(user_id: IdPath, _caller: Administrator, query: PageDep, platform: PlatformDep) -> Page[TokenItem]:
+def list_user_tokens(user_id: IdPath, _caller: Administrator, query: PageDep, platform: PlatformDep) -> Page[TokenItem]:
     with platform.database.reading() as session:
         return tokens_page(session, query, user_of(session, user_id).id)
 
@@ -78,7 +80,7 @@ def tokens_of(user_id: IdPath, _caller: Administrator, query: PageDep, platform:
 @router.post(
     "/{user_id}/tokens/{token_id}/revoke", status_code=204, summary="Revoke a user's token", responses=refusals(404)
 )
-def revoke_token(
+def revoke_user_token(
     user_id: IdPath, token_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep
 ) -> None:
     """Whoever holds it is answered 401 from now on."""
@@ -93,7 +95,9 @@ def revoke_token(
 @router.post(
     "/{user_id}/credentials/revoke", summary="End all of a user's tokens and sessions", responses=refusals(404)
 )
-def revoke_credentials(user_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep) -> RevokedItem:
+def revoke_user_credentials(
+    user_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep
+) -> RevokedItem:
     """Whatever uses them is answered 401 from now on. The credential that asks is spared, and the password stays.
 
     If another token created the calling token, both end. Approved programs that have not fetched their token get none.

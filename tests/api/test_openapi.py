@@ -23,6 +23,10 @@ from services.runtime.access.roles import ROLES, SCOPES
 from services.runtime.platform import Platform
 from testing.api.serving import client_of
 
+VERBS = re.compile(
+    r"(activate|abandon|append|assign|cancel|change|choose|compare|count|create|decide|delete|describe|dismiss|download|erase|finalize|finish|follow|grant|"
+    r"join|judge|list|override|process|propose|put|remove|replace|revoke|rotate|save|set|show|start|steer|switch|take|terminate|verify|withdraw)_[a-z]+(_[a-z]+)*"
+)
 PUBLIC = {
     ("/healthz", "get"), ("/readyz", "get"), ("/api/v1/problems", "get"), ("/api/v1/problems/{code}", "get"),
     ("/api/v1/docs", "get"), ("/api/v1/client", "get"), ("/api/v1/sessions", "post"), ("/api/v1/sign-in", "get"),
@@ -69,6 +73,7 @@ def test_every_operation_says_what_it_takes_who_may_ask_and_how_it_can_answer(do
         assert operation["summary"], at
         assert operation["tags"], at
         names.append(operation["operationId"])
+        assert VERBS.fullmatch(operation["operationId"]), at
         for status, answer in operation["responses"].items():
             if int(status) >= 400 and (path, status) != ("/readyz", "503"):
                 schema = answer["content"][MEDIA_TYPE]["schema"]

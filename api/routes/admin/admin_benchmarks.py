@@ -29,7 +29,9 @@ from services.runtime.orm import Benchmark, Phase
 router = APIRouter(prefix="/admin", tags=["benchmarks"])
 
 
-@router.post("/benchmarks", summary="Create a benchmark", status_code=201, responses=refusals(404, 409))
+@router.post(
+    "/benchmarks", name="create_benchmark", summary="Create a benchmark", status_code=201, responses=refusals(404, 409)
+)
 def create(
     body: NewBenchmarkBody, caller: Administrator, platform: PlatformDep, response: Response
 ) -> CreatedBenchmark:
@@ -62,6 +64,7 @@ def change_benchmark(
 
 @router.post(
     "/benchmarks/{benchmark_name}/phases",
+    name="create_phase",
     summary="Add a phase to a benchmark",
     status_code=201,
     responses=refusals(404, 409),
@@ -84,14 +87,21 @@ def add_phase(
 
 
 @router.get("/phases/{phase_id}", summary="A phase as an administrator sees it", responses=refusals(404))
-def show(phase_id: IdPath, _caller: Administrator, platform: PlatformDep, response: Response) -> PhaseDetail:
+def show_admin_phase(
+    phase_id: IdPath, _caller: Administrator, platform: PlatformDep, response: Response
+) -> PhaseDetail:
     """A phase with what was noticed of it: labels may have become public since it was made."""
     with platform.database.reading() as session:
         phase = phase_of(session, phase_id)
         return set_head(response, phase_detail(session, phase), tag=phase.revision)
 
 
-@router.patch("/phases/{phase_id}", summary="Change a phase's dates and limits", responses=refusals(404, 409, 412, 428))
+@router.patch(
+    "/phases/{phase_id}",
+    name="change_phase",
+    summary="Change a phase's dates and limits",
+    responses=refusals(404, 409, 412, 428),
+)
 def change(
     phase_id: IdPath,
     body: PhaseChange,

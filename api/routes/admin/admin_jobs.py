@@ -105,7 +105,7 @@ def count_jobs(_caller: Administrator, platform: PlatformDep, filters: AdminFilt
 
 
 @router.post("/jobs/acts", summary="Cancel, terminate or retry many runs", responses=refusals(403))
-def steer_many(body: JobActsBody, caller: Administrator, platform: PlatformDep) -> list[JobActItem]:
+def steer_jobs(body: JobActsBody, caller: Administrator, platform: PlatformDep) -> list[JobActItem]:
     """The same act on the runs of many jobs: each is done or refused for itself, and says so."""
     return act_on_each(platform, caller, body)
 
@@ -118,7 +118,7 @@ def show_any_job(job_id: IdPath, caller: Administrator, platform: PlatformDep) -
 
 
 @router.get("/jobs/{job_id}/logs", summary="The log of any job", responses=refusals(403, 404))
-def read_any_logs(
+def list_any_job_log(
     job_id: IdPath, caller: Administrator, platform: PlatformDep, query: Annotated[LogQuery, Depends(log_query)]
 ) -> LogPage:
     """What a job, or every job of a run, has said so far."""

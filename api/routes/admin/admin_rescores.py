@@ -33,7 +33,7 @@ AS_PAGE: Responses = {200: {"model": RescoreDiffAnswer, "content": {"text/markdo
 
 
 @router.post("", status_code=202, responses=refusals(404, 409))
-def start(
+def create_rescore(
     phase_id: IdPath, body: NewRescoreBody, caller: Administrator, platform: PlatformDep, response: Response
 ) -> RescoreItem:
     """Score all standing entries by another pair; asked again, what is missing is taken up. The board stays."""
@@ -48,7 +48,7 @@ def start(
 
 
 @router.get("", responses=refusals(404))
-def listed(phase_id: IdPath, _caller: Administrator, platform: PlatformDep, query: PageDep) -> Page[RescoreItem]:
+def list_rescores(phase_id: IdPath, _caller: Administrator, platform: PlatformDep, query: PageDep) -> Page[RescoreItem]:
     """The re-scores of the phase, newest first."""
     with platform.database.reading() as session:
         of_phase = select(Rescore).where(Rescore.phase_id == phase_of(session, phase_id).id)
@@ -56,7 +56,7 @@ def listed(phase_id: IdPath, _caller: Administrator, platform: PlatformDep, quer
 
 
 @router.get("/{rescore_id}", responses=refusals(404))
-def show(phase_id: IdPath, rescore_id: IdPath, _caller: Administrator, platform: PlatformDep) -> RescoreItem:
+def show_rescore(phase_id: IdPath, rescore_id: IdPath, _caller: Administrator, platform: PlatformDep) -> RescoreItem:
     """A re-score and how far it is."""
     with platform.database.reading() as session:
         return rescore_item(session, rescore_of(session, phase_id, rescore_id))
@@ -68,7 +68,7 @@ def show(phase_id: IdPath, rescore_id: IdPath, _caller: Administrator, platform:
     response_model=RescoreDiffAnswer,
     responses={**AS_PAGE, **refusals(404)},
 )
-def show_diff(
+def show_rescore_diff(
     phase_id: IdPath,
     rescore_id: IdPath,
     _caller: Administrator,
@@ -89,7 +89,7 @@ def show_diff(
 
 
 @router.post("/{rescore_id}/activate", summary="Activate a re-score", responses=refusals(404, 409, 412, 428))
-def activate_it(
+def activate_rescore(
     phase_id: IdPath,
     rescore_id: IdPath,
     body: ReasonBody,
@@ -110,7 +110,7 @@ def activate_it(
 
 
 @router.post("/{rescore_id}/abandon", responses=refusals(404, 409))
-def abandon_it(
+def abandon_rescore(
     phase_id: IdPath, rescore_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep
 ) -> RescoreItem:
     """Give a re-score up: its run stops, and new submissions are not scored by its pair any more."""

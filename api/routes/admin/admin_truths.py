@@ -58,7 +58,7 @@ def list_ground_truths(
 
 
 @router.get("/reported", summary="The reported rows of the phase", responses=refusals(404))
-def list_reported(
+def list_reported_results(
     phase_id: IdPath, _caller: Administrator, platform: PlatformDep, response: Response
 ) -> Sequence[ReportedItem]:
     """The reported rows of the phase, by method and modality: what is put back is what stands."""
@@ -68,7 +68,7 @@ def list_reported(
 
 
 @router.put("/reported", responses=refusals(404, 409, 412))
-def replace_reported(
+def replace_reported_results(
     phase_id: IdPath, body: ReportedBody, caller: Administrator, platform: PlatformDep, request: Request
 ) -> Sequence[ReportedItem]:
     """Put all reported rows of the phase at once; they are marked on the board and never ranked.

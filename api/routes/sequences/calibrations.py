@@ -56,7 +56,7 @@ ValidityDep = Annotated[Validity, Depends(asked_validity)]
     status_code=201,
     responses={200: {"model": CalibrationItem}, **refusals(413, 415)},
 )
-def add_calibration_file(
+def create_calibration(
     caller: Curator,
     _form: FormOnly,
     file: CalibrationUpload,
@@ -110,7 +110,7 @@ def download_calibration(calibration_id: IdPath, caller: Reader, platform: Platf
 
 
 @router.get("/{calibration_id}/diff", summary="How two calibrations differ", responses=refusals(404))
-def diff_calibrations(
+def compare_calibrations(
     calibration_id: IdPath, caller: Reader, platform: PlatformDep, against: AgainstQuery = None
 ) -> CalibrationDiffItem:
     """How far every sensor moved and turned from `against` to this calibration, and what of its lens changed."""

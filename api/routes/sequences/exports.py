@@ -90,7 +90,7 @@ def show_export(at: AtExport, caller: Reader, platform: PlatformDep) -> ExportIt
         return export_items(session, export.sequence_id, [export])[0]
 
 
-@router.delete("/{export_id}", status_code=204, responses=refusals(403, 404))
+@router.delete("/{export_id}", name="delete_export", status_code=204, responses=refusals(403, 404))
 def remove_export(at: AtExport, caller: Curator, platform: PlatformDep) -> None:
     """Delete an export and give its bytes back; a job that is at it is told to stop."""
     with platform.database.transaction() as session:
@@ -101,7 +101,7 @@ def remove_export(at: AtExport, caller: Curator, platform: PlatformDep) -> None:
 
 
 @router.get("/{export_id}/files", summary="The files of an export", responses=refusals(404, 409))
-def list_files(at: AtExport, caller: Reader, platform: PlatformDep, query: PageDep) -> Page[ExportFileItem]:
+def list_export_files(at: AtExport, caller: Reader, platform: PlatformDep, query: PageDep) -> Page[ExportFileItem]:
     """The files of an export in the order of the archives: by name, and the checksums last."""
     stored, _, _ = _finished(platform, caller, at)
     files = stored.files
@@ -118,10 +118,12 @@ def list_files(at: AtExport, caller: Reader, platform: PlatformDep, query: PageD
     "/{export_id}/files/{path:path}",
     response_class=Response,
     responses=FILE | refusals(409),
-    name="describe_file",
+    name="describe_export_file",
     description="Size and checksum of a file.",
 )
-def download_file(at: AtExport, path: FilePath, caller: Reader, platform: PlatformDep, request: Request) -> Response:
+def download_export_file(
+    at: AtExport, path: FilePath, caller: Reader, platform: PlatformDep, request: Request
+) -> Response:
     """One file of an export; `sha256sum.txt` has the checksums of all others."""
     stored, _, _ = _finished(platform, caller, at)
     return answer_bytes(request, served_file(platform.store, stored, path))
@@ -132,10 +134,10 @@ def download_file(at: AtExport, path: FilePath, caller: Reader, platform: Platfo
     "/{export_id}/archive",
     response_class=Response,
     responses=ARCHIVE | refusals(409),
-    name="describe_archive",
+    name="describe_export_archive",
     description="Size and checksum of an archive.",
 )
-def download_archive(
+def download_export_archive(
     at: AtExport, caller: Reader, platform: PlatformDep, request: Request, kind: Kind = "tar"
 ) -> Response:
     """All files of an export in one; ranges are served, the sha256 is the ETag."""

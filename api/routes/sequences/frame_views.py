@@ -39,7 +39,7 @@ def download_voxels(
 
 
 @router.get("/bev.png", response_class=Response, responses=file_responses(PNG))
-def download_picture(
+def download_frame_picture(
     token: TokenPath,
     caller: Looker,
     platform: PlatformDep,
@@ -55,7 +55,7 @@ def download_picture(
 
 
 @router.get("/camera/{channel}.jpg", response_class=Response, responses=file_responses(JPEG))
-def download_camera(
+def download_camera_picture(
     token: TokenPath,
     channel: ChannelPath,
     caller: Looker,
@@ -69,7 +69,7 @@ def download_camera(
 
 
 @router.get("/cloud", summary="A frame's point cloud (STC1)", response_class=Response, responses=file_responses(CLOUD))
-def download_cloud(
+def download_point_cloud(
     token: TokenPath, caller: Looker, platform: PlatformDep, request: Request, version: VersionQuery = None
 ) -> Response:
     """The sweep, at most 40,000 points in the ego frame (`STC1`); `no_playback` while there are none."""

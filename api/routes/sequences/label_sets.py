@@ -60,7 +60,9 @@ def list_label_sets(sequence_id: IdPath, caller: Reader, platform: PlatformDep, 
         return Page[LabelSetItem](items=label_set_items(session, sequence.id, found.rows), next=found.next)
 
 
-@router.delete("/label-sets/{label_set_id}", status_code=204, responses=refusals(403, 404, 409))
+@router.delete(
+    "/label-sets/{label_set_id}", name="delete_label_set", status_code=204, responses=refusals(403, 404, 409)
+)
 def remove_label_set(sequence_id: IdPath, label_set_id: IdPath, caller: Curator, platform: PlatformDep) -> None:
     """Delete a label set that nothing relies on, with its comparisons and its playback, and free its storage."""
     with platform.database.transaction() as session:

@@ -83,7 +83,9 @@ def download_grid(sequence_id: IdPath, caller: Looker, platform: PlatformDep, re
     response_class=Response,
     responses=file_responses("application/octet-stream"),
 )
-def download_synchronised(sequence_id: IdPath, caller: Looker, platform: PlatformDep, request: Request) -> Response:
+def download_synchronised_sequence(
+    sequence_id: IdPath, caller: Looker, platform: PlatformDep, request: Request
+) -> Response:
     """The synchronised sequence itself, of which `stone export` makes other formats beside the recording."""
     return _artefact(request, platform, caller, sequence_id, "sequence.npz")
 

@@ -44,7 +44,7 @@ def show_scene(sequence_id: IdPath, caller: Looker, platform: PlatformDep, reque
 @router.get(
     "/cameras", response_class=Response, responses=file_responses(CAMERAS), summary="Lens rays and camera poses"
 )
-def download_cameras(
+def download_scene_cameras(
     sequence_id: IdPath,
     caller: Looker,
     platform: PlatformDep,
@@ -56,7 +56,7 @@ def download_cameras(
 
 
 @router.get("/tiles/{tile_name}", response_class=Response, responses=file_responses(BINARY))
-def download_tile(
+def download_scene_tile(
     sequence_id: IdPath,
     tile_name: TilePath,
     caller: Looker,
@@ -76,7 +76,7 @@ def download_tile(
     response_class=Response,
     responses=file_responses(BINARY),
 )
-def download_surface(
+def download_scene_mesh(
     sequence_id: IdPath,
     tile_name: TilePath,
     caller: Looker,

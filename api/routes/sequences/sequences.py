@@ -115,7 +115,7 @@ def change_sequence(
     summary="Choose the calibration a sequence is processed with",
     responses=refusals(404, 412),
 )
-def pin_calibration(
+def assign_calibration(
     sequence_id: IdPath,
     body: PinCalibrationBody,
     caller: Curator,
@@ -137,7 +137,7 @@ def pin_calibration(
     return set_head(response, shown, tag=shown.revision)
 
 
-@router.delete("/{sequence_id}", status_code=204, responses=refusals(404, 412, 428))
+@router.delete("/{sequence_id}", name="delete_sequence", status_code=204, responses=refusals(404, 412, 428))
 def remove_sequence(sequence_id: IdPath, caller: Curator, platform: PlatformDep, request: Request) -> None:
     """Delete a sequence with its recordings and labels; its jobs are told to stop. It cannot be brought back."""
     with platform.database.transaction() as session:

@@ -23,7 +23,9 @@ router = APIRouter(prefix="/device-grants", tags=["people"])
 
 
 @router.post("", status_code=201, summary="Ask for the codes a program signs in with", responses=refusals(400))
-def begin(body: DeviceBody, request: Request, response: Response, platform: PlatformDep) -> DeviceCodesItem:
+def create_device_grant(
+    body: DeviceBody, request: Request, response: Response, platform: PlatformDep
+) -> DeviceCodesItem:
     """`user_code` is for a person, who types it at `url`; `device_code` is the program's secret."""
     request.app.state.limits.admit_from(request, "device grant")
     asked = DeviceRequest(body.name, address_of(request).removeprefix("address "), tuple(body.scopes))
@@ -36,7 +38,7 @@ def begin(body: DeviceBody, request: Request, response: Response, platform: Plat
 
 
 @router.post("/decision", status_code=204, summary="Approve or deny a program", responses=refusals(404, 409))
-def decide(body: DeviceDecision, caller: AccountHolder, request: Request, platform: PlatformDep) -> None:
+def decide_device_grant(body: DeviceDecision, caller: AccountHolder, request: Request, platform: PlatformDep) -> None:
     """An approved program gets a token of the caller, with the requested scopes that the caller holds. If the browser's
     session ends before the program fetches the token, it gets none. A token cannot approve (403 `browser_only`)."""
     if body.approves and not caller.is_session:
@@ -59,7 +61,7 @@ def decide(body: DeviceDecision, caller: AccountHolder, request: Request, platfo
 
 
 @router.post("/token", status_code=201, summary="Take the token of an approved program", responses=refusals(403))
-def take(body: DeviceTokenBody, response: Response, platform: PlatformDep) -> IssuedToken:
+def take_device_token(body: DeviceTokenBody, response: Response, platform: PlatformDep) -> IssuedToken:
     """400 `authorization_pending` until somebody decides; 429 `slow_down` to who asks too often. Given out once."""
     with platform.database.transaction() as session:
         told = device_grants.poll(session, body.device_code.get_secret_value(), platform.settings.api.token_s)

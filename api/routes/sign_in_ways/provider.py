@@ -36,7 +36,7 @@ Said = Annotated[str, Query(max_length=4096, description="Parameter of the provi
 
 
 @router.get("", summary="How one may sign in here")
-def ways(platform: PlatformDep) -> SignInWays:
+def list_sign_in_ways(platform: PlatformDep) -> SignInWays:
     return sign_in_ways(platform.settings)
 
 
@@ -47,7 +47,7 @@ def ways(platform: PlatformDep) -> SignInWays:
     responses=refusals(404, 502),
     response_class=RedirectResponse,
 )
-def to_provider(request: Request, platform: PlatformDep, back: Back = "/") -> RedirectResponse:
+def start_oidc(request: Request, platform: PlatformDep, back: Back = "/") -> RedirectResponse:
     request.app.state.limits.admit_from(request, "sign-in by provider")
     begun, address = _provider(request).begin()
     answer = RedirectResponse(address, 302, headers={"Cache-Control": "no-store"})
@@ -64,7 +64,7 @@ def to_provider(request: Request, platform: PlatformDep, back: Back = "/") -> Re
     responses=refusals(400, 403, 404, 409, 502),
     response_class=RedirectResponse,
 )
-def from_provider(
+def finish_oidc(
     request: Request, platform: PlatformDep, code: Said = "", state: Said = "", iss: Said = "", error: Said = ""
 ) -> RedirectResponse:
     """The first sign-in makes the account; roles follow the groups that the provider tells of."""
