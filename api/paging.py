@@ -53,6 +53,11 @@ class Page(BaseModel, Generic[T]):
     next: str | None = Field(default=None, examples=["IjAxOTNhZjAwIg"])
 
 
+def whole(items: Sequence[T]) -> Page[T]:
+    """Return a short list as its only page."""
+    return Page[Any](items=list(items))
+
+
 @dataclass(frozen=True)
 class PageRows(Generic[Row]):
     """The rows of a page and the cursor of the next."""

@@ -31,7 +31,8 @@ Version 1 is below `/api/v1`. A server serves its own document at `/api/v1/opena
 - **Refusals** are `application/problem+json` (RFC 9457) with a stable [code](../codes.md); 404 for what is not yours
   to know.
 - **Unknown** query parameters and unknown keys of a body are refused (422); the finding names the known ones.
-- **Lists** are paged by `cursor` and `limit`; the order never skips or repeats what was there from the beginning.
+- **Lists** are `{"items": […], "next": …}`, paged by `cursor` and `limit`; short ones come whole. The order never
+  skips or repeats what was there from the beginning.
 - **Again.** Creating POSTs take an `Idempotency-Key`; the same request within a day is answered the same.
 - **Changes.** What changes carries an `ETag`; changing it asks for `If-Match` and answers 412 when somebody was
   quicker.

@@ -4,6 +4,7 @@ from fastapi import APIRouter
 
 from api.answers import refusals
 from api.errors import NotFoundError
+from api.paging import Page, whole
 from api.schemas.audit import ProblemItem
 from api.statuses import PROBLEM_TYPES
 
@@ -11,14 +12,13 @@ router = APIRouter(tags=["problems"])
 
 
 @router.get("/problems", summary="List all problem types")
-def list_problems() -> list[ProblemItem]:
+def list_problems() -> Page[ProblemItem]:
     listed = sorted(PROBLEM_TYPES.items(), key=lambda one: (one[1].status, one[0]))
-    return [ProblemItem(code=code, status=kind.status, title=kind.title) for code, kind in listed]
+    return whole([ProblemItem(code=code, status=kind.status, title=kind.title) for code, kind in listed])
 
 
 @router.get("/problems/{code}", summary="Show one problem type", responses=refusals(404))
 def show_problem(code: str) -> ProblemItem:
-    for item in list_problems():
-        if item.code == code:
-            return item
-    raise NotFoundError("problem", code)
+    if code not in PROBLEM_TYPES:
+        raise NotFoundError("problem", code)
+    return ProblemItem(code=code, status=PROBLEM_TYPES[code].status, title=PROBLEM_TYPES[code].title)

@@ -17,6 +17,7 @@ from api.deps import AccountHolder, Anybody, Caller, PlatformDep, Reader
 from api.errors import ApiError, wrong_password
 from api.middleware.context import COOKIE
 from api.middleware.limits import address_of
+from api.paging import Page, whole
 from api.schemas.base import instant
 from api.schemas.people import BrowserItem, MeItem, PasswordBody, SessionItem, SignInBody
 from api.views.people import browsers_of
@@ -73,9 +74,9 @@ def delete_current_session(caller: Anybody, response: Response, platform: Platfo
 
 
 @router.get("/sessions", summary="The browsers one is signed in with, newest first")
-def list_sessions(caller: Reader, platform: PlatformDep) -> list[BrowserItem]:
+def list_sessions(caller: Reader, platform: PlatformDep) -> Page[BrowserItem]:
     with platform.database.reading() as session:
-        return browsers_of(session, caller.user_id, caller.credential_id)
+        return whole(browsers_of(session, caller.user_id, caller.credential_id))
 
 
 @router.delete("/sessions/others", status_code=204, summary="Sign all one's other browsers out")

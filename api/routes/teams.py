@@ -13,7 +13,7 @@ from api import audit
 from api.answers import refusals
 from api.deps import Caller, PlatformDep, require
 from api.errors import NotFoundError
-from api.paging import Page, PageDep, page
+from api.paging import Page, PageDep, page, whole
 from api.schemas.base import IdPath
 from api.schemas.people import TeamBody, TeamItem
 from api.schemas.teams import (
@@ -83,10 +83,11 @@ def create_invitation(
 
 
 @router.get("/{team_id}/invitations", responses=refusals(404))
-def list_invitations(team_id: IdPath, caller: Reader, platform: PlatformDep) -> list[InvitationItem]:
+def list_invitations(team_id: IdPath, caller: Reader, platform: PlatformDep) -> Page[InvitationItem]:
     """The invitations that still let somebody in, oldest first."""
     with platform.database.reading() as session:
-        return [InvitationItem.of(row) for row in teams.open_invitations(session, team_of(session, caller, team_id).id)]
+        rows = teams.open_invitations(session, team_of(session, caller, team_id).id)
+        return whole([InvitationItem.of(row) for row in rows])
 
 
 @router.delete("/{team_id}/invitations/{invitation_id}", status_code=204, responses=refusals(404))

@@ -45,7 +45,7 @@ def put_table(api: Api, table: PublishedTable, how: Putting) -> dict[str, Any]:
     """Put the rows that do not stand there yet; what became of each. Raises `reported_differs`."""
     path = f"/admin/phases/{read_phase(api, how.benchmark, how.phase)['id']}/reported"
     answer = api.send("GET", path)
-    standing: dict[tuple[str, str], Item] = {_key(row): row for row in answer.json()}
+    standing: dict[tuple[str, str], Item] = {_key(row): row for row in answer.json()["items"]}
     rows = table.reported()
     done = [_done(standing.get(_key(row)), row) for row in rows]
     differing = [(standing[_key(row)], row) for row, what in zip(rows, done, strict=True) if what == "replaced"]

@@ -170,13 +170,13 @@ def test_reported_rows_are_put_as_a_whole_and_read_as_they_are_put(
              "kind": "published"}  # fmt: skip
     for _ in range(2):
         put = api.put(path, json={"rows": [PAPER], **WHY}, headers=administrator.headers)
-        assert (put.status_code, put.json()) == (200, [whole])
-    assert api.get(path, headers=administrator.headers).json() == [whole]
+        assert (put.status_code, put.json()) == (200, {"items": [whole], "next": None})
+    assert api.get(path, headers=administrator.headers).json()["items"] == [whole]
     noted = whole | {"note": "of another split", "percent_digits": 1}
     ceiling = noted | {"kind": "ceiling"}
     for rows in ([noted], [ceiling], [noted]):
-        assert api.put(path, json={"rows": rows, **WHY}, headers=administrator.headers).json() == rows
-    assert api.put(path, json={"rows": [], **WHY}, headers=administrator.headers).json() == []
+        assert api.put(path, json={"rows": rows, **WHY}, headers=administrator.headers).json()["items"] == rows
+    assert api.put(path, json={"rows": [], **WHY}, headers=administrator.headers).json()["items"] == []
 
 
 def test_who_has_read_the_reported_rows_writes_over_nobody_elses(
@@ -188,9 +188,9 @@ def test_who_has_read_the_reported_rows_writes_over_nobody_elses(
     assert api.put(path, json={"rows": [PAPER], **WHY}, headers=read).status_code == 200
     assert problem(api.put(path, json={"rows": [], **WHY}, headers=read)) == (412, "precondition_failed")
     again = api.get(path, headers=administrator.headers)
-    assert [row["method"] for row in again.json()] == [PAPER["method"]]
+    assert [row["method"] for row in again.json()["items"]] == [PAPER["method"]]
     read = administrator.headers | {"If-Match": again.headers["etag"]}
-    assert api.put(path, json={"rows": [], **WHY}, headers=read).json() == []
+    assert api.put(path, json={"rows": [], **WHY}, headers=read).json()["items"] == []
 
 
 NO_ROWS: tuple[tuple[dict[str, Any], str], ...] = (
@@ -206,7 +206,7 @@ def test_a_row_that_cannot_be_a_result_is_refused(api: httpx.Client, administrat
     for row, code in NO_ROWS:
         answer = api.put(path, json={"rows": [PAPER, PAPER | row], **WHY}, headers=administrator.headers)
         assert problem(answer) == (422, code), row
-    assert api.get(path, headers=administrator.headers).json() == []
+    assert api.get(path, headers=administrator.headers).json()["items"] == []
 
 
 def test_without_a_ground_truth_there_is_no_manifest(

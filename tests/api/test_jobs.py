@@ -211,7 +211,7 @@ def test_a_queue_is_paused_drained_and_opened(
     assert (switched("drain")[1], bells) == ("draining", [("ingest", 1)])
     assert run_next(platform, "ingest", HANDLERS)
     assert switched("resume") == ("ingest", "open", 1, 0, 0)
-    modes = {queue["name"]: queue["mode"] for queue in shown(api, root, f"{ADMIN}/queues")}
+    modes = {queue["name"]: queue["mode"] for queue in shown(api, root, f"{ADMIN}/queues")["items"]}
     assert modes == {"ingest": "open", "labeler": "open", "eval": "open"}
 
 
@@ -235,7 +235,7 @@ def test_workers_are_told_by_the_database_when_the_broker_is_away(
             (job_id, "ingest.speak", 1)
         ]
         assert body["running"][0]["worker"].startswith(socket.gethostname())
-        assert [queue["bells"] for queue in api.get(f"{ADMIN}/queues").json()] == [None, None, None]
+        assert [queue["bells"] for queue in api.get(f"{ADMIN}/queues").json()["items"]] == [None, None, None]
     platform.database.close()
 
 
@@ -246,7 +246,7 @@ def test_bells_are_asked_of_a_real_broker(
     with client_of(platform, person(platform, "administrator")) as api:
         body = api.get(f"{ADMIN}/workers").json()
         assert body["is_broker_reachable"] is True
-        assert [type(queue["bells"]) for queue in api.get(f"{ADMIN}/queues").json()] == [int, int, int]
+        assert [type(queue["bells"]) for queue in api.get(f"{ADMIN}/queues").json()["items"]] == [int, int, int]
     platform.database.close()
 
 
@@ -263,7 +263,7 @@ def acts(api: httpx.Client, caller: Person, act: str, *job_ids: str) -> list[dic
     body = {"act": act, "job_ids": list(job_ids), "reason": FULL}
     answer = api.post(f"{ADMIN}/jobs/acts", json=body, headers=caller.headers)
     assert answer.status_code == 200, answer.text
-    items: list[dict[str, Any]] = answer.json()
+    items: list[dict[str, Any]] = answer.json()["items"]
     return items
 
 
@@ -387,7 +387,7 @@ def test_a_queue_says_how_long_its_oldest_waits_and_what_it_achieved(api: httpx.
     waits = job(platform, ada, "ingest.speak")
     with platform.database.transaction() as session:
         session.execute(update(Job).where(Job.id == waits).values(created_ns=now_ns() - 90 * 10**9))
-    ingest, labeler, _eval = ask(api, admin, "/queues")
+    ingest, labeler, _eval = ask(api, admin, "/queues")["items"]
     assert (ingest["ready"], ingest["succeeded_lately"], ingest["failed_lately"]) == (1, 2, 1)
     assert 89 < ingest["oldest_ready_s"] < 200
     assert (len(ingest["per_minute"]), sum(ingest["per_minute"])) == (30, 3)

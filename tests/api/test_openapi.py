@@ -101,6 +101,15 @@ def test_every_body_has_an_example(document: dict[str, Any]) -> None:
     assert bare == []
 
 
+def test_every_list_comes_in_one_envelope(document: dict[str, Any]) -> None:
+    schemas = document["components"]["schemas"]
+    said = json.dumps([operation["responses"] for _, _, operation in operations(document)])
+    assert '"type": "array"' not in said
+    pages = {name for name in re.findall(r"#/components/schemas/(\w+)", said) if "items" in schemas[name]["properties"]}
+    assert len(pages) >= 30
+    assert {tuple(schemas[name]["properties"]) for name in pages} == {("items", "next")}
+
+
 def test_every_property_and_parameter_is_described_by_a_sentence(document: dict[str, Any]) -> None:
     schemas = document["components"]["schemas"]
     said = {f"{name}.{field}": value for name, schema in schemas.items()

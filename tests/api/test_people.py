@@ -56,11 +56,11 @@ def test_a_secret_is_shown_once_and_lets_one_in(api: httpx.Client, ada: Person, 
     assert (issued.status_code, issued.headers["cache-control"]) == (201, "no-store")
     secret = issued.json()["secret"]
     listed = api.get(f"{gang}/invitations", headers=ada.headers)
-    assert [item["id"] for item in listed.json()] == [issued.json()["id"]]
+    assert [item["id"] for item in listed.json()["items"]] == [issued.json()["id"]]
     assert secret not in listed.text
     shown = join(api, eve, secret)
     assert (shown.json()["captain"], shown.json()["members"]) == (ada.name, sorted([ada.name, eve.name]))
-    assert api.get(f"{gang}/invitations", headers=eve.headers).json() == []
+    assert api.get(f"{gang}/invitations", headers=eve.headers).json()["items"] == []
     assert problem(join(api, eve, secret)) == (404, "no_invitation")
 
 

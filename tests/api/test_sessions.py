@@ -159,11 +159,11 @@ def test_the_browsers_one_is_signed_in_with_are_listed_and_the_others_signed_out
 ) -> None:
     with client_of(platform) as other:
         assert other.post(SESSIONS, json=ada).status_code == 201
-        shown = browser.get(SESSIONS).json()
+        shown = browser.get(SESSIONS).json()["items"]
         assert [one["is_current"] for one in shown] == [False, True]
         assert browser.delete(f"{SESSIONS}/others", headers=csrf_of(browser)).status_code == 204
         assert other.get(ME).status_code == 401
-    assert [one["is_current"] for one in browser.get(SESSIONS).json()] == [True]
+    assert [one["is_current"] for one in browser.get(SESSIONS).json()["items"]] == [True]
 
 
 def test_a_token_signs_every_browser_of_its_own_user_out(

@@ -12,7 +12,7 @@ from api.deps import Administrator, PlatformDep, at_once
 from api.errors import NotFoundError
 from api.job_acts import act_on_each, control_run
 from api.lists.answers import JobFilters
-from api.paging import Page, PageDep, page
+from api.paging import Page, PageDep, page, whole
 from api.routes.jobs import log_query
 from api.schemas.admin import (
     AdminJobDetail,
@@ -105,9 +105,9 @@ def count_jobs(_caller: Administrator, platform: PlatformDep, filters: AdminFilt
 
 
 @router.post("/jobs/acts", summary="Cancel, terminate or retry many runs", responses=refusals(403))
-def steer_jobs(body: JobActsBody, caller: Administrator, platform: PlatformDep) -> list[JobActItem]:
+def steer_jobs(body: JobActsBody, caller: Administrator, platform: PlatformDep) -> Page[JobActItem]:
     """The same act on the runs of many jobs: each is done or refused for itself, and says so."""
-    return act_on_each(platform, caller, body)
+    return whole(act_on_each(platform, caller, body))
 
 
 @router.get("/jobs/{job_id}", summary="Any job and its progress", responses=refusals(403, 404))
@@ -145,11 +145,11 @@ def steer_job(
 
 
 @router.get("/queues", summary="The queues: mode and job counts", responses=refusals(403))
-def list_queues(_caller: Administrator, platform: PlatformDep) -> list[QueueItem]:
+def list_queues(_caller: Administrator, platform: PlatformDep) -> Page[QueueItem]:
     """List the queues with mode, job counts and unacknowledged broker notifications."""
     wake_ups = pending_wake_ups_of(platform)
     with platform.database.reading() as session:
-        return queue_items(session, wake_ups)
+        return whole(queue_items(session, wake_ups))
 
 
 @router.post("/queues/{queue}/{act}", summary="Pause, drain or resume a queue", responses=refusals(403, 404))

@@ -3,8 +3,6 @@
 **Conventions.** A ground truth is shown by its number, state and hashes; its content has no route.
 """
 
-from collections.abc import Sequence
-
 from fastapi import APIRouter, Request, Response
 from sqlalchemy import select
 from sqlalchemy.orm import Session
@@ -13,7 +11,7 @@ from api import audit
 from api.answers import refusals
 from api.deps import Administrator, PlatformDep
 from api.etags import require_match, set_head
-from api.paging import Page, PageDep, page
+from api.paging import Page, PageDep, page, whole
 from api.schemas.base import IdPath
 from api.schemas.truths import NewTruthBody, ReportedBody, ReportedItem, TruthAccepted, TruthItem
 from api.views.jobs import job_items
@@ -60,17 +58,17 @@ def list_ground_truths(
 @router.get("/reported", summary="The reported rows of the phase", responses=refusals(404))
 def list_reported_results(
     phase_id: IdPath, _caller: Administrator, platform: PlatformDep, response: Response
-) -> Sequence[ReportedItem]:
+) -> Page[ReportedItem]:
     """The reported rows of the phase, by method and modality: what is put back is what stands."""
     with platform.database.reading() as session:
         items = [reported_item(row) for row in reported_in(session, phase_of(session, phase_id).id)]
-    return set_head(response, items, tag=reported_tag(items))
+    return set_head(response, whole(items), tag=reported_tag(items))
 
 
 @router.put("/reported", responses=refusals(404, 409, 412))
 def replace_reported_results(
     phase_id: IdPath, body: ReportedBody, caller: Administrator, platform: PlatformDep, request: Request
-) -> Sequence[ReportedItem]:
+) -> Page[ReportedItem]:
     """Put all reported rows of the phase at once; they are marked on the board and never ranked.
 
     With If-Match only where the rows are still those that were read.
@@ -81,7 +79,7 @@ def replace_reported_results(
             require_match(request, reported_tag([reported_item(row) for row in reported_in(session, phase.id)]))
         rows = put_reported(session, phase, [item.row() for item in body.rows])
         audit.record_admin_act(session, caller, "reported.put", phase.id, body.reason, {"rows": len(rows)})
-        return [reported_item(row) for row in rows]
+        return whole([reported_item(row) for row in rows])
 
 
 def _dataset(session: Session, phase: Phase, name: str | None) -> Dataset:

@@ -137,7 +137,7 @@ async function go(asking: HTMLDialogElement): Promise<void> {
   button.disabled = true;
   try {
     const body = { act, job_ids: [...picked.keys()], reason: reason.value };
-    tell(asking, await call<Outcome[]>("POST", "/api/v1/admin/jobs/acts", body));
+    tell(asking, (await call<{ items: Outcome[] }>("POST", "/api/v1/admin/jobs/acts", body)).items);
     reason.value = "";
   } catch (error) {
     sayError(said, error);
