@@ -26,9 +26,9 @@ from testing.api.serving import Person, person
 from testing.web.browsing import Site
 from testing.web.reading import Reading
 from testing.worlds.benchmark_world import World, predicted, run_eval, submission_zip
-from testing.worlds.sending import standing_world
+from testing.worlds.sending import send, standing_world
 from tests.services.domain.benchmarks import laid
-from tests.web.looking import serious_findings
+from tests.web.looking import look, serious_findings
 from web.boards.submission_steps import StepsPlace, submission_steps
 from web.problem_words import ADVICE, UNKNOWN, grouped
 
@@ -109,7 +109,10 @@ def test_a_zip_that_lacks_frames_is_refused_before_a_byte_is_sent(site: Site, wo
     tokens = list(world.truth("val"))
     grids = {"floats": np.zeros((4, 4)), "turned": np.zeros((32, 256, 256), np.uint8)}
     made = {name: zipped(tmp_path / f"{name}.zip", dict.fromkeys(tokens, grid)) for name, grid in grids.items()}
-    archive = zipped(tmp_path / "run.zip", dict.fromkeys(tokens[1:], np.full((256, 256, 32), 255, np.uint8)))
+    unknown = np.full((256, 256, 32), 255, np.uint8)
+    mixed = {**dict.fromkeys(tokens, np.zeros_like(unknown)), tokens[-1]: unknown}
+    made["mixed"] = zipped(tmp_path / "mixed.zip", mixed)
+    archive = zipped(tmp_path / "run.zip", dict.fromkeys(tokens[1:], unknown))
     with zipfile.ZipFile(archive, "a") as extended:
         extended.writestr("notes.txt", "never mind")
     for name, content in (("half", archive.read_bytes()[: archive.stat().st_size // 2]), ("no", b"this is no zip" * 9)):
@@ -119,18 +122,26 @@ def test_a_zip_that_lacks_frames_is_refused_before_a_byte_is_sent(site: Site, wo
         page.goto(form_of(world))
         fill(page, archive)
         expect(page.get_by_text(f"{FRAMES - 1} of {FRAMES} frames are present.")).to_be_visible()
+        expect(page.get_by_text(f"{FRAMES - 1} frames with values beyond 3")).to_be_visible()
         page.get_by_text("1 missing frame").click()
-        expect(page.locator(".found-list code")).to_have_count(2)
+        expect(page.locator(".found-list code")).to_have_count(2 + FRAMES - 1)
         expect(page.get_by_role("button", name="Submit for scoring")).to_be_disabled()
         assert serious_findings(page) == []
-        for name, said, more in (
-            ("no", "This cannot be read as a submission.", ""),
-            ("floats", "The first frame was looked into: bad dtype", "'<f8'"),
-            ("turned", "The first frame was looked into: bad shape", "transpose(1, 2, 0)"),
-            ("half", "The zip was cut short or damaged", ""),
+        for name, said in (
+            ("no", "This cannot be read as a submission."),
+            ("floats", f"{FRAMES} frames of another type"),
+            ("turned", f"{FRAMES} frames of another shape"),
+            ("mixed", "1 frame with values beyond 3"),
+            ("half", "The zip was cut short or damaged"),
         ):
             page.locator("#file").set_input_files(made[name])
-            expect(page.get_by_text(said)).to_contain_text(more or said)
+            expect(page.get_by_text(said)).to_be_visible()
+            expect(page.get_by_text("would be rejected")).to_be_visible()
+            expect(page.get_by_role("button", name="Submit for scoring")).to_be_disabled()
+            if name == "turned":
+                look(page, "submission-of-another-shape")
+                page.get_by_text(said).click()
+                expect(page.get_by_text("transpose(1, 2, 0)")).to_be_visible()
     assert sent(world) == []
 
 
@@ -147,9 +158,10 @@ def test_what_is_wrong_inside_of_files_is_told_file_by_file(site: Site, world: W
         expect(page.get_by_text(f"0 of {FRAMES} frames are present.")).to_be_visible()
         page.goto(form_of(world))
         fill(page, archive)
-        page.get_by_role("button", name="Validate only").click()
-        expect(page.get_by_text("Next in the queue")).to_be_visible()
+        expect(page.get_by_text("would be rejected")).to_be_visible()
+        submission_id = send(world, archive.read_bytes(), kind="validation")  # as the API takes it
         run_eval(site.platform)
+        page.goto(f"/submissions/{submission_id}")
         expect(page.get_by_text("2 problems in its file")).to_be_visible()
         for code, token in zip(("label out of range", "bad shape"), tokens, strict=True):
             table = page.get_by_role("region", name=code)

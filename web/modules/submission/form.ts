@@ -2,12 +2,12 @@
 
 import { call } from "../api.js";
 import { sayError } from "../notices.js";
-import { faultIn } from "./first_frame.js";
-import { examined, type Manifest, manifestOf, type Verdict } from "./frames.js";
+import { checkArrays } from "./frame_arrays.js";
+import { examined, type Manifest, manifestOf } from "./frames.js";
 import { type Entry, submit } from "./file_upload.js";
 import { installSenses, modalityOf, sayModality } from "./senses.js";
 import { meter } from "./meter.js";
-import { isUnreadable, showVerdict, showWarning, sized } from "./verdict.js";
+import { isUnreadable, showProgress, showVerdict, sized } from "./verdict.js";
 
 const form = document.querySelector<HTMLFormElement>("form#submit");
 if (form) install(form);
@@ -38,7 +38,7 @@ function install(form: HTMLFormElement): void {
     if (file) goOnWith(form, file);
     show();
     if (!file) return;
-    const why = await looked(form, file, manifest);
+    const why = await looked(form, file, manifest, () => state.file === file);
     if (state.file !== file) return; // another one was chosen meanwhile
     state.why = why;
     show();
@@ -62,30 +62,29 @@ function install(form: HTMLFormElement): void {
   }
 }
 
-/** Look at the zip, and show what was found; why it cannot be sent, empty where it can. */
-async function looked(form: HTMLFormElement, file: File, manifest: Promise<Manifest>): Promise<string> {
+/** Look at the zip, and show what was found; why it cannot be sent, empty if it can. `isWanted`: no other was chosen. */
+async function looked(form: HTMLFormElement, file: File, manifest: Promise<Manifest>, isWanted: () => boolean): Promise<string> {
   const place = form.querySelector<HTMLElement>("#verdict");
   const most_bytes = Number(form.dataset["mostBytes"]);
   if (!place) return "";
   try {
     const known = await manifest;
     const verdict = await examined(file, known);
+    if (!isWanted()) return "";
     showVerdict(place, file, known, verdict);
     if (isUnreadable(verdict)) return "Select another file: this one would be rejected.";
+    const heard = showProgress(place, verdict.frames.size);
+    const arrays = await checkArrays(file, verdict.frames, known.shape, (done) => heard(done) && isWanted());
+    if (!isWanted()) return "";
+    for (const { frame } of arrays.problems) verdict.frames.delete(frame ?? "");
+    verdict.problems.push(...arrays.problems);
+    showVerdict(place, file, known, verdict, arrays);
     if (verdict.problems.length) return "Fix the zip first: it would be rejected.";
-    await warned(place, file, known, verdict);
     return file.size > most_bytes ? `It has ${sized(file.size)}; frames of this phase never need more than ${sized(most_bytes)}.` : "";
   } catch (error) {
     sayError(place, error);
     return "The zip could not be checked.";
   }
-}
-
-/** What is wrong inside of the first frame is told, and may be so in all; the platform has the last word. */
-async function warned(place: HTMLElement, file: File, { shape }: Manifest, verdict: Verdict): Promise<void> {
-  const [member] = verdict.frames.values();
-  const fault = member ? await faultIn(file, member, shape) : null;
-  if (member && fault) showWarning(place, member.name, shape, fault);
 }
 
 function entryOf(form: HTMLFormElement, kind: Entry["kind"]): Entry {

@@ -1,8 +1,7 @@
 // What the first look at a zip found, drawn: a strip of frames for each sequence, and the problems by kind.
 
 import { count, counted } from "../counts.js";
-import { type Fault, plain } from "./archive.js";
-import { shapeHint } from "./first_frame.js";
+import { type ArrayCheck, shapeHint } from "./frame_arrays.js";
 import type { Manifest, Problem, Shape, Verdict } from "./frames.js";
 
 const MOST_STRIPS = 24;
@@ -10,48 +9,66 @@ const MOST_CELLS = 160;
 const SHOWN = 100;
 const SVG = "http://www.w3.org/2000/svg";
 const CUT_SHORT = "The zip was cut short or damaged: its directory, which is written last, is missing or incomplete. Zip it again, or copy it again.";
-/** Names and sizes are what is known before the file is sent. */
-const LATER = "What is in them is checked after sending.";
 const SAID: Record<string, [string, string]> = {
   missing_frame: ["missing frame", "missing frames"],
   unexpected_file: ["file that does not belong", "files that do not belong"],
   other_layout: ["layout that is no submission's", "layouts that are no submission's"],
   duplicate_frame: ["frame twice", "frames twice"],
   too_large: ["file too large", "files too large"],
+  bad_shape: ["frame of another shape", "frames of another shape"],
+  bad_dtype: ["frame of another type", "frames of another type"],
+  label_out_of_range: ["frame with values beyond 3", "frames with values beyond 3"],
+  missing_array: ["frame without its array", "frames without their array"],
+  extra_array: ["frame with further arrays", "frames with further arrays"],
+  not_npz: ["file that is no npz", "files that are no npz"],
 };
 
-/** Show the verdict in `place`, in the place of what it showed. */
-export function showVerdict(place: HTMLElement, file: File, manifest: Manifest, verdict: Verdict): void {
+/** Show the verdict in `place`, in the place of what it showed; `arrays` once they are checked. */
+export function showVerdict(place: HTMLElement, file: File, manifest: Manifest, verdict: Verdict, arrays?: ArrayCheck): void {
   const head = part("div", "verdict-head");
   head.dataset["tone"] = verdict.problems.length ? "bad" : "good";
-  head.append(part("p", "verdict-says", sentence(manifest, verdict)), part("p", "hint wraps", named(file, verdict)));
+  head.append(part("p", "verdict-says", sentence(manifest, verdict, arrays)), part("p", "hint wraps", named(file, verdict)));
   place.replaceChildren(head);
   if (!isUnreadable(verdict)) place.append(strips(manifest, verdict));
-  place.append(...kinds(verdict.problems).map(kindPart));
+  place.append(...kinds(verdict.problems).map((kind) => kindPart(kind, manifest.shape)));
 }
 
-/** Say what is wrong inside of a frame of the shape that was looked into. */
-export function showWarning(place: HTMLElement, file: string, shape: Shape, { code, expected, actual }: Fault): void {
-  const said = part("p", "finding");
-  said.dataset["severity"] = "warning";
-  const words = part("span", "", `The first frame was looked into: ${code.replaceAll("_", " ")} in ${plain(file)}. Expected ${expected}, found ${actual}${code === "bad_shape" ? ` (${shapeHint(shape, actual)})` : ""}. Is it so in all?`);
-  said.append(words);
-  place.append(said);
+/** Show how many of the frames have been checked; the function that is returned takes the number. */
+export function showProgress(place: HTMLElement, total: number): (done: number) => true {
+  const bar = Object.assign(document.createElement("progress"), { max: total, value: 0 });
+  bar.setAttribute("aria-label", "Frames checked");
+  const words = part("p", "hint", "");
+  place.append(bar, words);
+  return (done) => {
+    bar.value = done;
+    words.textContent = `Checking the arrays: ${count(done)} of ${counted(total, "frame")}`;
+    return true;
+  };
 }
 
 export function isUnreadable({ frames, problems }: Verdict): boolean {
   return !frames.size && problems.length === 1 && problems[0]?.frame === null && problems[0].code !== "other_layout";
 }
 
-function sentence(manifest: Manifest, verdict: Verdict): string {
+function sentence(manifest: Manifest, verdict: Verdict, arrays?: ArrayCheck): string {
   const all = manifest.tokens.size;
   if (isUnreadable(verdict)) {
     return verdict.problems[0]?.code === "truncated" ? CUT_SHORT : "This cannot be read as a submission.";
   }
-  if (!verdict.problems.length) return `All ${count(all)} frames are present. ${LATER}`;
+  const codes = new Set(verdict.problems.map(({ code }) => code));
+  if (codes.has("other_layout")) return "The files are in another layout; the command stone validate has the line that makes a submission of them.";
   const absent = verdict.problems.filter(({ code }) => code === "missing_frame").length;
-  if (verdict.problems.some(({ code }) => code === "other_layout")) return "The files are in another layout; the command stone validate has the line that makes a submission of them.";
-  return absent ? `${count(all - absent)} of ${count(all)} frames are present. ${LATER}` : `All ${count(all)} frames are present, but not all files are as agreed. ${LATER}`;
+  if (absent) return `${count(all - absent)} of ${count(all)} frames are present.`;
+  if (verdict.problems.length) return `All ${count(all)} frames are present, but not all files are as required.`;
+  return arrays ? soundness(all, arrays) : `All ${count(all)} frames are present.`;
+}
+
+/** As much as was checked, and no more. */
+function soundness(all: number, { valued, unread }: ArrayCheck): string {
+  const begins = `All ${count(all)} frames are present`;
+  if (unread) return `${begins}. ${counted(unread, "frame")} could not be read here: the platform checks ${unread === 1 ? "it" : "them"} after the upload.`;
+  if (valued < all) return `${begins}, with the right shape and type. The values of ${count(valued)} of them were read; the platform reads all.`;
+  return `${begins}, with the right shape, type and values.`;
 }
 
 function named(file: File, { folder }: Verdict): string {
@@ -106,9 +123,10 @@ function kinds(problems: readonly Problem[]): [string, number, Problem[]][] {
   return [...by_code].map(([code, found]) => [code, found.length, found.slice(0, SHOWN)]);
 }
 
-function kindPart([code, total, problems]: [string, number, Problem[]]): HTMLElement {
+function kindPart([code, total, problems]: [string, number, Problem[]], shape: Shape): HTMLElement {
   const group = part("details", "found-group");
   const list = part("ul", "found-list");
+  if (code === "bad_shape") group.append(part("p", "hint", shapeHint(shape, problems[0]?.actual ?? "")));
   for (const one of problems) {
     const item = part("li", "");
     item.append(part("code", "", one.file));
@@ -116,7 +134,8 @@ function kindPart([code, total, problems]: [string, number, Problem[]]): HTMLEle
     list.append(item);
   }
   if (total > problems.length) list.append(part("li", "hint", `and ${count(total - problems.length)} more`));
-  group.append(part("summary", "", title(code, total)), list);
+  group.prepend(part("summary", "", title(code, total)));
+  group.append(list);
   return group;
 }
 

@@ -1,10 +1,10 @@
-// A look into one frame before all are sent: its array's name, type, shape and order, as its header says.
+// The arrays of all frames before any is sent: name, type, shape and order by their headers, then the values.
 //
-// What most often is wrong is wrong in every frame. The platform looks into all of them; the codes are its own
-// (stone_submissions/npz_frame.py). Nothing but literals is read, and no stream is followed beyond its bound.
+// The platform reads every frame again; the codes are its own (stone_submissions/npz_frame.py). Nothing but literals is
+// read, and no stream is followed beyond its bound.
 
 import { Bytes, Fault, plain } from "./archive.js";
-import type { Shape } from "./frames.js";
+import type { Problem, Shape } from "./frames.js";
 import { type Member, readDirectory } from "./zip.js";
 import { beginsAsZip } from "./zip_end.js";
 
@@ -13,6 +13,9 @@ const LOCAL_BYTES = 30;
 const HEAD_BYTES = 12 + 4096;
 const MOST_ARRAYS = 64;
 const KEYS = ["semantics", "arr_0"];
+const HIGHEST_LABEL = 3;
+/** So many bytes of voxels are read, a few seconds' work; of more, the values of every n-th frame. */
+const MOST_VALUES_BYTES = 2 ** 31;
 const BYTE_TYPES = ["|u1", "u1", "<u1", ">u1"];
 /** How to make a frame of the expected shape of one that was found, by what was found: as stone_submissions/errors.py. */
 function stepsTo([x, y, z]: Shape): Record<string, string> {
@@ -33,17 +36,45 @@ export function shapeHint(expected: Shape, found: string): string {
   return step ? `axes are x, y, z: ${step}` : `axes are x, y, z, with ${expected.join(" × ")} voxels, in C order`;
 }
 
-/** What would be refused of this frame of the shape; null where nothing is seen, or nothing can be said. */
-export async function faultIn(archive: Blob, member: Member, shape: Shape): Promise<Fault | null> {
+/** What would be refused in the arrays; in how many frames the values were read; how many could not be read here. */
+export interface ArrayCheck {
+  problems: Problem[];
+  valued: number;
+  unread: number;
+}
+
+/** Check the arrays of all frames; `heard` is told how far it is, and ends the check by answering false. */
+export async function checkArrays(archive: Blob, frames: ReadonlyMap<string, Member>, shape: Shape, heard: (done: number) => boolean): Promise<ArrayCheck> {
+  const voxels = voxelsOf(shape);
+  const every = Math.max(1, Math.ceil((frames.size * voxels) / MOST_VALUES_BYTES));
+  const check: ArrayCheck = { problems: [], valued: 0, unread: 0 };
+  let done = 0;
+  for (const [token, member] of frames) {
+    const readsValues = done % every === 0;
+    const found = await faultIn(archive, member, shape, readsValues);
+    if (found instanceof Fault) check.problems.push({ code: found.code, file: plain(member.name), frame: token, expected: plain(found.expected), actual: plain(found.actual) });
+    else if (found === "unread") check.unread++;
+    else if (readsValues) check.valued++;
+    if (!heard(++done)) break;
+  }
+  return check;
+}
+
+/** What would be refused of this frame; null if nothing would, "unread" if only the platform can read it. */
+async function faultIn(archive: Blob, member: Member, shape: Shape, readsValues: boolean): Promise<Fault | null | "unread"> {
   try {
-    const npz = await unpacked(archive, member, member.unpacked_bytes);
-    await refuseArray(npz, await arrayOf(npz), shape.join(", "));
+    const npz = new Blob(await unpacked(archive, member, member.unpacked_bytes));
+    await refuseArray(npz, await arrayOf(npz), shape, readsValues);
     return null;
   } catch (error) {
-    if (error instanceof Fault) return error.code === "unsaid" ? null : error;
-    if (error instanceof TypeError) return null; // the browser cannot inflate, or the stream is broken: the platform says
+    if (error instanceof Fault) return error.code === "unsaid" ? "unread" : error;
+    if (error instanceof TypeError) return "unread"; // the browser cannot inflate, or the stream is broken
     throw error;
   }
+}
+
+function voxelsOf(shape: Shape): number {
+  return shape.reduce((product, size) => product * size);
 }
 
 async function arrayOf(npz: Blob): Promise<Member> {
@@ -59,8 +90,10 @@ async function arrayOf(npz: Blob): Promise<Member> {
   return known;
 }
 
-async function refuseArray(npz: Blob, array: Member, expected: string): Promise<void> {
-  const head = new Uint8Array(await (await unpacked(npz, array, HEAD_BYTES)).arrayBuffer());
+async function refuseArray(npz: Blob, array: Member, size: Shape, readsValues: boolean): Promise<void> {
+  const expected = size.join(", ");
+  const pieces = await unpacked(npz, array, HEAD_BYTES + (readsValues ? voxelsOf(size) : 0));
+  const head = new Uint8Array(await new Blob(pieces).slice(0, HEAD_BYTES).arrayBuffer());
   const view = new DataView(head.buffer);
   const isNpy = head.length >= 12 && String.fromCharCode(...head.subarray(0, 6)) === "\x93NUMPY" && [1, 2, 3].includes(head[6] ?? 0);
   if (!isNpy) throw new Fault("not_npz", "a npy array of version 1 to 3", "other bytes");
@@ -74,26 +107,40 @@ async function refuseArray(npz: Blob, array: Member, expected: string): Promise<
   if (!BYTE_TYPES.includes(descr)) throw new Fault("bad_dtype", "uint8 ('|u1')", `'${descr}'`);
   if (shape !== expected) throw new Fault("bad_shape", `(${expected})`, `(${shape})`);
   if (order === "True") throw new Fault("bad_shape", `(${expected}) in C order`, "Fortran order");
+  if (readsValues) refuseValues(pieces, at + length, voxelsOf(size));
 }
 
-/** The first `most` bytes of a member, inflated where it is packed. */
-async function unpacked(archive: Blob, member: Member, most: number): Promise<Blob> {
+/** The voxels begin at byte `start`: there are as many as the grid has, and none is beyond the highest class. */
+function refuseValues(pieces: readonly Uint8Array[], start: number, voxels: number): void {
+  let at = 0;
+  let highest = 0;
+  for (const piece of pieces) {
+    for (let index = Math.max(0, start - at); index < piece.length; index++) if (piece[index]! > highest) highest = piece[index]!;
+    at += piece.length;
+  }
+  if (at < start + voxels) throw new Fault("truncated", `${voxels} bytes of voxels`, `${Math.max(0, at - start)}`);
+  if (at > start + voxels) throw new Fault("unsaid", "", "");
+  if (highest > HIGHEST_LABEL) throw new Fault("label_out_of_range", "labels 0 to 3", `${highest}`);
+}
+
+/** The first `most` bytes of a member, inflated if it is packed. */
+async function unpacked(archive: Blob, member: Member, most: number): Promise<Uint8Array<ArrayBuffer>[]> {
   const head = new DataView(await archive.slice(member.offset, member.offset + LOCAL_BYTES).arrayBuffer());
   if (head.byteLength < LOCAL_BYTES || head.getUint32(0, true) !== LOCAL) throw new Fault("unsaid", "", "");
   const start = member.offset + LOCAL_BYTES + head.getUint16(26, true) + head.getUint16(28, true);
   const packed = archive.slice(start, start + member.packed_bytes);
-  return member.method === 0 ? packed.slice(0, most) : inflated(packed, most);
+  return member.method === 0 ? [new Uint8Array(await packed.slice(0, most).arrayBuffer())] : inflated(packed, most);
 }
 
-async function inflated(packed: Blob, most: number): Promise<Blob> {
+async function inflated(packed: Blob, most: number): Promise<Uint8Array<ArrayBuffer>[]> {
   const reader = packed.stream().pipeThrough(new DecompressionStream("deflate-raw")).getReader();
   const pieces: Uint8Array<ArrayBuffer>[] = [];
   for (let had = 0; had < most; ) {
     const { done, value } = await reader.read();
     if (done) break;
-    pieces.push(value.slice(0, most - had));
+    pieces.push(value.length > most - had ? value.slice(0, most - had) : value);
     had += value.length;
   }
   await reader.cancel();
-  return new Blob(pieces);
+  return pieces;
 }
