@@ -37,6 +37,7 @@ STATE_WORDS: Mapping[str, str] = {
     "waiting": "waiting",
     # sequences and their recordings
     "empty": "no recording",
+    "uploading": "upload unfinished",
     "reading": "reading",
     "recorded": "not labelled",
     "processing": "processing",

@@ -1,5 +1,6 @@
 """An upload that is broken off in the middle goes on: the API killed, the page loaded again, the reader pausing it."""
 
+import re
 import socket
 from collections.abc import Iterator
 from hashlib import sha256
@@ -16,6 +17,7 @@ from testing.api.process import ApiProcess
 from testing.api.serving import Person
 from testing.web.browsing import Site
 from tests.web.bringing import BULKY, bag, choose, recordings, row_of, slow_down, uploads
+from tests.web.looking import look
 from tests.working import working
 
 SLOW = 8e5
@@ -129,7 +131,15 @@ def test_an_upload_is_paused_and_given_up_and_goes_on_where_the_page_is_loaded_a
         (given_up,) = uploads(site.platform)
         assert given_up.state == "terminated"
         _sent_in_part(page, site.platform, path, "meadow")
-        page.reload()
+        page.goto("/sequences")
+        card = page.get_by_role("listitem").filter(has=page.get_by_role("link", name="meadow", exact=True))
+        expect(card).to_contain_text("upload unfinished")
+        expect(card).to_contain_text(re.compile(r"\d+ % of [\d.]+ MB uploaded"))
+        look(page, "sequences-half-uploaded")
+        card.get_by_role("link", name="Resume").click()
+        expect(page.get_by_role("region", name="Unfinished uploads")).to_contain_text("long-run.mcap for meadow")
+        page.go_back()
+        page.go_back()
         expect(unfinished).to_contain_text("long-run.mcap for meadow")
         slow_down(page, -1)
         taken = pieces_taken(page)

@@ -3,6 +3,7 @@
 **Conventions.** An empty field of the filters is none. A visitor and everybody else see what the API's list shows them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -20,7 +21,8 @@ from api.schemas.sequences.calibrations import CalibrationItem
 from api.schemas.sequences.sequences import SequenceItem
 from api.views.sequences import sequence_items
 from api.visible import sequences_shown_to, theirs
-from services.runtime.orm import CalibrationRow, SequenceRow
+from services.runtime.orm import CalibrationRow, SequenceRow, Upload
+from services.runtime.uploads.completion import bytes_here
 from stone.splits.surroundings import ENVIRONMENTS, ILLUMINATIONS
 from web.rendering import page
 from web.sequence.sequence_states import SequenceRuns, is_troubled, runs_of, state_of
@@ -74,6 +76,8 @@ def list_sequences(
         items = sequence_items(session, found.rows, caller)
         own = [item.id for item in items if caller.is_administrator or item.owner_id == caller.user_id]
         runs = runs_of(session, own)
+        begun = uploads_begun(session, [item.id for item in items if item.id in own and not item.recordings])
+    sent = {upload.target_id: (bytes_here(platform, upload), upload.length_bytes) for upload in begun}
     known = [(item, runs.get(item.id, SequenceRuns())) for item in items]
     shown = [(item, state_of(item, of_item), is_rerun_failed(item, of_item)) for item, of_item in known]
     return page(
@@ -81,6 +85,7 @@ def list_sequences(
         caller,
         "sequences/list.html",
         shown=shown,
+        sent=sent,
         cursor=found.next,
         asked=asked,
         environments=ENVIRONMENTS,
@@ -107,6 +112,12 @@ def new_sequences(request: Request, caller: Curator, platform: PlatformDep) -> H
         environments=ENVIRONMENTS,
         illuminations=ILLUMINATIONS,
     )
+
+
+def uploads_begun(session: Session, sequence_ids: Sequence[str]) -> Sequence[Upload]:
+    """The uploads of recordings to these sequences that are not whole, oldest first."""
+    begun = select(Upload).where(Upload.target_id.in_(sequence_ids), Upload.purpose == "recording")
+    return session.scalars(begun.where(Upload.state == "open").order_by(Upload.id)).all()
 
 
 def is_rerun_failed(item: SequenceItem, runs: SequenceRuns) -> bool:

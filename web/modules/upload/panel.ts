@@ -70,6 +70,9 @@ export class Panel {
     addEventListener(ASKING, (event) => {
       for (const { transfer } of this.#lines) transfer.signingIn((event as CustomEvent<boolean>).detail);
     });
+    addEventListener("pageshow", ({ persisted }) => {
+      if (persisted) void this.#lookForUnfinished(); // the page as it was left: uploads went on or stopped since
+    });
     addEventListener("beforeunload", (event) => {
       if (this.#lines.some(({ transfer }) => transfer.isUnderWay)) event.preventDefault();
     });
