@@ -337,7 +337,8 @@ IMPORT, SCENE = "dataset.import", "labeler.import_scene"
 def time_left(session: Session, job_ids: Sequence[str]) -> Mapping[str, int]:
     """Seconds left by id, rounded up, of those of the jobs that are runs, alive, and of which it can be told.
 
-    A job within a run has none: its run's is the estimate. Nor has a run while a queue that it needs is paused.
+    A job within a run has none: its run's is the estimate. Nor has a run while a queue that it needs is paused, or a
+    labelling until its first job is done.
     """
     runs = alive_rows(session, job_ids)
     if not runs:
@@ -355,7 +356,8 @@ def _of_others(session: Session, runs: list[AliveRow]) -> dict[str, int]:
     paces = {kind: pace_of(session, kind) for kind in {one.run.kind for one in alive}}
     left = {one.run.id: None if _is_untold(one) else seconds_left(one.work, paces[one.run.kind]) for one in alive}
     ahead_s = _ahead_s(alive, left)
-    told = {run_id: own_s for run_id, own_s in left.items() if own_s is not None and run_id in asked}
+    based = asked - {one.run.id for one in alive if _is_without_basis(one)}
+    told = {run_id: own_s for run_id, own_s in left.items() if own_s is not None and run_id in based}
     return {run_id: rounded_s(own_s + ahead_s[run_id]) for run_id, own_s in told.items()}
 
 
@@ -373,6 +375,11 @@ def _is_untold(one: AliveRun) -> bool:
     """Whether it cannot be told: a queue is paused, or an import has not read yet which scenes there are."""
     scenes = any(stage.kind == SCENE for stage in one.work.stages)
     return one.is_paused or (one.run.kind == IMPORT and not scenes)
+
+
+def _is_without_basis(one: AliveRun) -> bool:
+    """Whether it is a labelling none of whose jobs is done: what other recordings took may be ten times off for it."""
+    return one.run.kind == LABELLING and not any(stage.done for stage in one.work.stages)
 
 
 def _of_scores(session: Session, runs: list[AliveRow]) -> dict[str, int]:
