@@ -17,7 +17,7 @@ from markupsafe import Markup
 
 from api.deps import VISITOR, Caller, platform_of
 from api.views.people import sign_in_ways
-from services.domain.sequences.label_choices import BOUNDS, DEFAULT_PROFILE
+from services.domain.sequences.label_choices import BOUNDS, DEFAULT_PROFILE, default_of
 from stone_base.codes.catalogue import CATALOGUE, harm_of
 from stone_base.codes.meaning import HARM_WORDS
 from stone_base.label_grid import GRIDS
@@ -70,6 +70,7 @@ class PageTemplates:
             "asset": assets.url,
             "import_map": Markup(assets.import_map),
             "label_bounds": BOUNDS,
+            "label_default": default_of,
             "default_profile": DEFAULT_PROFILE,
             "label_grids": GRIDS,
             "meaning_of": CATALOGUE.get,

@@ -325,12 +325,19 @@ def test_an_owner_processes_again_with_profile_field_and_keeps_what_the_run_was_
         run_id = run.id
     with site.visit(curator) as page:
         to(page, shown)
-        page.get_by_role("link", name="Process again with profile field").click()
+        page.get_by_role("link", name="Change its settings").click()
         form = page.locator("form[data-process]")
         expect(form.get_by_role("radio", name="field")).to_be_checked()
         expect(form.get_by_label("Odometry topic")).to_have_value("kiss-icp")
-        form.get_by_role("button", name="Start processing").click()
-        expect(page).to_have_url(f"{site.url}/sequences/{shown['id']}")
+        cleaning = form.get_by_label("Reference cleaning")
+        expect(cleaning).to_have_attribute("placeholder", "3.5")
+        expect(form).to_contain_text("current labels: 0.1")
+        look(page, "processing-with-values")
+        form.get_by_role("radio", name="paper").check()
+        expect(cleaning).to_have_attribute("placeholder", "0")
+        page.go_back()
+        page.get_by_role("button", name="Process again with profile field").click()
+        expect(page.locator(".run-dashes")).to_be_visible()
     run = newest_run(site.platform, shown["id"])
     assert run.id != run_id
     assert {key: run.arguments[key] for key in ASKED} == {**ASKED, "profile": "field"}

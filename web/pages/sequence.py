@@ -18,9 +18,11 @@ from api.views.ground_offer import ground_offer_of
 from api.views.jobs import job_items
 from api.views.scenes import artefact_file
 from api.visible import exports_shown_to, labels_of, shown_sequence
+from services.domain.sequences.label_choices import DEFAULT_PROFILE
 from services.domain.viewer.playback import Playback, playback_of, shown_by
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Export, Job
+from web.sequence.again import choices_of
 from web.sequence.cameras import has_cameras
 from web.sequence.export_formats import TITLES, offers_beside
 from web.sequence.frame_table import NAME, FrameTable, frame_table
@@ -57,6 +59,7 @@ def overview(at: AtSequence, caller: Looker) -> HTMLResponse:
         is_setting_up = status.may_change and status.sequence.labels is None
         calibrations = choosable(session, caller, status) if is_setting_up else []
         choices = topic_choices_of(session, at.sequence_id) if is_setting_up else None
+        again = choices_of(session, labels, DEFAULT_PROFILE) if status.may_process else None
     ground = ground_offer_of(at.platform, at.sequence_id) if is_setting_up else None
     return shown_section(
         at,
@@ -67,6 +70,7 @@ def overview(at: AtSequence, caller: Looker) -> HTMLResponse:
         report=read_report(at.platform.store, file),
         downloads=[(*DOWNLOADS[one.name], one) for one in status.sequence.artefacts if one.name in DOWNLOADS],
         may_set_up=is_setting_up,
+        again=again,
         choices=choices,
         ground=ground,
         calibrations=calibrations,

@@ -50,10 +50,12 @@ def processing(at: AtSequence, caller: Reader, profile: LabelProfile | None = No
     """How far the platform is, and what it did before; with `profile` to process again as before, but for that."""
     with at.platform.database.reading() as session:
         status = _own(session, caller, at.sequence_id)
-        again = choices_of(session, labels_of(session, at.sequence_id), profile) if profile else None
+        labels = labels_of(session, at.sequence_id)
+        again = choices_of(session, labels, profile) if profile else None
+        before = choices_of(session, labels)
         choices = topic_choices_of(session, at.sequence_id) if status.may_process else None
     ground = ground_offer_of(at.platform, at.sequence_id) if status.may_process else None
-    return shown_section(at, (caller, status), "processing", again=again, choices=choices, ground=ground)
+    return shown_section(at, (caller, status), "processing", again=again, before=before, choices=choices, ground=ground)
 
 
 @router.get("/label-sets")

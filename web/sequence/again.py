@@ -30,19 +30,27 @@ class RunChoices:
     kept_words: tuple[str, ...]
 
     @property
+    def body(self) -> dict[str, Any]:
+        """The request to process with these choices, as the API takes it."""
+        topics = {"odometry_topic": self.odometry_topic, "lidar_topic": self.lidar_topic}
+        grid = {"grid": self.grid} if self.grid in GRIDS else {}
+        chosen = {"profile": self.profile, "parameters": dict(self.parameters), **grid}
+        return {**{key: topic for key, topic in topics.items() if topic}, **chosen, **self.kept}
+
+    @property
     def has_details(self) -> bool:
         """Whether a field is filled in that is one click behind."""
         return bool(self.odometry_topic or self.lidar_topic or self.parameters or self.grid != PAPER.name)
 
 
-def choices_of(session: Session, labels: LabelSet | None, profile: str) -> RunChoices | None:
-    """What the run of these labels was asked for, with this profile; None for labels that no run of ours made."""
+def choices_of(session: Session, labels: LabelSet | None, profile: str = "") -> RunChoices | None:
+    """What the run of these labels was asked for, with this profile or its own; None for labels that no run made."""
     run = None if labels is None or labels.job_id is None else session.get(Job, labels.job_id)
     if run is None or run.kind != PROCESS:
         return None
     asked = request_of(run.arguments)
     return RunChoices(
-        profile=profile,
+        profile=profile or asked.profile,
         odometry_topic=asked.odometry_topic or "",
         lidar_topic=asked.lidar_topic or "",
         parameters=dict(asked.parameters),

@@ -2,7 +2,7 @@
 
 **Conventions.** A name is a path into the labeler's `LabelParameters` (`reference.alpha`). Only what decides quality
 is here; what decides cost without end (a cell of a millimetre) or the lattice that neighbouring tiles share is not.
-A whole number's bounds are integers. The labeler applies the choices; that names and bounds agree with it is a test.
+A whole number's bounds are integers. The labeler applies the choices; tests hold names, bounds and defaults against it.
 Label workers load this module, and so it imports nothing of the database.
 """
 
@@ -31,7 +31,31 @@ BOUNDS: Mapping[str, tuple[float, float]] = {
     "local_ground_radius_m": (0.2, 5.0),
 }
 
+DEFAULTS: Mapping[str, float] = {
+    "selection.min_range_m": 1.0,
+    "surface.min_frames": 1,
+    "surface.normal_neighbours": 20,
+    "surface.trim_m": 0.2,
+    "dynamic.every_frame": 2,
+    "dynamic.margin_m": 0.3,
+    "carve.every_frame": 5,
+    "terrain.neighbours": 20,
+    "terrain.roughness_floor_m2": 1e-6,
+    "reference.alpha": 0.05,
+    "reference.outlier_ratio": 0.0,
+    "reference.clean_mads": 3.5,
+    "footprint_band_m": 0.15,
+    "local_ground_radius_m": 0.5,
+}
+OF_PROFILE: Mapping[str, Mapping[str, float]] = {"paper": {"reference.clean_mads": 0.0}}
+"""The defaults of a profile that differ from `DEFAULTS`."""
+
 LEAVING_OUT = ("reference.outlier_ratio", "reference.clean_mads")
+
+
+def default_of(profile: str, name: str) -> float:
+    """The value that a run of the profile uses unless another is chosen."""
+    return OF_PROFILE.get(profile, {}).get(name, DEFAULTS[name])
 
 
 def check_choices(profile: str, parameters: Mapping[str, object]) -> None:

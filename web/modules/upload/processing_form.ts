@@ -9,21 +9,22 @@ export function asked(form: HTMLFormElement): Record<string, unknown> {
   const topics = ["odometry_topic", "lidar_topic"].map((name) => [name, String(fields.get(name) ?? "").trim()]);
   const profile = fields.get("profile");
   const grid = String(fields.get("grid") ?? "");
+  const kept = keptFrom(form);
   const parameters = [...form.querySelectorAll<HTMLInputElement>("[data-parameter]")]
     .filter((field) => field.value !== "")
     .map((field) => [field.dataset["parameter"], field.valueAsNumber]);
   return {
-    ...keptFrom(form),
+    ...kept,
     ...(profile ? { profile: String(profile) } : {}),
     ...(grid && grid !== "paper" ? { grid } : {}),
     ...(fields.get("ground") ? { ground: "auto" } : {}),
-    parameters: Object.fromEntries(parameters),
+    parameters: { ...(kept["parameters"] as object | undefined), ...Object.fromEntries(parameters) },
     stages: String(fields.get("stages") ?? "synchronise,label").split(","),
     ...Object.fromEntries(topics.filter(([, topic]) => topic)),
   };
 }
 
-/** What the run before was asked for and the form has no fields for: only where it was filled in from a run. */
+/** What the run before was asked for and the form has no fields for; all of it if the form is a button alone. */
 function keptFrom(form: HTMLFormElement): Record<string, unknown> {
   return JSON.parse(form.dataset["kept"] ?? "{}") as Record<string, unknown>;
 }
@@ -33,6 +34,14 @@ export function mountProcessing(form: HTMLFormElement): void {
     event.preventDefault();
     void start(form);
   });
+  form.addEventListener("change", () => showDefaults(form));
+  showDefaults(form); // a browser that came back to this page kept the profile
+}
+
+/** An empty field shows what the chosen profile uses. */
+function showDefaults(form: HTMLFormElement): void {
+  const profile = String(new FormData(form).get("profile") ?? "");
+  for (const field of form.querySelectorAll<HTMLInputElement>("[data-parameter]")) field.placeholder = field.dataset[profile] ?? field.placeholder;
 }
 
 async function start(form: HTMLFormElement): Promise<void> {
