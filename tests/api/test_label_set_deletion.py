@@ -166,3 +166,22 @@ def test_the_sweeper_keeps_the_newest_sets_and_those_on_which_something_relies(
         [line] = session.scalars(select(AuditEntry).where(AuditEntry.act == "label_set.delete"))
         assert (line.subject_id, line.actor, line.facts["kept"]) == (made[1], "platform", 2)
         assert verify(session) is None
+
+
+def test_an_older_label_set_counts_once_it_is_activated_and_twice_is_once(
+    api: httpx.Client, platform: Platform, curator: Person, run: Mapping[str, Any]
+) -> None:
+    older, newer = two_sets(platform, run)
+
+    def counting() -> list[str]:
+        listed = api.get(f"{URL}/{run['id']}/label-sets", headers=curator.headers).json()["items"]
+        return [one["id"] for one in listed if one["is_counting"]]
+
+    assert counting() == [newer]
+    for chosen in (older, older, newer):
+        reply = api.post(f"{URL}/{run['id']}/label-sets/{chosen}/activate", headers=curator.headers)
+        assert (reply.status_code, reply.json()["is_counting"]) == (200, True)
+        assert counting() == [chosen]
+    with platform.database.reading() as session:
+        lines = session.scalars(select(AuditEntry.subject_id).where(AuditEntry.act == "label_set.activate")).all()
+    assert list(lines) == [older, older, newer]

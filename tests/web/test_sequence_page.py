@@ -354,6 +354,14 @@ def test_the_owner_compares_two_label_sets(
         newest = page.get_by_role("region", name="Label sets").get_by_role("row").nth(1)
         expect(newest).to_contain_text("97.3 % of 75 m")
         expect(newest.get_by_role("link", name="LAB-605")).to_have_attribute("href", "/codes/LAB-605")
+        oldest = page.get_by_role("region", name="Label sets").get_by_role("row").last
+        expect(newest).to_contain_text("active")
+        expect(oldest).not_to_contain_text("open in 3D")
+        look(page, "sequence-label-sets")
+        with page.expect_navigation():
+            oldest.get_by_role("button", name="Make active").click()
+        expect(oldest.get_by_role("link", name="open in 3D")).to_be_visible()
+        expect(newest).not_to_contain_text("open in 3D")
         page.get_by_role("button", name="Compare").click()
         expect(page.get_by_role("region", name="A and B compared")).to_contain_text("queued")
     run_eval(platform)

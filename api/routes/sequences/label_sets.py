@@ -1,4 +1,4 @@
-"""Routes of a sequence's label sets: all of them, deletion of one, and comparisons of two.
+"""Routes of a sequence's label sets: all of them, activation and deletion of one, and comparisons of two.
 
 **Conventions.** Label sets that do not count any more are their owner's alone, and so are comparisons. Equal requests
 are one comparison.
@@ -29,6 +29,7 @@ from api.views.jobs import job_items
 from api.views.label_sets import comparison_items, label_set_items, pair_differences, pair_picture
 from api.views.scenes import ColoursQuery
 from api.visible import label_comparison_of, label_set_of, sequence_of
+from services.domain.sequences import label_set_activation
 from services.domain.sequences.label_comparisons import StoredPair, start_comparison, stored_pair
 from services.domain.sequences.label_set_deletion import delete_label_set
 from services.domain.viewer.formats import MEDIA_TYPES
@@ -58,6 +59,20 @@ def list_label_sets(sequence_id: IdPath, caller: Reader, platform: PlatformDep, 
         of_sequence = select(LabelSet).where(LabelSet.sequence_id == sequence.id)
         found = page(session, of_sequence, LabelSet.id.desc(), query)
         return Page[LabelSetItem](items=label_set_items(session, sequence.id, found.rows), next=found.next)
+
+
+@router.post("/label-sets/{label_set_id}/activate", responses=refusals(403, 404))
+def activate_label_set(
+    sequence_id: IdPath, label_set_id: IdPath, caller: Curator, platform: PlatformDep
+) -> LabelSetItem:
+    """Make a label set the active one of its sequence: pages, exports and new dataset versions use it from then on."""
+    with platform.database.transaction() as session:
+        labels = label_set_of(session, caller, sequence_id, label_set_id)
+        facts = {"sequence_id": labels.sequence_id, "recipe": labels.recipe}
+        audit.record(session, caller, "label_set.activate", labels.id, facts=facts)
+        label_set_activation.activate_label_set(session, labels)
+        session.flush()
+        return label_set_items(session, labels.sequence_id, [labels])[0]
 
 
 @router.delete(
