@@ -14,9 +14,10 @@ from stone.sensors.projection import project, rays_through
 from stone_base.label_grid import RELEASE
 from testing.api.serving import Person
 from testing.stone_serve import until
-from testing.web.browsing import Site
+from testing.web.browsing import DESKTOP, PHONE, Site
 from testing.worlds.viewer_cameras import CHANNELS, camera_files, lens_of, played, shutter_pose
 from testing.worlds.viewer_world import BLOCK_M, Run, viewed
+from tests.web.looking import keep
 from tests.web.test_viewer import VIEWER, canvas, host, readout
 from tests.web.test_viewer_data import IMPORTS
 
@@ -206,9 +207,29 @@ def enlarge_by_keys(page: Page) -> None:
     large = page.get_by_role("region", name="Camera picture, large")
     expect(large.locator("canvas")).to_have_attribute("width", "640")
     expect(large.get_by_role("button", name="Close")).to_be_focused()
+    both_are_seen(page, large)
     page.keyboard.press("Escape")
     expect(large).to_be_hidden()
     expect(picture(page, "Front left")).to_be_focused()
+
+
+def both_are_seen(page: Page, large: Locator) -> None:
+    """The picture covers nothing of the 3D view: it stands to the right of it, on a phone below."""
+    until(lambda: page.evaluate("[...document.images].every(one => one.complete)"))
+    scene, beside = canvas(page).bounding_box(), large.bounding_box()
+    assert scene is not None
+    assert beside is not None
+    assert scene["x"] + scene["width"] <= beside["x"] + 1
+    assert min(scene["width"], beside["width"]) > 350
+    assert beside["y"] == pytest.approx(scene["y"], abs=1)
+    keep(page, "viewer-enlarged")
+    page.set_viewport_size(PHONE)  # type: ignore[arg-type]
+    scene, beside = canvas(page).bounding_box(), large.bounding_box()
+    assert scene is not None
+    assert beside is not None
+    assert scene["y"] + scene["height"] <= beside["y"] + 1
+    assert scene["width"] == pytest.approx(beside["width"], abs=2)
+    page.set_viewport_size(DESKTOP)  # type: ignore[arg-type]
 
 
 def leave_plain(page: Page) -> None:

@@ -274,10 +274,7 @@ export class Viewer {
       ...(document.fullscreenEnabled ? [button("Full screen", "Full screen", FULL, () => void toggleFull(this.host))] : []),
     );
     stage.append(this.legend, tools, this.aiming.crosshair, this.readout.element, this.said);
-    if (this.cameras) {
-      stage.append(this.cameras.strip.large);
-      this.host.append(this.cameras.strip.element);
-    }
+    if (this.cameras) this.host.append(this.cameras.strip.large, this.cameras.strip.element);
     this.host.append(this.timeline.element);
     if (this.options.isCompact) return;
     const panel = make("aside", { class: "viewer-panel", "aria-label": "What is shown" });

@@ -1,4 +1,4 @@
-// The cameras of a frame in a row, each with the labels that it sees; one of them large over the 3D view.
+// The cameras of a frame in a row, each with the labels that it sees; one of them large beside the 3D view.
 //
 // A click in a picture tells the voxel that is seen there. A picked voxel is marked in every picture that sees it.
 
