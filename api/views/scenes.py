@@ -71,7 +71,7 @@ def scene_bytes(store: Store, scene: SceneLocation) -> bytes:
     """The body of a `SceneDetail`; reads the store, so not within a transaction."""
     shown = shown_by(store, scene.playback)
     playback: dict[str, Any] = {"export_id": scene.playback.export_id, "state": scene.playback.state}
-    playback |= {"cameras": list(shown.cameras), "has_clouds": shown.has_clouds, "has_rays": shown.has_rays}
+    playback |= shown.as_record()
     known: dict[str, Any] = {"sequence_id": scene.sequence_id, "label_set_id": scene.label_set_id}
     known |= {"has_confidence": False, "map_voxel_m": MAP_VOXEL_M}  # scenes of earlier releases lack them
     kept = _record(store, scene.file)

@@ -24,6 +24,7 @@ from services.domain.viewer.playback import (
     CAMERAS,
     INDEX,
     PLAYBACK,
+    PlacedSensor,
     PlaybackChannels,
     camera_file,
     cloud_file,
@@ -158,7 +159,8 @@ def playback(platform: Platform, sequence_id: str, tokens: Listing[str], content
             session.add(Recording(**facts, size_bytes=1, sha256="0" * 64))
     files = {camera_file("CAM_FRONT", token): b"\xff\xd8" + token.encode() + content for token in tokens}
     files |= {cloud_file(token): b"STC1" + token.encode() + content for token in tokens}
-    files |= {CAMERAS: b"STR1" + content, INDEX: index_record(PlaybackChannels(("CAM_FRONT",), True, True))}
+    sensors = (PlacedSensor("LIDAR_TOP", "lidar", (0.0, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0)),)
+    files |= {CAMERAS: b"STR1" + content, INDEX: index_record(PlaybackChannels(("CAM_FRONT",), True, True, sensors))}
     return export(platform, sequence_id, files, PLAYBACK)
 
 

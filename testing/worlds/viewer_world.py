@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sqlalchemy import select
 
 from services.domain.viewer.formats import TileMesh, TileVoxels, cloud_bytes, mesh_bytes, tile_bytes
-from services.domain.viewer.playback import INDEX, PlaybackChannels, cloud_file, index_record
+from services.domain.viewer.playback import INDEX, PlacedSensor, PlaybackChannels, cloud_file, index_record
 from services.runtime.orm import Artefact, LabelSet, SequenceRow
 from services.runtime.platform import Platform
 from stone.labels.traversability import Reference, distance_squared, threshold
@@ -32,6 +32,11 @@ REFERENCE = Reference(np.array([0.1, 0.09, -9.6]), np.diag([0.16, 0.003, 0.4]), 
 LIMIT = threshold(0.05)
 BLOCK_M = (6.0, -3.4, 7.0, -2.2, 1.4)
 """A box upon the ground, N all over: x and y from and to, and how high."""
+
+SENSORS = (
+    PlacedSensor("LIDAR_TOP", "lidar", (0.1, 0.0, 1.1, 1.0, 0.0, 0.0, 0.0)),
+    PlacedSensor("RADAR_LEFT", "radar", (0.2, 0.4, 0.5, 0.5**0.5, 0.0, 0.0, 0.5**0.5)),
+)
 
 
 @dataclass(frozen=True)
@@ -178,7 +183,7 @@ def viewed(
     if has_clouds or has_cameras:
         files = {cloud_file(token): _cloud(run, number) for number, token in enumerate(tokens) if has_clouds}
         files |= camera_files(tokens) if has_cameras else {}
-        shown = PlaybackChannels(tuple(CHANNELS) if has_cameras else (), has_clouds, has_cameras)
+        shown = PlaybackChannels(tuple(CHANNELS) if has_cameras else (), has_clouds, has_cameras, SENSORS)
         played(platform, owner, facts["id"], {**files, INDEX: index_record(shown)})
     return {**facts, "tokens": tokens, "label_set_id": labels.id}
 

@@ -109,7 +109,11 @@ def test_the_scene_is_what_the_labeler_wrote_with_what_is_known_of_it_now(
     assert {key: shown[key] for key in kept} == {**kept, "grid": {"name": "paper", **kept["grid"]}}
     assert (shown["sequence_id"], shown["label_set_id"]) == (forest["id"], played.id)
     assert shown["playback"].pop("export_id")
+    sensors = shown["playback"].pop("sensors")
     assert shown["playback"] == {"state": "ready", "cameras": ["CAM_FRONT"], "has_clouds": True, "has_rays": True}
+    assert sensors == [
+        {"channel": "LIDAR_TOP", "kind": "lidar", "ego_from_sensor": [0.0, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0]}
+    ]
 
 
 def test_tiles_surfaces_pictures_and_sweeps_are_the_files_that_were_made(
@@ -186,7 +190,8 @@ def test_a_playback_of_an_earlier_release_has_pictures_and_no_cameras_to_look_th
     index = json.dumps({"cameras": ["CAM_FRONT"], "has_clouds": False}).encode()
     token = next(iter(made.frames))
     with_playback(platform, curator, forest["id"], {INDEX: index, camera_file("CAM_FRONT", token): b"\xff\xd8"})
-    assert scene(api, curator, forest)["playback"]["has_rays"] is False
+    shown = scene(api, curator, forest)["playback"]
+    assert (shown["has_rays"], shown["sensors"]) == (False, [])
     answer = api.get(f"{URL}/sequences/{forest['id']}/scene/cameras", headers=curator.headers)
     assert (answer.status_code, answer.json()["code"]) == (404, "not_found")
 

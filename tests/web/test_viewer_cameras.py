@@ -16,7 +16,7 @@ from testing.api.serving import Person
 from testing.stone_serve import until
 from testing.web.browsing import DESKTOP, PHONE, Site
 from testing.worlds.viewer_cameras import CHANNELS, camera_files, lens_of, played, shutter_pose
-from testing.worlds.viewer_world import BLOCK_M, Run, viewed
+from testing.worlds.viewer_world import BLOCK_M, SENSORS, Run, viewed
 from tests.web.looking import keep
 from tests.web.test_viewer import VIEWER, canvas, host, readout
 from tests.web.test_viewer_data import IMPORTS
@@ -72,6 +72,46 @@ def views(page: Page, token: str, size: tuple[int, int]) -> list[Any]:
       return views.map(view => Array.from(view.ids)); }}"""
     given = {"cameras": list(range(len(CHANNELS))), "width": size[0], "height": size[1], "token": token}
     return [np.array(ids).reshape(size[1], size[0]) for ids in page.evaluate(script, given)]
+
+
+SENSED = f"""async () => {{ {IMPORTS} {VIEWER}
+  const {{ sensors }} = viewer.world, listed = lines => [...lines.geometry.getAttribute("position").array];
+  return {{ axes: listed(sensors.axes), edges: listed(sensors.edges), matrix: sensors.group.matrix.elements,
+    names: [...sensors.names.children].filter(one => !one.hidden).map(one => one.textContent),
+    origin: viewer.world.origin }}; }}"""
+
+
+def test_sensors_stand_where_they_are_mounted_and_cameras_where_they_were_at_the_shutter(
+    at_viewer: Page, seen: dict[str, Any]
+) -> None:
+    """Axes of 0.35 m from each sensor's place; of each camera lines to the corners of its picture, by numpy."""
+    page = at_viewer
+    page.get_by_label("Sensors and camera views").check()
+    until(lambda: page.evaluate("document.querySelectorAll('.viewer-names > span').length") == 8)
+    told = page.evaluate(SENSED)
+    placed = [SE3(np.array([*one.ego_from_sensor[3:], *one.ego_from_sensor[:3]])) for one in SENSORS]
+    placed += [shutter_pose(channel) for channel in CHANNELS]
+    axes = np.array(told["axes"]).reshape(-1, 3, 2, 3)
+    for pose, drawn in zip(placed, axes, strict=True):
+        np.testing.assert_allclose(drawn[:, 0], np.tile(pose.translation_m, (3, 1)), atol=1e-6)
+        np.testing.assert_allclose(drawn[:, 1], pose @ (0.35 * np.eye(3)), atol=1e-6)
+    edges = np.array(told["edges"]).reshape(len(CHANNELS), -1, 2, 3)
+    for channel, drawn in zip(CHANNELS, edges, strict=True):
+        lens, pose = lens_of(channel), shutter_pose(channel)
+        right, low = lens.width_px - 0.5, lens.height_px - 0.5
+        corners = np.array([(-0.5, -0.5), (right, -0.5), (right, low), (-0.5, low)])
+        np.testing.assert_allclose(drawn[-4:, 0], np.tile(pose.translation_m, (4, 1)), atol=1e-5)
+        np.testing.assert_allclose(drawn[-4:, 1], pose @ (1.2 * rays_through(corners, lens)), atol=1e-5)
+        np.testing.assert_array_equal(drawn[:-4, 1], np.roll(drawn[:-4, 0], -1, axis=0))  # a closed line
+    wanted = SE3(RUN.poses[1][[3, 4, 5, 6, 0, 1, 2]]).as_matrix()
+    wanted[:3, 3] -= told["origin"]
+    np.testing.assert_allclose(np.array(told["matrix"]).reshape(4, 4).T, wanted, atol=1e-9)
+    assert set(told["names"]) == {*CHANNELS, "LIDAR_TOP", "RADAR_LEFT"}
+    keep(page, "viewer-sensors")
+    page.get_by_label("Sensors and camera views").uncheck()
+    expect(page.locator(".viewer-names")).to_be_hidden()
+    page.goto(f"{page.url.partition('?')[0]}?layers=labels,sensors")  # frusta come once cameras are known
+    until(lambda: page.evaluate("document.querySelectorAll('.viewer-names > span').length") == 8)
 
 
 def voxels_of(run: Run, ids: Any) -> Any:

@@ -26,6 +26,8 @@ from web.sequence.status import may_change_own
 
 router = APIRouter()
 PRELOADED = ("modules/viewer/", "modules/libraries/three")
+LATER = ("modules/viewer/controls/pictures.js", "modules/viewer/drawing/sensors.js")
+"""Modules that the viewer imports only if they are wanted."""
 
 
 @router.get("/sequences/{sequence_id}/view")
@@ -70,6 +72,6 @@ def _newest_comparison(session: Session, sequence_id: str) -> str | None:
 
 
 def _modules(request: Request) -> list[str]:
-    """URLs of the viewer's modules, so that a browser need not find them one file after the other."""
+    """URLs of the viewer's first modules, so that a browser need not find them one file after the other."""
     assets: Assets = request.app.state.pages.assets
-    return [assets.url(path) for path in assets.files if path.startswith(PRELOADED)]
+    return [assets.url(path) for path in assets.files if path.startswith(PRELOADED) and path not in LATER]

@@ -59,10 +59,21 @@ class MeshItem(Answer):
     bytes: int
 
 
+class SensorItem(Answer):
+    """A sensor of the rig by its channel; its pose in the ego frame is (tx, ty, tz, qw, qx, qy, qz)."""
+
+    model_config = example(channel="RADAR_LEFT", kind="radar", ego_from_sensor=[0.1, 0.4, 0.6, 0.71, 0.0, 0.0, 0.71])
+
+    channel: str
+    kind: str
+    ego_from_sensor: list[float]
+
+
 class PlaybackItem(Answer):
     """Whether there are pictures and sweeps beside the voxels, and of which cameras.
 
     `has_rays`: `scene/cameras` says how the pictures look at the labels; playbacks of earlier releases have none.
+    `sensors` are those of the calibration, empty in playbacks of earlier releases.
     """
 
     model_config = example(state="ready", cameras=["CAM_FRONT", "CAM_BACK"], has_clouds=True, has_rays=True)
@@ -72,6 +83,7 @@ class PlaybackItem(Answer):
     cameras: list[str]
     has_clouds: bool
     has_rays: bool
+    sensors: list[SensorItem]
 
 
 class SceneDetail(Answer):

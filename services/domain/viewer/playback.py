@@ -3,14 +3,15 @@
     playback.json   cameras.bin   cameras/<CHANNEL>/<frame_token>.jpg   clouds/<frame_token>.bin
 
 **Conventions.** An export of its own format, made after labels are published; its files are shown one by one to whoever
-may look at the sequence. `playback.json` is {"cameras": [channel, ...], "has_clouds": bool, "has_rays": bool};
-`cameras.bin` (`STR1`) is there where `has_rays` is true, and what was made by earlier releases does not say `has_rays`.
+may look at the sequence. `playback.json` is {"cameras": [channel, ...], "has_clouds": bool, "has_rays": bool,
+"sensors": [{"channel", "kind", "ego_from_sensor"}, ...]}; `cameras.bin` (`STR1`) is there where `has_rays` is true.
+What was made by earlier releases has neither `has_rays` nor `sensors`.
 """
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import lru_cache
-from typing import Literal
+from typing import Any, Literal
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
@@ -35,12 +36,26 @@ class Playback:
 
 
 @dataclass(frozen=True)
+class PlacedSensor:
+    """A sensor of the rig and its pose `ego_from_sensor`, tx ty tz qw qx qy qz."""
+
+    channel: str
+    kind: str
+    ego_from_sensor: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class PlaybackChannels:
-    """The channels of a playback in the order of the rig, whether there are sweeps, and `cameras.bin`."""
+    """The channels of a playback in the order of the rig, whether there are sweeps, `cameras.bin`, and all sensors."""
 
     cameras: tuple[str, ...] = ()
     has_clouds: bool = False
     has_rays: bool = False
+    sensors: tuple[PlacedSensor, ...] = ()
+
+    def as_record(self) -> dict[str, Any]:
+        """The content of `playback.json`, and of a scene's `playback`."""
+        return asdict(self)
 
 
 def camera_file(channel: str, token: str) -> str:
@@ -77,10 +92,13 @@ def _shown(store: Store, located: ExportLocation) -> PlaybackChannels:
     ordinal = stored.files.ordinals[INDEX]
     span = (0, int(stored.files.sizes_bytes[ordinal]))
     record = json.loads(b"".join(file_pieces(stored.files, ordinal, span, stored.reader(store))))
-    return PlaybackChannels(tuple(record["cameras"]), bool(record["has_clouds"]), bool(record.get("has_rays", False)))
+    sensors = tuple(
+        PlacedSensor(one["channel"], one["kind"], tuple(one["ego_from_sensor"])) for one in record.get("sensors", [])
+    )
+    has_rays = bool(record.get("has_rays", False))
+    return PlaybackChannels(tuple(record["cameras"]), bool(record["has_clouds"]), has_rays, sensors)
 
 
 def index_record(shown: PlaybackChannels) -> bytes:
     """The content of `playback.json`."""
-    record = {"cameras": list(shown.cameras), "has_clouds": shown.has_clouds, "has_rays": shown.has_rays}
-    return json.dumps(record).encode()
+    return json.dumps(shown.as_record()).encode()

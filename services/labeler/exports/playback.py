@@ -18,12 +18,21 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from services.domain.viewer.formats import PlaybackCameras, cameras_bytes, cloud_bytes
-from services.domain.viewer.playback import CAMERAS, INDEX, PlaybackChannels, camera_file, cloud_file, index_record
+from services.domain.viewer.playback import (
+    CAMERAS,
+    INDEX,
+    PlacedSensor,
+    PlaybackChannels,
+    camera_file,
+    cloud_file,
+    index_record,
+)
+from services.labeler.exports.nuscenes.plan import LIDAR
 from services.labeler.exports.source import LabelledSequence
 from services.labeler.previews.picture_opening import opened
 from services.labeler.run import Step
 from stone.geometry.se3 import SE3
-from stone.sensors.calibration import CameraIntrinsics
+from stone.sensors.calibration import Calibration, CameraIntrinsics
 from stone.sensors.projection import rays_through
 from stone.sensors.samples import CameraSample, LidarSample, egos_at
 from stone.sensors.sequence import Sequence
@@ -58,7 +67,20 @@ def write_playback(source: LabelledSequence, out: Path, step: Step) -> None:
     cameras = tuple(taken[place] for place in np.flatnonzero(is_shown))
     if cameras:
         (out / CAMERAS).write_bytes(cameras_bytes(playback_cameras(sequence, cameras, has_picture[is_shown])))
-    (out / INDEX).write_bytes(index_record(PlaybackChannels(cameras, has_clouds, bool(cameras))))
+    shown = PlaybackChannels(cameras, has_clouds, bool(cameras), placed_sensors(sequence.calibration))
+    (out / INDEX).write_bytes(index_record(shown))
+
+
+def placed_sensors(calibration: Calibration) -> tuple[PlacedSensor, ...]:
+    """The LiDAR and every mount of the rig, in its order."""
+    lidar = PlacedSensor(LIDAR, "lidar", pose_of(calibration.ego_from_lidar))
+    placed = ((one.name, one.kind, calibration.ego_from_lidar @ one.lidar_from_sensor) for one in calibration.mounts)
+    return (lidar, *(PlacedSensor(name, kind, pose_of(pose)) for name, kind, pose in placed))
+
+
+def pose_of(transform: SE3) -> tuple[float, ...]:
+    """tx ty tz qw qx qy qz."""
+    return (*transform.translation_m.tolist(), *transform.wxyz.tolist())
 
 
 def small_picture(sample: CameraSample | None) -> bytes | None:

@@ -14,6 +14,22 @@ export interface Piece {
   bytes: number;
 }
 
+/** A sensor of the rig; the pose is `ego_from_sensor`. */
+export interface SensorFacts {
+  channel: string;
+  kind: string;
+  ego_from_sensor: Pose;
+}
+
+export interface PlaybackFacts {
+  export_id: string | null;
+  state: "none" | "making" | "ready";
+  cameras: string[];
+  has_clouds: boolean;
+  has_rays: boolean;
+  sensors: SensorFacts[];
+}
+
 export interface SceneFacts {
   sequence_id: string;
   name: string;
@@ -33,7 +49,7 @@ export interface SceneFacts {
   frames: { tokens: string[]; stamps_ns: string[]; map_from_ego: Pose[] };
   tiles: Piece[];
   meshes: { name: string; min_m?: Vector; triangles: number; bytes: number }[];
-  playback: { export_id: string | null; state: "none" | "making" | "ready"; cameras: string[]; has_clouds: boolean; has_rays: boolean };
+  playback: PlaybackFacts;
 }
 
 /** The point of the ego frame in the map. */

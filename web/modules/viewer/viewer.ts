@@ -86,7 +86,8 @@ export class Viewer {
     await this.show(this.options.start);
     this.stage.draw();
     performance.mark("first-voxel");
-    void this.cameras?.open(this.options.start, this.begins.enlarged);
+    await this.cameras?.open(this.options.start, this.begins.enlarged);
+    if (this.choices.layers.sensors) await this.world.choose(); // now it is known where cameras stood
   }
 
   /** Shows the frame and says so; a refusal is said in the picture. */

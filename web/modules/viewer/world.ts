@@ -12,6 +12,7 @@ import { MapLayer } from "./drawing/map_layer.js";
 import type { Picked, Ray } from "./data/model.js";
 import { type Pose, type SceneFacts, type Vector, headingOf, toEgo, toMap } from "./scene.js";
 import { SurfacePaint } from "./drawing/sensed_layers.js";
+import type { SensorLayer } from "./drawing/sensors.js";
 import type { Stage } from "./drawing/stage.js";
 import { SweepLayer } from "./drawing/sweeps.js";
 import { Ground, Marker, Robot, Track } from "./drawing/surroundings.js";
@@ -42,6 +43,7 @@ export class World {
   private readonly known_m: number;
   private readonly cloud: SweepLayer;
   private readonly store: FrameStore;
+  private sensors: SensorLayer | null = null;
   private round = 0;
 
   constructor(readonly scene: SceneFacts, readonly asking: Asking, private readonly stage: Stage, private readonly choices: Choices) {
@@ -110,6 +112,7 @@ export class World {
       scope === "map" && layers.labels ? this.map.show(here, { ...this.choices.look }, redraw) : null,
       layers.mesh ? this.map.showSurfaces(here, SURFACE_REACH_M, redraw) : null,
       layers.points ? this.showCloud(this.index) : null,
+      layers.sensors || this.sensors ? this.showSensors(this.index) : null,
     ]);
   }
 
@@ -215,6 +218,22 @@ export class World {
     const aside = orbit.target.clone().sub(new Vector3(...from)).applyAxisAngle(new Vector3(0, 0, 1), turned);
     orbit.target.copy(aside.add(new Vector3(...to)));
     orbit.yaw_rad += turned;
+  }
+
+  private async showSensors(index: number): Promise<void> {
+    if (!this.sensors) {
+      const { SensorLayer } = await import("./drawing/sensors.js");
+      if (!this.sensors) {
+        this.sensors = new SensorLayer(this.scene.playback.sensors, this.stage.canvas);
+        this.stage.add(this.sensors);
+        this.stage.scene.add(this.sensors.group);
+        this.stage.canvas.after(this.sensors.names);
+      }
+    }
+    this.sensors.isShown = this.choices.layers.sensors;
+    const frusta = await this.asking.ask({ kind: "frusta", token: this.scene.frames.tokens[index]! });
+    if (index === this.index) this.sensors.show(frusta, this.matrixOf(this.pose(index)));
+    this.stage.ask();
   }
 
   private async showCloud(index: number): Promise<void> {

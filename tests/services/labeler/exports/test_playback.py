@@ -69,6 +69,21 @@ def test_points_stand_where_the_sweep_saw_them(drive: Labelled, files: Mapping[s
     np.testing.assert_allclose(found, calibration.ego_from_lidar @ sweep.points_lidar.astype(np.float64), atol=0.00501)
 
 
+def test_every_sensor_stands_where_the_calibration_says(drive: Labelled, files: Mapping[str, bytes]) -> None:
+    """By homogeneous matrices, of the channels of the nuScenes export and whatever else is mounted."""
+    calibration = drive.source().sequence.calibration
+    told = {one["channel"]: one for one in json.loads(files["playback.json"])["sensors"]}
+    assert set(told) == {"LIDAR_TOP", *(mount.name for mount in calibration.mounts)}
+    assert {one["kind"] for one in told.values()} >= {"lidar", "camera", "radar"}
+    ego_from_lidar = calibration.ego_from_lidar.as_matrix()
+    wanted = {mount.name: ego_from_lidar @ mount.lidar_from_sensor.as_matrix() for mount in calibration.mounts}
+    wanted["LIDAR_TOP"] = ego_from_lidar
+    for channel, matrix in wanted.items():
+        pose = np.array(told[channel]["ego_from_sensor"])
+        found = SE3(np.concatenate([pose[3:], pose[:3]]))
+        np.testing.assert_allclose(found.as_matrix(), matrix, atol=1e-9)
+
+
 def test_a_playback_is_made_without_a_look_at_the_labels(
     drive: Labelled, files: Mapping[str, bytes], tmp_path: Path
 ) -> None:

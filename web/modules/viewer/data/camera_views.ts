@@ -7,6 +7,7 @@
 import { type Columns, castRays } from "./columns.js";
 import type { CameraFacts } from "./formats.js";
 import { inVoxels } from "./grid.js";
+import type { Pose, Vector } from "../scene.js";
 
 /** A picture of labels, row by row: 1 + index of the voxel seen and its palette index, both 0 where there is none. */
 export interface CameraView {
@@ -23,6 +24,17 @@ export interface ViewSize {
   width: number;
   height: number;
 }
+
+/** Where a camera of a frame was when it took its picture (`ego_from_camera`), and what it looks at. */
+export interface Frustum {
+  channel: string;
+  pose: Pose;
+  /** Unit vectors of its optical frame through the edge of the picture, each side with as many, clockwise from the first corner. */
+  edge: Vector[];
+}
+
+/** Parts of a side of the picture's edge: enough to see a lens that bends. */
+const EDGE_PARTS = 6;
 
 export class CameraRays {
   private readonly grids = new Map<string, Float32Array>();
@@ -41,6 +53,23 @@ export class CameraRays {
     turn(pose, optical, this.turned);
     castRays(columns, inVoxels(columns.grid, [pose[0]!, pose[1]!, pose[2]!]), this.turned, ids);
     return ids;
+  }
+
+  /** Those of a frame whose place and lens are known, `channels` as the playback names its cameras. */
+  frusta(channels: readonly string[], frame: number): Frustum[] {
+    const { cameras, frames, columns, rows, rays, egoFromCamera, hasPicture } = this.facts;
+    return channels.slice(0, cameras).flatMap((channel, camera) => {
+      const number = camera * frames + frame;
+      const pose = [...egoFromCamera.subarray(number * 7, number * 7 + 7)] as Pose;
+      const ray = ([u, v]: readonly [number, number]): Vector => {
+        const node = Math.round(v * (rows - 1)) * columns + Math.round(u * (columns - 1));
+        const at = (camera * rows * columns + node) * 3;
+        return [rays[at]!, rays[at + 1]!, rays[at + 2]!];
+      };
+      const edge = [0, 1, 2, 3].flatMap((side) => Array.from({ length: EDGE_PARTS }, (_, part) => ray(along(side, part / EDGE_PARTS))));
+      const isKnown = hasPicture[number] === 1 && ![...pose, ...edge.flat()].some(Number.isNaN);
+      return isKnown ? [{ channel, pose, edge }] : [];
+    });
   }
 
   /** Through the middle of each pixel, in the optical frame; made once for each size. */
@@ -68,6 +97,11 @@ export class CameraRays {
     this.grids.set(key, made);
     return made;
   }
+}
+
+/** A place on a side of the picture, as shares of its width and height. */
+function along(side: number, share: number): readonly [number, number] {
+  return ([[share, 0], [1, share], [1 - share, 1], [0, 1 - share]] as const)[side]!;
 }
 
 /** Each of the directions turned by the pose. */

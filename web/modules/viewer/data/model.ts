@@ -1,7 +1,7 @@
 // The scene in numbers, in the worker: planes of frames, tiles of the map, and what is drawn or picked of them.
 
 import { type Faces, facesOf } from "./faces.js";
-import { CameraRays, type CameraView, type ViewSize } from "./camera_views.js";
+import { CameraRays, type CameraView, type Frustum, type ViewSize } from "./camera_views.js";
 import { columnsOf, lowestOf } from "./columns.js";
 import { type CameraFacts, type Planes, type Tile, classAt, codeAt, coded, isObserved, labelled } from "./formats.js";
 import { idOf, inMetres, inVoxels, indexOf, voxelAt } from "./grid.js";
@@ -108,6 +108,12 @@ export class Model {
 
   openCameras(facts: CameraFacts): void {
     this.cameras = new CameraRays(facts);
+  }
+
+  /** None before the cameras are known. */
+  frusta(token: string): Frustum[] {
+    const { frames, playback } = this.scene;
+    return this.cameras?.frusta(playback.cameras, frames.tokens.indexOf(token)) ?? [];
   }
 
   /** What each camera sees of the frame: every labelled voxel hides what is behind it, also one that is not shown. */

@@ -2,7 +2,7 @@
 
 import { decompress } from "../../../libraries/fzstd/esm/index.mjs";
 import { messageOf } from "../../errors.js";
-import type { CameraView, ViewSize } from "./camera_views.js";
+import type { CameraView, Frustum, ViewSize } from "./camera_views.js";
 import { type Cloud, camerasOf, cloudOf, planesOf, surfaceOf, tileOf, type Surface } from "./formats.js";
 import type { Look } from "../looks.js";
 import { type Drawn, Model, type Picked, type Ray } from "./model.js";
@@ -17,6 +17,7 @@ export type Asked =
   | { kind: "cloud"; content: Uint8Array }
   | { kind: "cameras"; content: Uint8Array }
   | { kind: "camera-views"; token: string; look: Look; sizes: ViewSize[] }
+  | { kind: "frusta"; token: string }
   | { kind: "pick-voxel"; token: string; voxel: number; look: Look }
   | { kind: "pick"; ray: Ray; scope: "frame" | "map"; token: string; look: Look };
 
@@ -30,6 +31,7 @@ export interface Answers {
   /** Whether there is a picture, by camera and frame. */
   cameras: { frames: number; hasPicture: Uint8Array };
   "camera-views": CameraView[];
+  frusta: Frustum[];
   "pick-voxel": Picked;
   pick: Picked | null;
 }
@@ -75,6 +77,8 @@ function answerTo(asked: Asked): Answers[Asked["kind"]] {
     }
     case "camera-views":
       return model.cameraViews(asked.token, asked.look, asked.sizes);
+    case "frusta":
+      return model.frusta(asked.token);
     case "pick-voxel":
       return model.pickedAt(asked.token, asked.voxel, asked.look);
     case "pick":
@@ -88,7 +92,7 @@ function magicOf(look: Look): "STV1" | "STD1" {
 
 function buffersOf(value: Answers[Asked["kind"]]): Transferable[] {
   if (value === null) return [];
-  if (Array.isArray(value)) return value.flatMap((view) => [view.ids.buffer, view.colours.buffer]);
+  if (Array.isArray(value)) return value.flatMap((one) => ("ids" in one ? [one.ids.buffer, one.colours.buffer] : []));
   if ("faces" in value) return [value.faces.vertices.buffer, value.faces.indices.buffer, ...(value.lowest ? [value.lowest.buffer] : [])];
   if ("triangles" in value) return [value.vertices_m.buffer, value.classes.buffer, value.triangles.buffer];
   if ("points_cm" in value) return [value.points_cm.buffer, value.intensity.buffer];

@@ -1,0 +1,98 @@
+// Where the sensors of the rig are: the axes of each, x red, y green, z blue, with its name, and what cameras look at.
+//
+// A camera stands where it was when it took its picture, if that is known. Loaded once the layer is wanted.
+
+import { BufferAttribute, BufferGeometry, Color, Group, LineBasicMaterial, LineSegments, type Matrix4, type PerspectiveCamera, Vector3 } from "three";
+import { make } from "../controls/elements.js";
+import type { Frustum } from "../data/camera_views.js";
+import { type SensorFacts, type Vector, toMap } from "../scene.js";
+import type { Prop } from "./stage.js";
+import type { Theme } from "./theme.js";
+
+const AXIS_M = 0.35;
+/** So far from its camera the picture's edge is drawn. */
+const EDGE_M = 1.2;
+const AXES: [Vector, Vector][] = [[[1, 0, 0], [0.85, 0.16, 0.16]], [[0, 1, 0], [0.1, 0.6, 0.2]], [[0, 0, 1], [0.2, 0.4, 0.95]]];
+
+interface Name {
+  element: HTMLElement;
+  place: Vector3;
+}
+
+export class SensorLayer implements Prop {
+  readonly group = new Group();
+  readonly names = make("div", { class: "viewer-names", "aria-hidden": "true", hidden: true });
+  private readonly axes = new LineSegments(new BufferGeometry(), new LineBasicMaterial({ vertexColors: true, depthTest: false }));
+  private readonly edges = new LineSegments(new BufferGeometry(), new LineBasicMaterial());
+  private shown: Name[] = [];
+
+  constructor(private readonly sensors: readonly SensorFacts[], private readonly canvas: HTMLCanvasElement) {
+    this.axes.renderOrder = 4;
+    for (const lines of [this.axes, this.edges]) lines.frustumCulled = false;
+    this.group.add(this.axes, this.edges);
+    this.group.matrixAutoUpdate = false;
+  }
+
+  /** Sensors and what cameras see of a frame, where the robot stood. */
+  show(frusta: readonly Frustum[], local_from_ego: Matrix4): void {
+    const seen = new Map(frusta.map((one) => [one.channel, one]));
+    const known = this.sensors.map(({ channel, ego_from_sensor }) => [channel, seen.get(channel)?.pose ?? ego_from_sensor] as const);
+    const others = frusta.filter(({ channel }) => !this.sensors.some((one) => one.channel === channel));
+    const placed = [...known, ...others.map(({ channel, pose }) => [channel, pose] as const)];
+    const [places, colours]: [number[], number[]] = [[], []];
+    for (const [, pose] of placed) {
+      for (const [axis, colour] of AXES) {
+        places.push(pose[0], pose[1], pose[2], ...toMap(pose, axis.map((value) => value * AXIS_M) as Vector));
+        colours.push(...colour, ...colour);
+      }
+    }
+    put(this.axes.geometry, places).setAttribute("color", new BufferAttribute(Float32Array.from(colours), 3));
+    put(this.edges.geometry, frusta.flatMap(edgesOf));
+    this.group.matrix.copy(local_from_ego);
+    this.group.matrixWorldNeedsUpdate = true;
+    this.shown = placed.map(([channel, pose]) => {
+      const frustum = seen.get(channel);
+      const named = frustum ? toMap(pose, middleOf(frustum)) : pose.slice(0, 3); // names of cameras stand apart in their pictures
+      return { element: make("span", {}, channel), place: new Vector3().fromArray(named).applyMatrix4(local_from_ego) };
+    });
+    this.names.replaceChildren(...this.shown.map(({ element }) => element));
+  }
+
+  set isShown(isShown: boolean) {
+    this.group.visible = isShown;
+    this.names.hidden = !isShown;
+  }
+
+  themed(theme: Theme): void {
+    this.edges.material.color = new Color(...theme.ink.map((value) => value / 255));
+  }
+
+  drawing(camera: PerspectiveCamera): void {
+    if (!this.group.visible) return;
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    for (const { element, place } of this.shown) {
+      const at = place.clone().project(camera);
+      element.hidden = Math.abs(at.z) > 1;
+      element.style.setProperty("transform", `translate(${((at.x + 1) / 2) * width}px, ${((1 - at.y) / 2) * height}px)`);
+    }
+  }
+}
+
+function put(geometry: BufferGeometry, places: readonly number[]): BufferGeometry {
+  geometry.dispose();
+  return geometry.setAttribute("position", new BufferAttribute(Float32Array.from(places), 3));
+}
+
+/** Of the picture's edge, optical frame. */
+function middleOf({ edge }: Frustum): Vector {
+  return [0, 1, 2].map((axis) => (EDGE_M * edge.reduce((sum, ray) => sum + ray[axis]!, 0)) / edge.length) as Vector;
+}
+
+/** Lines from the camera to the corners of its picture, and around its edge, ego frame. */
+function edgesOf({ pose, edge }: Frustum): number[] {
+  const at = edge.map((ray) => toMap(pose, ray.map((value) => value * EDGE_M) as Vector));
+  const around = at.flatMap((point, number) => [...point, ...at[(number + 1) % at.length]!]);
+  const corners = [0, 1, 2, 3].map((corner) => at[(corner * at.length) / 4]!);
+  return [...around, ...corners.flatMap((corner) => [pose[0], pose[1], pose[2], ...corner])];
+}
+
