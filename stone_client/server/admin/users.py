@@ -2,7 +2,7 @@
 
 from stone_base.errors import Refused
 from stone_client.api import Api
-from stone_client.server.newest import is_id
+from stone_client.server.ids import is_id
 from stone_client.server.sequences import Item
 
 
