@@ -40,7 +40,7 @@ def is_withdrawn(submission: str) -> bool:
 
 def test_withdraw_needs_yes_without_a_terminal(submission: str) -> None:
     for named in (submission, "latest"):
-        result = stone("withdraw", named, stdin="y\n")
+        result = stone("benchmark", "withdraw", named, stdin="y\n")
         assert result.exit_code == 2
         assert result.stderr.startswith("not_confirmed: withdraw submission")
         assert submission in result.stderr

@@ -139,7 +139,7 @@ def test_watching_ends_with_the_job_and_shows_its_stages(platform: Platform, as_
     worker.join()
     watching.join()
     assert said[0].exit_code == 0, said[0].stderr
-    assert "drive 7/7" in said[0].stderr
+    assert "eval.drive 7 of 7" in said[0].stderr
     assert json.loads(said[0].stdout)["result"] == {"metres": 7}
     assert "arrived" in stone("status", job_id).stdout
 
