@@ -13,7 +13,7 @@ from stone.splits.surroundings import ILLUMINATIONS
 
 Compression = Literal["none", "lz4", "zstd"]
 Traffic = Literal["none", "walker", "busy"]
-CameraDetail = Literal["coarse", "full"]
+CameraDetail = Literal["coarse", "half", "full"]
 FaultName = Literal[
     "gnss_jitter",
     "clock_18s",
@@ -49,8 +49,9 @@ class SimulateOptions:
     lz4 by default: packet stamps, rings and missing returns repeat, so it nearly halves the bag at no time that can be
     measured; zstd is smaller still, but costs more to write and twice as much to read.
 
-    `camera_detail` is `coarse`, 80 × 50 rays a picture, enlarged, or `full`, a ray for each pixel and the noise of a
-    sensor: pictures worth learning from, at a cost (docs/benchmarks.md). `illumination` is a word of the platform's.
+    `camera_detail` is `coarse`, 80 × 50 rays a picture, enlarged; `half`, a ray for every 2 × 2 pixels and the noise of
+    a sensor; or `full`, a ray for each pixel: pictures worth learning from, at a cost (docs/benchmarks.md).
+    `illumination` is a word of the platform's.
 
     `noise_ratio` scales what the sensors add to the truth: 0 measures exactly, 1 is the paper's rig. `range_noise` adds
     to the LiDAR's ranges what a real one suffers besides (`simulator/sensors/lidar.py`). `beside_track` adds rocks and

@@ -279,7 +279,6 @@ GRID_HOMES = {
     "stone_base/label_grid.py",
     "api/schemas/grids.py",  # examples of the API
     "simulator/verdict.py",  # an oracle, which is made without the platform
-    "stone_local/demo/benchmark.py",  # how far a corridor reaches
 }
 
 

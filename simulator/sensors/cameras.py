@@ -1,8 +1,8 @@
 """Six JPEG pictures a sweep, each taken when the LiDAR looks the camera's way.
 
 **Conventions.** A coarse picture is cast at `COARSE_RAYS` and enlarged: edges, colours and times agree with the LiDAR,
-detail is not there. A full one has a ray through the centre of each pixel, and a sensor's noise. Optical frames: z
-forward, x right, y down.
+detail is not there. A full one has a ray through the centre of each pixel, half of one a ray for every 2 × 2 pixels,
+and both a sensor's noise. Optical frames: z forward, x right, y down.
 """
 
 from dataclasses import dataclass
@@ -52,7 +52,8 @@ class SimulatedPicture:
 def build_ring(options: SimulateOptions) -> CameraRing:
     """The pinholes of these options: rays of equal parts of the picture."""
     lens = rig.intrinsics(options.camera_width_px)
-    columns, rows = (lens.width_px, lens.height_px) if options.camera_detail == "full" else COARSE_RAYS
+    parts = {"full": 1, "half": 2}.get(options.camera_detail)
+    columns, rows = COARSE_RAYS if parts is None else (lens.width_px // parts, lens.height_px // parts)
     pixel_rad = lens.width_px / columns / lens.fx_px
     size_px = (lens.width_px, lens.height_px)
     return CameraRing(
@@ -81,7 +82,7 @@ def take_pictures(
     pictures = []
     for camera, exposed_ns, rays in zip(ring.cameras, stamps.tolist(), seen, strict=True):
         pixels = _enlarged(rays, ring.size_px)
-        if ring.options.camera_detail == "full":
+        if ring.options.camera_detail != "coarse":
             pixels = _with_noise(pixels, ring, generator(ring.options.seed, f"{camera.channel} {stamp_ns}"))
         pictures.append(SimulatedPicture(camera, exposed_ns, _jpeg(pixels)))
     return pictures

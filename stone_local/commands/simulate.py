@@ -47,7 +47,7 @@ CameraDetailOption = Annotated[
     typer.Option(
         metavar="|".join(get_args(CameraDetail)),
         **one_of(lambda: get_args(CameraDetail)),
-        help="coarse: 80 × 50 rays a picture, enlarged; full: a ray for each pixel, for training, and slow to render.",
+        help="coarse: 80 × 50 rays a picture, enlarged; half: a ray for every 2 × 2 pixels; full: a ray for each.",
     ),
 ]
 IlluminationOption = Annotated[

@@ -12,7 +12,6 @@ from urllib.parse import quote
 
 import numpy as np
 
-from stone.labels.baseline import DEFAULTS, BaselineParameters
 from stone.splits.splits import PARTS
 from stone_client.api import Api
 from stone_client.baseline import BaselinePlan, write_baseline
@@ -30,7 +29,8 @@ from stone_submissions.manifest import read_manifest
 
 # The demo's entries: three predictions without training, of the frames of a manifest.
 #
-# **Conventions.** Two are baselines, which stand on the board without a rank; one is the team's ranked entry.
+# **Conventions.** Two are baselines, which stand on the board without a rank; one is the team's ranked entry: the same
+# geometry as the first, from more sweeps.
 
 
 THREADS = 2
@@ -39,34 +39,29 @@ POTENTIALLY_TRAVERSABLE = 2
 
 @dataclass(frozen=True)
 class DemoEntry:
-    """A submission of the demo: file, method, kind; `parameters` of the baseline, None for flat ground."""
+    """A submission of the demo: file, method, kind, and how many sweeps a frame is predicted from; 0: flat ground."""
 
     filename: str
     method: str
     kind: str
-    parameters: BaselineParameters | None
+    sweeps: int
 
 
-BASELINE = DemoEntry("baseline.zip", "single sweep, no training", "baseline", DEFAULTS)
+BASELINE = DemoEntry("baseline.zip", "single sweep, no training", "baseline", 1)
 ENTRIES = (
     BASELINE,
-    DemoEntry("flat.zip", "flat ground", "baseline", None),
-    DemoEntry(
-        "corridor.zip",
-        "single sweep, long corridor",
-        "entry",
-        BaselineParameters(corridor_reach_m=25.6, gap_m=2.4),
-    ),
+    DemoEntry("flat.zip", "flat ground", "baseline", 0),
+    DemoEntry("sweeps.zip", "10 sweeps, no training", "entry", 10),
 )
 
 
 def write_entry(entry: DemoEntry, manifest: Path, sources: Sequence[Path], progress: Report) -> Path:
     """The submission, beside the manifest. Raises what `write_baseline` raises."""
     output = manifest.with_name(entry.filename)
-    if entry.parameters is None:
+    if not entry.sweeps:
         write_flat_ground(manifest, output)
     else:
-        write_baseline(sources, BaselinePlan(manifest, output, THREADS, entry.parameters), progress)
+        write_baseline(sources, BaselinePlan(manifest, output, THREADS, sweeps=entry.sweeps), progress)
     return output
 
 

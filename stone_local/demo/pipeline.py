@@ -64,8 +64,9 @@ from stone_submissions.verdict import SubmissionRefusedError
 SEQUENCE = "demo"
 TRAIN, VAL = "train", "val"
 SPARSE = SimulateOptions(
-    seconds=60.0, channels=32, columns=450, cameras=False, lidar_hz=2, speed_m_s=4.0, world_width_m=80.0
-)
+    seconds=60.0, channels=32, columns=450, cameras=False, lidar_hz=2, speed_m_s=4.0, world_width_m=80.0,
+    host_delay_max_ns=0,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -218,6 +219,7 @@ def run_demo(folder: Path, plan: DemoPlan, progress: Report) -> dict[str, Any]:
     record = {
         "url": demo_server.server.url,
         "sequence": labelled[0].sequence["name"],
+        "view": f"/sequences/{labelled[0].sequence['id']}/view",
         "sequences": [one.sequence["name"] for one in labelled],
         "labels": labels,
         "export": exported,

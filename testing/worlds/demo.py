@@ -13,7 +13,7 @@ from stone_local.demo.pipeline import DemoPlan, run_demo
 from testing.once import made_once
 from testing.servers.fixtures import make_settings
 
-SMALL = SimulateOptions(seconds=20.0, seed=3, channels=16, columns=180, cameras=False, lidar_hz=2)
+SMALL = SimulateOptions(seconds=20.0, seed=3, channels=16, columns=180, cameras=False, lidar_hz=2, host_delay_max_ns=0)
 """As short as a split's rule lets a run be, with few sweeps."""
 SPARSER = replace(pipeline.SPARSE, channels=16, columns=225, lidar_hz=1)
 """The demo's other two runs as long as they are, for only many metres give an interval, with half of their sweeps."""

@@ -23,12 +23,14 @@ from services.runtime.platform import open_platform
 from services.runtime.settings import Settings
 from stone_client.api import Api
 from stone_client.credentials import Server
+from stone_local.demo.summary import summary_lines
 from testing.signals import hear_signals
 from testing.stone_serve import environment
 from testing.worlds.demo import made_demo, run_small_demo
 from testing.worlds.drives import drive
 
 STONE = Path(sys.executable).parent / "stone"
+README = Path(__file__).parents[2] / "README.md"
 Spoil = Callable[[Path, Path], None]
 pytestmark = pytest.mark.whole
 REFUSAL = re.compile(r"[A-Za-z]+[-_A-Za-z0-9]*: \S.*")
@@ -80,7 +82,7 @@ def test_the_command_ends_with_a_url_that_stays_up_when_asked_to(tmp_path: Path)
 def test_the_demo_leaves_everything_it_promises(demo: Path) -> None:
     names = {entry.name for entry in demo.iterdir()}
     assert names >= {"run.mcap", "truth", "labels", "nuscenes.tar", "manifest.json", "baseline.zip", "demo.json"}
-    assert names >= {"dusk", "night", "ground-truth", "inputs", "flat.zip", "corridor.zip"}
+    assert names >= {"dusk", "night", "ground-truth", "inputs", "flat.zip", "sweeps.zip"}
     assert (demo / "labels" / "bev.png").read_bytes().startswith(b"\x89PNG")
     assert not [name for name in names if name.endswith(".partial")]
 
@@ -125,6 +127,26 @@ def test_the_board_shows_the_demos_own_entry_with_the_score_that_anybody_gets(de
     assert row["ratios"] == record["baseline"]["total"]
     assert row["intervals"]["miou"] == pytest.approx(record["baseline"]["intervals"]["these_places"]["miou"])
     assert sorted(row["standing"] for row in rows.values()) == ["baseline", "baseline", "ranked"]
+
+
+FIGURES = re.compile(r"\b[0-9a-f]{32}\b|\d+(?:[.,]\d+)*(?: (?:[kMGT]?B|s|min|bytes)\b)?")
+
+
+def test_the_last_lines_are_those_of_the_readme_and_the_ranked_entry_beats_the_baseline(demo: Path) -> None:
+    record = json.loads((demo / "demo.json").read_text())
+    lines = summary_lines(record, (Path("demo"), Path("stone-data")), 200.0, stays=True)
+    readme = README.read_text("utf-8").replace(".venv/bin/stone", "stone")
+    block = next(part for part in readme.split("```") if part.startswith("\n3D view"))
+    printed, shown = (FIGURES.sub("#", text).split() for text in ("\n".join(lines), block))
+    assert printed == shown
+    best = {row["standing"]: row["ratios"]["miou"] for row in reversed(record["benchmark"]["board"]["rows"])}
+    assert best["ranked"] > 1.2 * best["baseline"]
+
+
+def test_no_run_of_the_demo_raises_a_finding_but_of_its_few_rays(demo: Path) -> None:
+    for folder in (demo, demo / "dusk", demo / "night"):
+        findings = json.loads((folder / "labels" / "report.json").read_text())["findings"]
+        assert {finding["code"] for finding in findings} <= {"LAB-607"}
 
 
 def test_the_quota_of_each_owner_counts_the_bytes_that_the_rows_hold(

@@ -69,6 +69,18 @@ def test_a_full_picture_has_a_ray_through_the_centre_of_each_pixel(width_px: int
     np.testing.assert_allclose([u, v], [columns, rows], atol=1e-3)
 
 
+def test_half_detail_has_a_ray_for_every_four_pixels_and_the_noise_of_a_sensor() -> None:
+    half = replace(OPTIONS, camera_detail="half", camera_width_px=320)
+    assert build_ring(half).directions.shape == (100, 160, 3)
+    noisy, clean, full = front(replace(half, noise_ratio=1.0)), front(half), front(replace(half, camera_detail="full"))
+    assert clean.shape == full.shape == (200, 320, 3)
+    assert (
+        np.abs(clean.astype(int) - full).mean()
+        < np.abs(front(replace(half, camera_detail="coarse")).astype(int) - full).mean()
+    )
+    assert np.abs(noisy.astype(int) - clean).mean() > 0.5
+
+
 def test_a_coarse_picture_has_few_rays_and_the_size_that_was_asked() -> None:
     coarse = replace(OPTIONS, camera_detail="coarse", camera_width_px=320)
     assert build_ring(coarse).directions.shape[1::-1] == COARSE_RAYS

@@ -1,0 +1,67 @@
+"""The last lines of `stone demo`: where to look, what the labels mean, who leads the board, and the next step."""
+
+import shutil
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from stone_client.progress import bytes_of, duration
+
+MEANINGS = (
+    ("traversable", "traversable (driven over)"),
+    ("potentially_traversable", "potentially traversable (ground like that, not driven over)"),
+    ("non_traversable", "non-traversable (all other surface)"),
+)
+NO_BOARD = "none: the platform has splits or a password of its own, or the run is too short for a split"
+
+
+def summary_lines(record: Mapping[str, Any], folders: tuple[Path, ...], spent_s: float, *, stays: bool) -> list[str]:
+    """Return six lines about a demo; the first of its folders is the output, a second one the platform's data.
+
+    `stays` is whether the server at the record's address keeps running.
+    """
+    output, labels = folders[0], record["labels"]
+    shares = labels["class_share_of_occupied"]
+    classes = ", ".join(f"{100 * shares[name]:.1f} % {meaning}" for name, meaning in MEANINGS)
+    sizes = ", ".join(f"{folder} ({bytes_of(_size_bytes(folder))})" for folder in folders)
+    again = "" if stays else f" (first start the server: {own_command()} serve)"
+    return [
+        f"3D view  {record['url']}{record['view']}{again}",
+        f"Picture  {output / 'labels' / 'bev.png'}",
+        f"Labels   {labels['frames']} frames, occupied voxels: {classes}",
+        f"Board    {_board_line(record)}",
+        f"Files    {sizes}; the demo took {duration(spent_s)}",
+        f"Next     label your own bag: {own_command()} label BAG --calibration ROBOT.yaml -o labels; without a "
+        f"calibration begin with: {own_command()} calibration init BAG -o ROBOT.yaml",
+    ]
+
+
+def own_command() -> str:
+    """Return what a person types here to run `stone`: the bare name if the shell finds this one, else its path."""
+    run_as = Path(sys.argv[0])
+    if shutil.which("stone") == str(run_as.resolve()) or run_as.name != "stone":
+        return "stone"
+    return str(run_as.relative_to(Path.cwd()) if run_as.is_relative_to(Path.cwd()) else run_as)
+
+
+def _board_line(record: Mapping[str, Any]) -> str:
+    """Return the best ranked method and the best baseline, by mIoU, and the address of the board."""
+    if not record["benchmark"]:
+        return NO_BOARD
+    board = record["benchmark"]["board"]
+    return f"{', '.join(_leaders(board['rows']))}: {record['url']}/benchmarks/{board['benchmark']}/{board['phase']}"
+
+
+def _leaders(rows: list[Mapping[str, Any]]) -> Iterator[str]:
+    for standing, title in (("ranked", "rank 1"), ("baseline", "baseline")):
+        found = [row for row in rows if row["standing"] == standing]
+        if found:
+            best = max(found, key=lambda row: row["ratios"]["miou"])
+            yield f"{title} “{best['method']}” mIoU {100 * best['ratios']['miou']:.1f} %"
+
+
+def _size_bytes(folder: Path) -> int:
+    """Return the bytes of all files; a file with several names counts once."""
+    found = (path.stat() for path in folder.rglob("*") if path.is_file())
+    return sum({stat.st_ino: stat.st_size for stat in found}.values())
