@@ -62,6 +62,7 @@ OTHER_CODES: tuple[tuple[str, str], ...] = (
     ("no_accelerator", "The requested device is not available."),
     ("no_confidence", "A least confidence is required of labels that have no array `confidence`."),
     ("no_export", "The sequence has no finished export of its labels in this format."),
+    ("email_off", "The server sends no e-mail."),
     ("no_label_set", "The sequence has no such label set."),
     ("no_labels", "The sequence has no labels to download yet."),
     ("no_rescore", "The phase has no re-score of this id."),

@@ -1,6 +1,6 @@
-"""Options that take a word of a list: a wrong word is wrong usage (exit code 2), refused before anything is read."""
+"""Choices of options that cannot work: wrong usage (exit code 2), refused before anything is read or sent."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -31,6 +31,20 @@ def one_of(names: Callable[[], Iterable[object]], *, is_file_too: bool = False) 
         return [str(name) for name in names() if str(name).startswith(incomplete)]
 
     return {"callback": checked, "autocompletion": completed}
+
+
+def refuse_options(why: str, given: Mapping[str, object]) -> None:
+    """Refuse the first of these options that was given: it would have no effect. Raises `typer.BadParameter`."""
+    for option, value in given.items():
+        if value:
+            raise typer.BadParameter(why, param_hint=option)
+
+
+def in_folder(file: Path | None) -> Path | None:
+    """Return the path of a file to write. Raises `typer.BadParameter` if its folder does not exist."""
+    if file is not None and not file.absolute().parent.is_dir():
+        raise typer.BadParameter(f"the folder {str(file.parent)!r} does not exist; create it, or correct the path")
+    return file
 
 
 def layouts() -> Iterable[str]:

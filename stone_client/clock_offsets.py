@@ -29,7 +29,8 @@ def chosen_clock_offsets(choices: Sequence[str]) -> dict[str, int]:
         found = CHOICE.fullmatch(choice)
         if found is None or abs(Decimal(found["seconds"])) * 10**9 > MOST_OFFSET_NS:
             raise typer.BadParameter(
-                f"{choice[:80]!r} is no offset of a recording; write cameras.mcap=-0.080 (seconds)"
+                f"{choice[:80]!r} is no offset of a recording; write cameras.mcap=-0.080 (seconds)",
+                param_hint="--clock-offset",
             )
         chosen[Path(found["name"]).name] = int(Decimal(found["seconds"]) * 10**9)
     return chosen

@@ -1,7 +1,7 @@
 """Errors of commands that talk to a server.
 
-**Conventions.** A server's own code and sentence are passed on as they are, with the id of the request that its
-administrator can look up.
+**Conventions.** A server's own code and sentence are passed on as they are; a fault has the id of the request, which
+the server's administrator can look up.
 """
 
 from collections.abc import Mapping
@@ -11,6 +11,12 @@ from typing import Any
 from stone_base.errors import Refused, StoneError
 
 MOST_FINDINGS = 5
+FAULT = 500
+OWN_SENTENCES = {
+    "unauthenticated": "the server does not accept the token, which is unknown, expired or revoked; "
+    "run `stone auth login`, or set STONE_TOKEN",
+}
+"""Sentences of the client by the code of a server whose own sentence is for programs."""
 
 
 class ServerRefusedError(StoneError):
@@ -21,8 +27,10 @@ class ServerRefusedError(StoneError):
     def __init__(self, status: int, problem: Mapping[str, Any], retry_after_s: float | None = None) -> None:
         self.status, self.problem, self.retry_after_s = status, dict(problem), retry_after_s
         self.code = str(problem.get("code") or type(self).code)  # the server names the reason
-        sentence = str(problem.get("detail") or problem.get("title") or f"the server answered {status}")
-        request_id = problem.get("request_id")
+        sentence = OWN_SENTENCES.get(self.code) or str(
+            problem.get("detail") or problem.get("title") or f"the server answered {status}"
+        )
+        request_id = problem.get("request_id") if status >= FAULT else None  # of use to an administrator alone
         super().__init__(sentence + _findings(problem) + (f" (request {request_id})" if request_id else ""))
 
 

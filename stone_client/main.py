@@ -8,6 +8,7 @@ platform are in `stone_local` and appear if it is installed. Exit codes (design 
 """
 
 import os
+from difflib import get_close_matches
 from typing import Annotated, Any
 
 import typer
@@ -15,7 +16,7 @@ import typer
 from stone_base.process_tuning import tune_command
 from stone_client.command_tree import COMMANDS
 from stone_client.lazy_commands import LazyGroup
-from stone_client.old_words import words_of_today
+from stone_client.old_words import words_like, words_of_today
 from stone_client.platform_part import add_refusals, is_platform_installed
 from stone_client.refusals import RefusingGroup
 from stone_client.streams import choose_output, echo_notice
@@ -32,6 +33,9 @@ class StoneGroup(RefusingGroup, LazyGroup):
         words, change = words_of_today(args)
         if change and not ctx.resilient_parsing:
             echo_notice(change)
+        is_like_none = words[0] not in self.commands and not get_close_matches(words[0], list(self.commands))
+        if is_like_none and (near := words_like(words[0])):
+            ctx.fail(f"No such command {words[0]!r}. Did you mean {', '.join(map(repr, near))}?")
         return super().resolve_command(ctx, words)
 
     def parse_args(self, ctx: Any, args: list[str]) -> Any:

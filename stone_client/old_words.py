@@ -6,6 +6,7 @@ a flag fits if the flag is given, a row that needs an argument if one is given, 
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 
 from stone_client.streams import echo_notice
 
@@ -88,6 +89,12 @@ def words_of_today(words: Sequence[str]) -> tuple[list[str], str]:
         if row.old == words[0] and row.fits(words[1:]):
             return row.renamed(words[1:]), str(row)
     return list(words), ""
+
+
+def words_like(word: str) -> list[str]:
+    """Return the commands of today that an old word like this one named."""
+    near = get_close_matches(word, [row.old for row in OLD_WORDS])
+    return list(dict.fromkeys(row.new for row in OLD_WORDS if row.old in near))
 
 
 def with_new_options(words: list[str], known: Collection[str]) -> list[str]:

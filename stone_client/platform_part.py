@@ -13,6 +13,7 @@ import typer
 
 from stone_base.errors import Refused
 from stone_client.lazy_commands import Place
+from stone_client.streams import WANTS_JSON
 
 PACKAGE = "stone_local"
 PLATFORM_COMMANDS = (
@@ -47,8 +48,9 @@ def add_refusals(app: typer.Typer) -> None:
         app.command(name, hidden=True, context_settings=words)(_refusal_of(name))
 
 
-def _refusal_of(name: str) -> Callable[[], NoReturn]:
-    def refuse_it() -> NoReturn:
+def _refusal_of(name: str) -> Callable[[typer.Context], NoReturn]:
+    def refuse_it(context: typer.Context) -> NoReturn:
+        context.find_root().meta[WANTS_JSON] = "--json" in context.args
         raise platform_not_installed(name)
 
     return refuse_it

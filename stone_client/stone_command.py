@@ -69,6 +69,14 @@ class StoneCommand(TyperCommand):
     def get_params(self, ctx: Any) -> list[Any]:
         return in_words(super().get_params(ctx))
 
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except typer.BadParameter as error:
+            if isinstance(error.param_hint, str):  # quoted as Typer's own
+                error.param_hint = repr(error.param_hint.strip("'"))
+            raise
+
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         known = {option for param in self.params for option in (*param.opts, *param.secondary_opts)}
         return super().parse_args(ctx, with_new_options(args, known))

@@ -106,10 +106,14 @@ def chosen_offsets(choices: Sequence[str]) -> dict[str, int]:
         if found is None or found["part"] not in PARTS:
             raise typer.BadParameter(
                 f"{choice[:80]!r} is not a time offset; write lidar=-18s or pose=12.5ms (parts: {', '.join(PARTS)}; "
-                f"units: {', '.join(UNITS_NS)})"
+                f"units: {', '.join(UNITS_NS)})",
+                param_hint="--time-offset",
             )
         offset_ns = int(Decimal(found["number"]) * UNITS_NS[found["unit"]])
         if abs(offset_ns) > MOST_OFFSET_NS:
-            raise typer.BadParameter(f"{choice[:80]!r} is more than {MOST_OFFSET_NS / 1e9:.0f} s; is the unit right?")
+            raise typer.BadParameter(
+                f"{choice[:80]!r} is more than {MOST_OFFSET_NS / 1e9:.0f} s; is the unit right?",
+                param_hint="--time-offset",
+            )
         chosen[found["part"]] = offset_ns
     return chosen

@@ -12,13 +12,13 @@ from stone_client.streams import JsonOption, echo_json
 
 
 def explain(
-    code: Annotated[str, typer.Argument(metavar="[CODE]", help="The code; default: list all.")] = "",
+    code: Annotated[str, typer.Argument(metavar="CODE", help="The code (default: all).")] = "",
     as_json: JsonOption = False,
 ) -> None:
     """Explain a code: what it means, whether it harms labels, and what to do."""
     if not code:
         return _list(as_json)
-    one = CATALOGUE.get(code) or CATALOGUE.get(code.upper())
+    one = {_bare(known): entry for known, entry in CATALOGUE.items()}.get(_bare(code))
     if one is None:
         raise Refused(
             "unknown_code", f"{code[:80]!r} is no code of a finding or of a failed run; `stone explain` lists them"
@@ -39,6 +39,11 @@ def _list(as_json: bool) -> None:
         return echo_json({"codes": [_record(one) for one in CATALOGUE.values()]})
     for one in CATALOGUE.values():
         typer.echo(f"{one.code}  {HARM_WORDS[one.harm]}: {one.meaning}")
+
+
+def _bare(code: str) -> str:
+    """Return the code as `LAB-603`, `lab603` and `Lab 603` share it."""
+    return "".join(sign for sign in code.lower() if sign.isalnum())
 
 
 def _record(one: CodeMeaning) -> dict[str, Any]:

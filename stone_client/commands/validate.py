@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from stone_client.choices import refuse_options
 from stone_client.options import ServerOption, SubmissionArgument
 from stone_client.progress import reported
 from stone_client.refusals import refuse_submission
@@ -34,6 +35,8 @@ def validate(
 
     if (manifest is None) != bool(benchmark and phase) or bool(benchmark) != bool(phase):
         raise typer.BadParameter("either --manifest, or --benchmark and --phase", param_hint="--manifest")
+    if manifest is not None:
+        refuse_options("it is for --benchmark and --phase; leave it out with --manifest", {"--server": server})
     with _manifest(manifest, (benchmark, phase), server) as path, reported() as progress:
         validation = validate_submission(submission, path, progress=progress)
     if not validation.ok:

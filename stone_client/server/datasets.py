@@ -8,10 +8,12 @@ from urllib.parse import quote
 import typer
 
 from stone_base.counts import counted
+from stone_base.findings import Finding
 from stone_client.api import Api
 from stone_client.progress import Report
 from stone_client.server.exports import complete_file
 from stone_client.server.sequences import Item
+from stone_client.streams import echo_findings
 from stone_client.tables import QUALITY, plain_table, quality_cells, safe_text, show
 
 
@@ -72,8 +74,8 @@ def show_datasets(record: Mapping[str, Any]) -> None:
         said = (safe_text(one[key]) for key in ("split", "environment", "illumination", "region"))
         table.add_row(safe_text(one["name"]), *said, f"{one['frames']:,}", *map(safe_text, quality_cells(one)))
     show(table)
-    for finding in record.get("findings", ()):
-        typer.echo(f"{finding['severity']} {safe_text(finding['code'])}: {safe_text(finding['message'])}", err=True)
+    rules = record.get("findings", ())
+    echo_findings(Finding(rule["code"], rule["severity"], "", rule["message"]) for rule in rules)
     for file in (*record.get("files", ()), *record.get("inputs", ())):
         if "output" in file:
             typer.echo(f"{file['output']} ({file['size_bytes']:,} bytes, sha256 {file['sha256']})")

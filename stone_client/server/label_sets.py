@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import typer
 from rich.table import Table
 
 from stone_base.errors import Refused
@@ -27,6 +28,8 @@ def compare_label_sets(api: Api, sequence: Item, named: tuple[str, str], progres
     """
     ids = [str(one["id"]) for one in label_sets_of(api, sequence["id"])]
     a_id, b_id = (_id_named(name, ids) for name in named)
+    if a_id == b_id:
+        raise typer.BadParameter(f"A and B are one label set, {a_id}; name another", param_hint="B")
     asked = api.create(f"/sequences/{sequence['id']}/label-comparisons", {"a_id": a_id, "b_id": b_id})
     follow(api, asked["job"]["id"], progress)
     return api.read(f"/sequences/{sequence['id']}/label-comparisons/{asked['comparison']['id']}")

@@ -16,12 +16,16 @@ def read_notifications(api: Api) -> Item:
 
 
 def choose_events(api: Api, channel: str, kinds: Sequence[str], *, is_wanted: bool) -> Item:
-    """Be told of these events by the channel, or no more; other choices stay. Raises `unknown_event`."""
+    """Be told of these events by the channel, or no more; other choices stay. Raises `unknown_event`, `email_off`."""
     now = read_notifications(api)
     known = [str(event["kind"]) for event in now["events"]]
     if unknown := [kind for kind in kinds if kind not in known]:
         raise Refused(
             "unknown_event", f"{', '.join(unknown)[:100]!r}: no such event; this server has {', '.join(known)}"
+        )
+    if is_wanted and channel == "email" and not now["sends_email"]:
+        raise Refused(
+            "email_off", "this server sends no e-mail: its administrator has not configured it; use a webhook"
         )
     chosen = {name: list(now[name]) for name in CHANNELS}
     others = [kind for kind in chosen[channel] if kind not in kinds]

@@ -76,7 +76,7 @@ def show_splits(record: Mapping[str, Any], *, as_json: bool) -> None:
         if record.get("gap"):
             typer.echo(safe_text(record["gap"]["message"]))
     clash, said = record.get("conflict") or [], record["findings"] or []
-    echo_findings(Finding(f"conflict of {rule['code']}", "error", "", rule["message"]) for rule in clash)
+    echo_findings(Finding(rule["code"], "error", "", rule["message"]) for rule in clash)
     echo_findings(Finding(rule["code"], rule["severity"], "", rule["message"]) for rule in said)
 
 

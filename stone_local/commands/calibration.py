@@ -11,6 +11,7 @@ import typer
 
 from stone.errors import StoneError
 from stone.findings import Finding
+from stone_client.choices import in_folder
 from stone_client.options import LidarOption, OdometryOption
 from stone_client.refusals import REFUSED
 from stone_client.streams import JsonOption, echo_findings, echo_json
@@ -33,7 +34,9 @@ BagOption = Annotated[
 ]
 PictureOption = Annotated[
     Path | None,
-    typer.Option("-o", "--output", metavar="RIG.svg", dir_okay=False, help="Draw the rig, as .svg or .png."),
+    typer.Option(
+        "-o", "--output", metavar="RIG.svg", dir_okay=False, callback=in_folder, help="Draw the rig, as .svg or .png."
+    ),
 ]
 PICTURES: dict[str, Literal["svg", "png"]] = {".svg": "svg", ".png": "png"}
 
@@ -76,7 +79,14 @@ def init(
     bag: Annotated[Path, typer.Argument(metavar="BAG", exists=True, readable=True, help="A recording of the robot.")],
     output: Annotated[
         Path,
-        typer.Option("-o", "--output", metavar="ROBOT.yaml", dir_okay=False, help="A new file for the calibration."),
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="ROBOT.yaml",
+            dir_okay=False,
+            callback=in_folder,
+            help="A new file for the calibration.",
+        ),
     ],
     topics: TopicsOption = None,
     topic: TopicOption = [],  # noqa: B006

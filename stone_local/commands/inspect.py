@@ -70,7 +70,8 @@ def inspect(
     from stone_recordings.topics.profiles import write_profile
     from stone_recordings.topics.sources import AskedTopics
 
-    profile = chosen_topics(topics, topic)
+    profile, offsets_ns = chosen_topics(topics, topic), chosen_offsets(time_offset)
+    pose_file = chosen_poses(poses, poses_frame, odometry)
 
     def options() -> "SynchroniseOptions":
         from services.ingest.pipeline import SynchroniseOptions
@@ -78,11 +79,11 @@ def inspect(
         return SynchroniseOptions(
             odometry,
             lidar,
-            poses=chosen_poses(poses, poses_frame, odometry),
+            poses=pose_file,
             poses_frame=poses_frame,
             topics=profile.topics,
             ground=ground.value,
-            time_offsets_ns=chosen_offsets(time_offset),
+            time_offsets_ns=offsets_ns,
         )
 
     with run_of(RunRecordings(bags, clock_offset, calibration, options)) as run, open_bag(run.bag) as opened:

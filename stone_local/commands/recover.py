@@ -5,11 +5,15 @@ from typing import Annotated
 
 import typer
 
+from stone_client.choices import in_folder
 from stone_client.options import BagArgument
 from stone_client.streams import JsonOption, echo_findings, echo_json
 
 OutputOption = Annotated[
-    Path, typer.Option("-o", "--output", metavar="OUT.mcap", dir_okay=False, help="The recording to write.")
+    Path,
+    typer.Option(
+        "-o", "--output", metavar="OUT.mcap", dir_okay=False, callback=in_folder, help="The recording to write."
+    ),
 ]
 
 

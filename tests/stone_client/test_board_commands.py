@@ -127,6 +127,8 @@ def test_submissions_are_listed_newest_first_and_named_by_how_late_they_are(as_t
     assert answered("results", "latest~2")["submission_id"] == as_team["Good"]
     assert answered("results", as_team["Good"][-8:])["submission_id"] == as_team["Good"]
     assert refused(stone("results", as_team["Good"][:6])) == "ambiguous_id"
+    same = stone("compare", "latest", as_team["Hidden"])
+    assert (same.exit_code, "A and B are one submission" in " ".join(same.stderr.split())) == (2, True)
     for named in ("latest~3", "nope"):
         result = stone("results", named)
         assert refused(result) == "no_submission"

@@ -109,7 +109,7 @@ def cut(bag: Path, tmp_path: Path) -> Path:
 
 
 def test_a_cut_recording_is_refused_recovered_and_then_inspected(cut: Path, tmp_path: Path) -> None:
-    out = tmp_path / "new" / "recovered.mcap"
+    out = tmp_path / "recovered.mcap"
     refused = stone("inspect", cut)
     assert refused.exit_code == 1
     assert "BAG-010" in refused.stderr

@@ -111,15 +111,18 @@ def test_patience_ends() -> None:
         assert (refused.value.code, refused.value.status, len(script.heard)) == ("database_away", 503, 1)
 
 
-def test_a_refusal_keeps_the_servers_code_sentence_findings_and_request() -> None:
+@pytest.mark.parametrize(("status", "request_said"), [(422, ""), (500, " (request abc)")])
+def test_a_refusal_keeps_the_servers_code_sentence_and_findings_and_a_fault_its_request(
+    status: int, request_said: str
+) -> None:
     with (
-        scripted((422, {}, json.dumps(PROBLEM).encode())) as script,
+        scripted((status, {}, json.dumps(PROBLEM).encode())) as script,
         Api(Server(script.url, "t")) as api,
         pytest.raises(ServerRefusedError) as refused,
     ):
         api.create("/sequences", {})
     assert refused.value.code == "invalid_request"
-    assert str(refused.value) == "2 things are not as asked: body.name: Field required (request abc)"
+    assert str(refused.value) == f"2 things are not as asked: body.name: Field required{request_said}"
 
 
 @pytest.mark.parametrize("body", [b"<html>Sign in</html>", b"[]", b'"text"', b'{"detail": "x"}'])

@@ -163,14 +163,15 @@ def test_labels_arrive_as_they_are_on_the_server(
 
 @pytest.mark.usefixtures("as_owner")
 def test_events_are_chosen_by_channel_and_taken_back(platform: Platform, owner: Person) -> None:
-    assert stone("notifications", "on", "run.failed", "phase.opened", "--by", "email").exit_code == 0
+    assert refused(stone("notifications", "on", "run.failed", "--by", "email")) == "email_off"
+    assert stone("notifications", "on", "run.failed", "phase.opened", "--by", "webhook").exit_code == 0
     assert stone("notifications", "on", "quota.low", "--by", "webhook").exit_code == 0
-    told = stone("notifications", "off", "phase.opened", "--by", "email")
+    told = stone("notifications", "off", "phase.opened", "--by", "webhook")
     assert told.exit_code == 0
     with platform.database.reading() as session:
-        assert choices_of(session, owner.user_id) == {"email": ["run.failed"], "webhook": ["quota.low"]}
+        assert choices_of(session, owner.user_id) == {"email": [], "webhook": ["run.failed", "quota.low"]}
     listed = json.loads(stone("notifications", "list", "--json").stdout)
-    assert (listed["email"], listed["webhook"]) == (["run.failed"], ["quota.low"])
+    assert (listed["email"], listed["webhook"]) == ([], ["run.failed", "quota.low"])
     assert json.loads(stone("notifications", "deliveries", "--json").stdout) == {"deliveries": []}
 
 

@@ -46,7 +46,7 @@ def login(
     server = plain_url(url)
     if token_stdin:
         signed_in = sign_in_by_token(server, sys.stdin.readline().strip())
-    elif browser or (not name and not password_stdin and asks_for_browser(server)):
+    elif (asks_for_browser(server) and not (name or password_stdin)) or browser:  # a dead server ends it first
         signed_in = sign_in_by_browser(server, _show, as_administrator=admin)
     else:
         name = name or typer.prompt("Name", err=True)

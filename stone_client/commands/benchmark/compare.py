@@ -19,7 +19,10 @@ def compare(a: FirstArgument, b: SecondArgument, server: ServerOption = None, as
     from stone_client.server.scores import comparison_table, submission_id
 
     with connected(server) as api:
-        record = compare_both(api, submission_id(api, a), submission_id(api, b))
+        a_id, b_id = submission_id(api, a), submission_id(api, b)
+        if a_id == b_id:
+            raise typer.BadParameter(f"A and B are one submission, {a_id}; name another", param_hint="B")
+        record = compare_both(api, a_id, b_id)
     if as_json:
         echo_json(record)
         return

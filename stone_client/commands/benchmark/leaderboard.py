@@ -6,9 +6,11 @@ from typing import Annotated
 
 import typer
 
+from stone_client.choices import in_folder, refuse_options
 from stone_client.options import BenchmarkArgument, Modality, PhaseArgument, ServerOption
 from stone_client.streams import JsonOption, echo_json, echo_notice
 from stone_client.tables import show
+from stone_files.atomic import atomic_file
 
 
 class Form(StrEnum):
@@ -28,7 +30,10 @@ AsOfOption = Annotated[
 AllOption = Annotated[bool, typer.Option("--all", help="All entries, not only the best of each team.")]
 FormOption = Annotated[Form | None, typer.Option("--format", help="Export in this format instead of printing a table.")]
 OutputOption = Annotated[
-    Path | None, typer.Option("-o", "--output", metavar="FILE", dir_okay=False, help="Output file; else stdout.")
+    Path | None,
+    typer.Option(
+        "-o", "--output", metavar="FILE", dir_okay=False, callback=in_folder, help="Output file (default: stdout)."
+    ),
 ]
 
 
@@ -47,6 +52,10 @@ def leaderboard(
     from stone_client.connection import connected
     from stone_client.server.boards import BoardSelection, board_file, board_table, read_board, reported_notes
 
+    if form is None:
+        refuse_options("it needs --format", {"--output": output})
+    else:
+        refuse_options(f"--format {form.value} is an output format of its own; choose one", {"--json": as_json})
     if form is Form.PARQUET and output is None:
         raise typer.BadParameter("parquet is binary; name a file with --output", param_hint="--output")
     tracked = "all" if track is None else track.value
@@ -70,5 +79,6 @@ def _write(content: bytes, output: Path | None) -> None:
     if output is None:
         typer.echo(content.decode("utf-8").rstrip("\n"))
     else:
-        output.write_bytes(content)
+        with atomic_file(output) as staging:
+            staging.write_bytes(content)
         typer.echo(f"{output} ({len(content):,} bytes)")

@@ -6,10 +6,13 @@ from typing import Annotated
 import typer
 
 from stone_base.counts import counted
+from stone_client.choices import in_folder
 from stone_client.options import BenchmarkArgument, PhaseArgument, ServerOption
 from stone_client.streams import JsonOption, echo_json
 
-OutputOption = Annotated[Path, typer.Option("-o", "--output", metavar="M.json", dir_okay=False, help="Output file.")]
+OutputOption = Annotated[
+    Path, typer.Option("-o", "--output", metavar="M.json", dir_okay=False, callback=in_folder, help="Output file.")
+]
 
 
 def manifest(

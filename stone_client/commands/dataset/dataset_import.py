@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from stone_base.counts import counted
+from stone_client.choices import refuse_options
 from stone_client.options import DatasetClassesOption, DatasetGridOption, DatasetLayoutOption, ServerOption
 from stone_client.progress import transferred
 from stone_client.streams import JsonOption, echo_json
@@ -57,7 +58,7 @@ def import_dataset(
 ) -> None:
     """Import a published dataset with its labels: a sequence for every scene, all of them or none.
 
-    Begun again after anything, it goes on where it was. `stone check` tells beforehand what is wrong with a dataset.
+    Run again after an interruption, it resumes. `stone check` finds the faults of a dataset beforehand.
     ROOT is a name that the server's administrator gave to a folder or a bucket.
     """
     from stone_client.connection import connected
@@ -68,10 +69,19 @@ def import_dataset(
     from stone_files.grid_file import chosen_grid
 
     if list_them:
+        without: dict[str, object] = {
+            "DATASET": dataset,
+            "--name": name,
+            "--classes": classes,
+            "--layout": layout,
+            "--grid": grid,
+        }
+        without |= {"--in-place": in_place, "--add-to-existing": add_to_existing, "--public": public}
+        refuse_options("it has no effect with --list", {**without, "--set-splits": set_splits, "--no-wait": not wait})
         _list(server, as_json=as_json)
         return
     if dataset is None:
-        raise typer.BadParameter("name the DATASET, or ask for --list")
+        raise typer.BadParameter("name a dataset, or add --list", param_hint="DATASET")
     where = place_named(dataset, with_pictures=False) if in_place else _path(dataset)
     wishes = DatasetWishes(
         name or dataset_name(where if isinstance(where, Path) else Path(where.path)),

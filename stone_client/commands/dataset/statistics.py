@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from stone_client.choices import in_folder
 from stone_client.options import ServerOption
 from stone_client.streams import JsonOption, echo_json
 
@@ -12,7 +13,8 @@ DatasetOption = Annotated[
     str | None, typer.Option(metavar="VERSION", help="Of this version of the dataset; else of the sequences you see.")
 ]
 FigureOption = Annotated[
-    Path | None, typer.Option(metavar="FILE.png", dir_okay=False, help="Write the composition as a figure too.")
+    Path | None,
+    typer.Option(metavar="FILE.png", dir_okay=False, callback=in_folder, help="Write the composition as a figure too."),
 ]
 
 

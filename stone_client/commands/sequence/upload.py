@@ -5,6 +5,7 @@ from typing import Annotated, Any
 import typer
 
 from stone_base.findings import Finding
+from stone_client.choices import refuse_options
 from stone_client.clock_offsets import ClockOffsetOption, clock_offsets_body
 from stone_client.options import CalibrationOption, RunArgument, ServerOption
 from stone_client.progress import transferred
@@ -34,6 +35,8 @@ def upload(
     from stone_client.server.run_watch import watch_run
     from stone_client.server.sequences import add_recording, ensure_sequence, pin_calibration, start_run
 
+    if not process:
+        refuse_options("it needs --process; or name it for `stone sequence process`", {"--clock-offset": clock_offset})
     found, choices = bags_among(bags), clock_offsets_body(clock_offset)
     with connected(server) as api:
         sequence = ensure_sequence(api, name or found[0].called)

@@ -6,12 +6,14 @@ from typing import Annotated
 
 import typer
 
+from stone_client.choices import in_folder
 from stone_client.streams import JsonOption, echo_json
 from stone_local.commands.models.predict import RunArgument
 from stone_local.models.torch_there import torch_needed
 
 OutputOption = Annotated[
-    Path, typer.Option("-o", "--output", metavar="MODEL.onnx", dir_okay=False, help="The file to write.")
+    Path,
+    typer.Option("-o", "--output", metavar="MODEL.onnx", dir_okay=False, callback=in_folder, help="The file to write."),
 ]
 
 

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
+from stone_client.choices import refuse_options
 from stone_client.commands.benchmark.submit import submit as send_submission
 from stone_client.files.bags import called
 from stone_client.options import Ground, GroundOption, LidarOption, Modality, OdometryOption, ServerOption
@@ -103,6 +104,9 @@ def predict(
     refuse_contradictions(inputs, bag, of_bags)
     if submit and (benchmark is None or phase is None or team is None or manifest is None):
         raise typer.BadParameter("it also needs --manifest, --benchmark, --phase and --team", param_hint="--submit")
+    if not submit:
+        to_board = {"--benchmark": benchmark, "--phase": phase, "--team": team, "--method": method, "--server": server}
+        refuse_options("it needs --submit", to_board)
     if bag is None or calibration is None:
         written = _of_exports(run, inputs or [], (manifest, output), device)
     else:
