@@ -29,6 +29,7 @@ OTHER_CODES: tuple[tuple[str, str], ...] = (
     ("bad_tar", "The file is not a tar that could be an export."),
     ("bad_truth_pack", "A kept ground truth is not what was written."),
     ("bad_url", "What was given is no address of a server."),
+    ("bad_yaml", "The file cannot be read as YAML, is too large, or has aliases."),
     ("broken_digests", "The digests that a build wrote cannot be read."),
     ("cancelled", "The job was asked to stop; raised inside its attempt at the next report of progress."),
     ("channel_missing", "A frame of a dataset has no data of this sensor."),

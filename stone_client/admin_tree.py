@@ -34,8 +34,9 @@ ADMIN = GroupPlace(
         _group("benchmarks", "List benchmarks, create and change them from a file.", list="listed", apply="apply_file"),
         _group(
             "phases",
-            "Show a phase, create its inputs, read and dismiss its alarms.",
+            "Show a phase; create its inputs; read alarms and reported rows.",
             **{"show": "show", "inputs": "inputs", "alarms": "alarms", "dismiss": "dismiss"},
+            **{"reported": "reported_rows", "report": "report"},
         ),
         _group("truths", "List and build the ground truths of a phase.", list="listed", build="build"),
         _group(

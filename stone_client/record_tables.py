@@ -28,6 +28,11 @@ def echo_records(key: str, records: Sequence[Mapping[str, Any]], columns: Mappin
     show(table)
 
 
+def items_of(answer: Any) -> list[dict[str, Any]]:
+    """Return the records of a bare list, or of a page."""
+    return list(answer["items"] if isinstance(answer, dict) else answer)
+
+
 def _width(field: str) -> int | None:
     if field == "id" or field.endswith("_id"):
         return ID_CHARACTERS

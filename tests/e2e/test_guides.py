@@ -96,11 +96,9 @@ def test_the_field_engineers_guide_works_line_by_line(
 def test_the_administrators_guide_works_line_by_line(
     field: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if shutil.which("curl") is None:
-        pytest.skip("the guide's requests are curl's, which is not on this machine")
     with _pasted(field, tmp_path, monkeypatch) as shell:
         _drive_of_the_guide(tmp_path)
-        assert shell.paste("administrator.md", elsewhere=_elsewhere("administrator.md")) > 40
+        assert shell.paste("administrator.md", elsewhere=_elsewhere("administrator.md")) > 30
         said = json.loads(shell.printed[-1])
         (ours,) = answered("benchmarks", "stone")["benchmarks"]
     assert said["scorings"] == 2

@@ -8,7 +8,7 @@ import typer
 
 from stone_client.commands.admin import RequiredReason
 from stone_client.options import ServerOption
-from stone_client.record_tables import echo_records
+from stone_client.record_tables import echo_records, items_of
 from stone_client.streams import JsonOption, echo_json
 
 COLUMNS = {
@@ -84,7 +84,7 @@ def _act(act: str, job_ids: list[str], reason: str, server: str | None, *, as_js
     body = {"act": act, "job_ids": job_ids, "reason": reason}
     with connected(server) as api:
         answer = api.send("POST", "/admin/jobs/acts", json=body).json()
-    done = answer["items"] if isinstance(answer, dict) else answer
+    done = items_of(answer)
     if as_json:
         echo_json({"jobs": done})
     else:

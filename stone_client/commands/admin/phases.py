@@ -1,15 +1,17 @@
 """`stone admin phases`: a phase as its administrator sees it, its inputs, its alarms."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from stone_base.counts import counted
 from stone_base.errors import one_line
 from stone_client.commands.admin import RequiredReason
-from stone_client.confirmation import PermanentAct, YesOption, require_confirmation
+from stone_client.confirmation import DryRunOption, PermanentAct, YesOption, require_confirmation, show_dry_run
 from stone_client.options import BenchmarkArgument, PhaseArgument, ServerOption
 from stone_client.progress import reported
-from stone_client.record_tables import echo_records
+from stone_client.record_tables import echo_records, items_of
 from stone_client.streams import JsonOption, echo_json
 from stone_client.tables import DASH
 
@@ -100,3 +102,53 @@ def dismiss(
         echo_json(record)
     else:
         typer.echo(f"dismissed: {record['kind']} {record['id']}")
+
+
+def reported_rows(
+    benchmark: BenchmarkArgument, phase: PhaseArgument, server: ServerOption = None, as_json: JsonOption = False
+) -> None:
+    """List the reported rows of a phase: results that others published, never ranked."""
+    from stone_client.connection import connected
+    from stone_client.server.benchmarks import read_phase
+
+    with connected(server) as api:
+        found = items_of(api.send("GET", f"/admin/phases/{read_phase(api, benchmark, phase)['id']}/reported").json())
+    columns = {"method": "method", "track": "modality", "kind": "kind", "mIoU": "miou", "source": "source"}
+    echo_records("reported", found, columns, as_json=as_json)
+
+
+def report(
+    benchmark: BenchmarkArgument,
+    phase: PhaseArgument,
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", exists=True, dir_okay=False, help="YAML or JSON: a list of all the rows.")
+    ],
+    reason: RequiredReason,
+    is_confirmed: YesOption = False,
+    is_dry_run: DryRunOption = False,
+    server: ServerOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Replace all reported rows of a phase by those of a file."""
+    from stone_client.connection import connected
+    from stone_client.files.yaml_file import read_yaml
+    from stone_client.server.benchmarks import read_phase
+
+    rows = read_yaml(file)
+    if not isinstance(rows, list):
+        raise typer.BadParameter("it holds no list of rows", param_hint="FILE")
+    with connected(server) as api:
+        path = f"/admin/phases/{read_phase(api, benchmark, phase)['id']}/reported"
+        answer = api.send("GET", path)
+        clause = f"replace the {len(items_of(answer.json()))} reported rows of {benchmark} / {phase} by {len(rows)}"
+        act = PermanentAct(clause, "the rows of before are lost")
+        if is_dry_run:
+            show_dry_run(act, {"rows": rows}, as_json=as_json)
+            return
+        require_confirmation(act, is_given=is_confirmed)
+        body, match = {"rows": rows, "reason": reason}, {"If-Match": answer.headers["ETag"]}
+        done = items_of(api.send("PUT", path, json=body, headers=match).json())
+    if as_json:
+        echo_json({"reported": done})
+    else:
+        typer.echo(f"{benchmark} / {phase}: {counted(len(done), 'reported row')}")

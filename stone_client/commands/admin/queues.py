@@ -7,7 +7,7 @@ import typer
 
 from stone_client.commands.admin import RequiredReason
 from stone_client.options import ServerOption
-from stone_client.record_tables import echo_records
+from stone_client.record_tables import echo_records, items_of
 from stone_client.streams import JsonOption
 
 COLUMNS = {
@@ -37,7 +37,7 @@ def listed(server: ServerOption = None, as_json: JsonOption = False) -> None:
 
     with connected(server) as api:
         found = api.send("GET", "/admin/queues").json()
-    echo_records("queues", _items(found), COLUMNS, as_json=as_json)
+    echo_records("queues", items_of(found), COLUMNS, as_json=as_json)
 
 
 def pause(
@@ -67,8 +67,3 @@ def _switch(queue: Queue, act: str, reason: str, server: str | None, *, as_json:
     with connected(server) as api:
         switched = api.create(f"/admin/queues/{queue}/{act}", {"reason": reason})
     echo_records("queues", [switched], COLUMNS, as_json=as_json)
-
-
-def _items(answer: object) -> list[dict[str, object]]:
-    """The queues of a bare list, or of a page of a newer server."""
-    return list(answer["items"]) if isinstance(answer, dict) else list(answer)  # type: ignore[call-overload]

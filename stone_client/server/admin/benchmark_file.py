@@ -13,16 +13,12 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
-from ruamel.yaml.events import AliasEvent
-
 from stone_base.errors import Refused
 from stone_client.api import Api
 from stone_client.errors import ServerRefusedError
+from stone_client.files.yaml_file import read_yaml
 from stone_client.server.sequences import Item
 
-MOST_BYTES = 256 * 1024
 OF_BENCHMARK = ("title", "description", "is_public")
 FIXED = ("every_nth",)
 OF_PHASE = (
@@ -63,8 +59,8 @@ def bad_benchmark_file(path: Path, why: str) -> Refused:
 
 
 def read_benchmark_file(path: Path) -> BenchmarkFile:
-    """Return the benchmark that the file describes. Raises `bad_benchmark_file`."""
-    described = _mapping(path, "the file", _parsed(path))
+    """Return the benchmark that the file describes. Raises `bad_yaml`, `bad_benchmark_file`."""
+    described = _mapping(path, "the file", read_yaml(path))
     _refuse_unknown(path, "the file", described, ("name", "dataset", "phases", *OF_BENCHMARK))
     name, dataset = (described.get(key) for key in ("name", "dataset"))
     if not isinstance(name, str) or not isinstance(dataset, str):
@@ -171,23 +167,6 @@ def _plain(fields: Mapping[str, Any]) -> dict[str, Any]:
 def _moment(value: date) -> str:
     moment = value if isinstance(value, datetime) else datetime(value.year, value.month, value.day, tzinfo=UTC)
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).isoformat()
-
-
-def _parsed(path: Path) -> Any:
-    try:
-        with path.open("rb") as file:
-            content = file.read(MOST_BYTES + 1)
-        if len(content) > MOST_BYTES:
-            raise bad_benchmark_file(path, f"it is larger than {MOST_BYTES} bytes")
-        text = content.decode("utf-8-sig")
-        if any(isinstance(event, AliasEvent) for event in YAML(typ="safe", pure=True).parse(text)):
-            raise bad_benchmark_file(path, "aliases (*name) are not allowed")
-        return YAML(typ="safe", pure=True).load(text)
-    except (YAMLError, ValueError, TypeError, RecursionError, AssertionError) as error:
-        if isinstance(error, Refused):
-            raise
-        why = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise bad_benchmark_file(path, f"it is no YAML ({why[:200]})") from None
 
 
 def _mapping(path: Path, what: str, value: Any) -> Mapping[str, Any]:
