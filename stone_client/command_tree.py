@@ -32,21 +32,27 @@ SPLITS = GroupPlace(
     _in("dataset.splits", "show", "propose", "put"),
 )
 GROUPS = (
-    GroupPlace("auth", SERVER, "Sign in to a server.", _in("auth", "login")),
+    GroupPlace(
+        "auth",
+        SERVER,
+        "Sign in to a server, sign out, and show who is signed in.",
+        _in("auth", "login", "logout", "status"),
+    ),
     GroupPlace(
         "sequence",
         SERVER,
         "Upload recordings, label them on a server, and download labels and exports.",
         (
             *_at("sequence.status", list="listed", status="status"),
-            *_in("sequence", "upload", "register", "process", "watch", "download", "exports"),
+            *_in("sequence", "upload", "register", "process", "watch", "cancel"),
+            *_in("sequence", "edit", "delete", "download", "exports"),
         ),
     ),
     GroupPlace(
         "label-set",
         SERVER,
-        "List, delete and compare the label sets of a sequence.",
-        (*_at("label_set.listed", list="listed"), *_in("label_set", "compare", "delete")),
+        "List, activate, compare and delete the label sets of a sequence.",
+        (*_at("label_set.listed", list="listed"), *_in("label_set", "activate", "compare", "delete")),
     ),
     GroupPlace(
         "dataset",

@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from stone_base.errors import StoneError, one_line
+from stone_client.server.ids import place_from_newest
 from stone_client.streams import echo_json
 
 YesOption = Annotated[bool, typer.Option("--yes", help="Confirm the act; required without a terminal.")]
@@ -36,16 +37,16 @@ class PermanentAct:
         return f"{self.clause}: {self.effect}"
 
 
-def require_confirmation(act: PermanentAct, *, is_given: bool, moving: str = "") -> None:
+def require_confirmation(act: PermanentAct, *, is_given: bool, named: str = "") -> None:
     """Return if `--yes` was given, or the user confirms `act` on the terminal.
 
-    `moving` is the user's word for the thing if the word may name another thing a second later, such as `latest`: then
-    no question replaces `--yes`. Raises `not_confirmed`; `typer.Exit` after a declined question.
+    `named` is the user's word for the thing. `latest` may name another thing a second later, so no question replaces
+    `--yes` for it. Raises `not_confirmed`; `typer.Exit` after a declined question.
     """
     if is_given:
         return
-    if moving:
-        raise NotConfirmedError(f"{act}; {moving!r} may name another one a second later: give its id, or add --yes")
+    if place_from_newest(named) is not None:
+        raise NotConfirmedError(f"{act}; {named!r} may name another one a second later: give its id, or add --yes")
     if not is_at_terminal():
         raise NotConfirmedError(f"{act}; add --yes to confirm, or --dry-run to see the effect")
     typer.echo(one_line(f"{act.clause[:1].upper()}{act.clause[1:]}: {act.effect}."), err=True)

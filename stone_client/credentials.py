@@ -62,7 +62,31 @@ def remember(url: str, token: str, *, as_default: bool) -> None:
     """Keep the token of a server. Raises `bad_credentials_file`."""
     known = read_credentials()
     default = url if as_default or not known.default else known.default
-    servers = {name: {"token": secret} for name, secret in {**known.token_of, url: token}.items()}
+    _write(Credentials(default, {**known.token_of, url: token}))
+
+
+def forget(url: str) -> None:
+    """Delete the token of a server; no other server becomes the default. Raises `bad_credentials_file`."""
+    known = read_credentials()
+    left = {name: secret for name, secret in known.token_of.items() if name != url}
+    _write(Credentials(known.default if known.default in left else "", left))
+
+
+def stored_server(url: str | None) -> Server:
+    """Return the named server, else the default, with its stored token; the environment does not count.
+
+    Raises `not_signed_in`, `bad_url`, `bad_credentials_file`.
+    """
+    known = read_credentials()
+    chosen = plain_url(url) if url else known.default
+    if chosen not in known.token_of:
+        raise Refused("not_signed_in", f"there is no stored token for {chosen or 'any server'}; nothing to sign out of")
+    return Server(chosen, known.token_of[chosen])
+
+
+def _write(credentials: Credentials) -> None:
+    servers = {name: {"token": secret} for name, secret in credentials.token_of.items()}
+    default = credentials.default
     configuration_folder().mkdir(parents=True, exist_ok=True, mode=0o700)
     with atomic_file(configuration_folder() / FILE) as staging:
         staging.chmod(0o600)

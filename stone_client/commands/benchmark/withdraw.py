@@ -32,7 +32,7 @@ def withdraw(
         if is_dry_run:
             show_dry_run(act, {"id": found}, as_json=as_json)
             return
-        require_confirmation(act, is_given=is_confirmed, moving="" if submission == found else submission)
+        require_confirmation(act, is_given=is_confirmed, named=submission)
         taken = take_off(api, found, reason)
     if as_json:
         echo_json(dict(taken))

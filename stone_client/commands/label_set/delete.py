@@ -31,7 +31,7 @@ def delete(
         if is_dry_run:
             show_dry_run(act, {"label_set": deleted}, as_json=as_json)
             return
-        require_confirmation(act, is_given=is_confirmed, moving="" if label_set == deleted else label_set)
+        require_confirmation(act, is_given=is_confirmed, named=label_set)
         delete_label_set(api, found, deleted)
     if as_json:
         echo_json({"deleted": deleted})

@@ -3,6 +3,7 @@
 from stone_base.errors import Refused
 from stone_client.api import Api
 from stone_client.server.benchmarks import read_phase
+from stone_client.server.ids import chosen_id
 
 
 def rescores_path(api: Api, benchmark: str, phase: str) -> str:
@@ -10,15 +11,14 @@ def rescores_path(api: Api, benchmark: str, phase: str) -> str:
 
 
 def rescore_path(api: Api, benchmark: str, phase: str, named: str) -> str:
-    """Return the path of the re-score with this id; `latest` is the newest. Raises `no_rescore`."""
+    """Return the path of the re-score with this id or short id; `latest` is the newest. Raises `no_rescore`."""
     path = rescores_path(api, benchmark, phase)
     ids = [str(one["id"]) for one in api.pages(path)]
-    if named == "latest" and ids:
-        return f"{path}/{ids[0]}"
-    if named not in ids:
+    found = named if named in ids else chosen_id(named, ids)
+    if found is None:
         raise Refused(
             "no_rescore",
             f"{named[:80]!r} is no re-score of {benchmark} / {phase}: expected is latest or an id of its {len(ids)} "
             "(`stone admin rescores list` lists them)",
         )
-    return f"{path}/{named}"
+    return f"{path}/{found}"
