@@ -60,9 +60,14 @@ class Api:
         answer: dict[str, Any] = self.send("GET", path, params=query).json()
         return answer
 
-    def create(self, path: str, body: Mapping[str, Any]) -> dict[str, Any]:
-        """POST a body and return the answer; a broken connection does not make two."""
-        answer: dict[str, Any] = self.send("POST", path, json=body, headers={"Idempotency-Key": uuid4().hex}).json()
+    def create(self, path: str, body: Mapping[str, Any], revision: int | None = None) -> dict[str, Any]:
+        """POST a body and return the answer; a broken connection does not make two.
+
+        With `revision` the request is refused (`precondition_failed`) if the state that it is about has changed.
+        """
+        match = {} if revision is None else {"If-Match": f'"{revision}"'}
+        headers = {"Idempotency-Key": uuid4().hex, **match}
+        answer: dict[str, Any] = self.send("POST", path, json=body, headers=headers).json()
         return answer
 
     def pages(self, path: str, **query: str | int) -> Iterator[Any]:

@@ -14,7 +14,7 @@ from sqlalchemy import select
 from api import audit
 from api.answers import refusals
 from api.deps import Administrator, PlatformDep, Reader
-from api.etags import set_head
+from api.etags import require_match, set_head
 from api.files import ServedFile, StoredFile, answer_bytes, answer_file, file_responses
 from api.lists.answers import listed, model_response
 from api.paging import Page, PageDep, page
@@ -36,19 +36,21 @@ MANIFEST = file_responses("application/json")
 ARCHIVE = file_responses(MEDIA_TYPES["tar"])
 
 
-@router.post("", summary="Publish the splits as a version", status_code=201, responses=refusals(409))
+@router.post("", summary="Publish the splits as a version", status_code=201, responses=refusals(409, 412))
 def create_dataset(
-    body: NewDatasetBody, caller: Administrator, platform: PlatformDep, response: Response
+    body: NewDatasetBody, caller: Administrator, platform: PlatformDep, request: Request, response: Response
 ) -> PublishedDataset:
     """Publish the splits as they stand, as a version that never changes; train and val may then be downloaded.
 
     Their inputs are made by jobs that begin now. What the rules warn of is in the answer, and by its codes in the audit
-    log.
+    log. With If-Match, the ETag of the splits, only the splits that were read are published.
     """
     asked = NewDataset(body.name, body.licence, caller.user_id)
     platform.settings.root.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(dir=platform.settings.root) as folder:
         prepared = prepare_dataset(platform, asked, FilePath(folder))
+        if "if-match" in request.headers:
+            require_match(request, prepared.revision)
         with platform.database.transaction() as session:
             dataset = write_dataset(session, prepared)
             follow_publication(session, dataset, caller.user_id)

@@ -26,9 +26,9 @@ def read_dataset(api: Api, version: str) -> dict[str, Any]:
     return api.read(f"/datasets/{quote(version, safe='')}")
 
 
-def publish_dataset(api: Api, version: str, licence: str, reason: str) -> dict[str, Any]:
-    """The version that was made of the splits."""
-    return api.create("/datasets", {"name": version, "licence": licence, "reason": reason})
+def publish_dataset(api: Api, version: str, licence: str, reason: str, revision: int | None = None) -> dict[str, Any]:
+    """Publish the draft splits as a version; with `revision` only that draft. Raises what `Api.send` raises."""
+    return api.create("/datasets", {"name": version, "licence": licence, "reason": reason}, revision)
 
 
 def download_dataset(api: Api, dataset: Item, folder: Path, progress: Report) -> list[dict[str, Any]]:

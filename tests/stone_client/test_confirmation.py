@@ -103,6 +103,26 @@ def test_splits_are_saved_and_published_only_with_consent(tmp_path: Path, names:
     assert stone("datasets", "stone-1.0", "--create", "--yes").exit_code == 0
 
 
+def test_a_draft_that_changes_during_the_question_is_not_published(
+    tmp_path: Path, names: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "splits.json"
+
+    def put(**parts: list[str]) -> None:
+        path.write_text(json.dumps(parts))
+        assert stone("splits", "--put", path, "--yes").exit_code == 0
+
+    def answer_after_another_put() -> bool:
+        put(train=names[1:2], val=names[:1], test=names[2:])
+        return True
+
+    put(train=names[:1], val=names[1:2], test=names[2:])
+    monkeypatch.setattr(confirmation, "is_at_terminal", answer_after_another_put)
+    result = stone("dataset", "publish", "stone-1.0", stdin="y\n")
+    assert (result.exit_code, "precondition_failed" in result.stderr) == (1, True)
+    assert answered("datasets")["datasets"] == []
+
+
 def test_a_dry_run_of_splits_that_break_a_rule_is_a_refusal(tmp_path: Path, names: list[str]) -> None:
     path = tmp_path / "splits.json"
     path.write_text(json.dumps({"train": names[:1], "val": names[:1], "test": []}))

@@ -28,6 +28,7 @@ def publish(
     from stone_client.server.publication import planned_version, publishing, show_version_plan
 
     with connected(server) as api:
+        shown_revision = None
         if is_dry_run or not is_confirmed:
             plan = planned_version(api, version, licence)
             show_version_plan(plan, as_json=as_json)
@@ -35,7 +36,8 @@ def publish(
                 show_dry_run(publishing(plan), plan, as_json=as_json)
                 return
             require_confirmation(publishing(plan), is_given=False)
-        record = publish_dataset(api, version, licence, reason)
+            shown_revision = plan["revision"]
+        record = publish_dataset(api, version, licence, reason, shown_revision)
     if as_json:
         echo_json(record)
     else:
