@@ -13,6 +13,7 @@ OTHER_CODES: tuple[tuple[str, str], ...] = (
     ),
     ("backup_busy", "Another process works in the backup folder."),
     ("backup_damaged", "What lies in the backup is not what was put there."),
+    ("bad_archive_name", "An archive is downloaded as a `.tar` or a `.zip` file."),
     ("bad_benchmark_file", "The file is no `benchmark.yaml` that `stone admin benchmarks apply` can read."),
     ("bad_credentials_file", "The file of tokens was changed by hand, or by another program."),
     ("bad_ground_truth", "The ground truth folder, or a label file in it, is not as the labeler writes it."),

@@ -7,6 +7,7 @@ from docsite.codes_page import codes_page
 from docsite.commands_page import commands_page
 from docsite.programs_page import programs_page
 from docsite.readmes import included_pages
+from docsite.sdk_page import sdk_page
 from docsite.settings_page import settings_page
 from stone.scoring.metric import METRICS
 
@@ -16,6 +17,7 @@ def made_pages() -> Mapping[str, str]:
     metrics = {f"reference/{version}.md": f"{metric.definition}\n" for version, metric in METRICS.items()}
     return {
         "reference/commands.md": commands_page(),
+        "reference/sdk.md": sdk_page(),
         "reference/configuration.md": settings_page(),
         "reference/codes.md": codes_page(),
         "reference/programs.md": programs_page(),

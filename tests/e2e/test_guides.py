@@ -115,6 +115,21 @@ def test_the_participants_guide_works_line_by_line(
         check_what_was_printed(shell)
 
 
+def test_the_page_of_the_sdk_works_line_by_line(
+    field: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with _pasted(field, tmp_path, monkeypatch) as shell:
+        _drive_of_the_guide(tmp_path)
+        assert shell.paste("sdk.md") == 1
+        lines = capsys.readouterr().out.splitlines()
+    frames = len(list(tmp_path.glob("sdk-forest-labels/gts/sdk-forest/*/labels.npz")))
+    assert lines[0].startswith(f"succeeded ({frames}, 256, 256, 32) uint8 ")
+    assert frames > 10
+    assert lines[3] == f"sdk-forest.tar {(tmp_path / 'sdk-forest.tar').stat().st_size}"
+    assert lines[4].endswith(" nuscenes")
+    assert lines[5] == "<1 × LabelSet>"
+
+
 def test_the_release_is_imported_as_its_page_says(
     field: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -33,20 +33,26 @@ def test_a_submission_waits_and_tells_its_scores(
     path = zipped(served, tmp_path / "sub.zip")
     with scoring(served.platform):
         submission = stone.submit(path, **said(served)).wait()
-    assert (submission.state, repr(submission)) == ("scored", f"<Submission {submission.id} scored>")
+    assert (submission.state, repr(submission)) == ("scored", f"<Submission {submission.id} GroundNet scored>")
     assert set(submission.scores) == {"miou", "iou_occ", "iou_t", "iou_p", "iou_n"}
-    assert len(submission.breakdown("sequence")["parts"]) == 2
+    parts = submission.breakdown("sequence")
+    assert len(parts) == 2
+    assert parts.rows()[0].keys() == {"name", "frames", *submission.scores}
+    assert "<td>" in parts._repr_html_()
     assert stone.submit(str(path), **said(served)).id == submission.id, "the same file is the same submission"
     monkeypatch.setenv("STONE_URL", served.url)
     monkeypatch.setenv("STONE_TOKEN", served.captain.secret)
-    assert answered("results", submission.id) == submission.results
+    assert answered("results", submission.id) == submission.results.record
+    assert [one.id for one in stone.submissions()] == [stone.submission("latest").id] == [submission.id]
     with Stone() as by_login:
         assert by_login.submission(submission.id).scores == submission.scores
         board = by_login.leaderboard(served.world.benchmark, "val")
-        assert board == answered("leaderboard", served.world.benchmark, "val")
-        assert by_login.compare(submission.id, submission.id)["ratios"]["miou"]["difference"] == 0
+        assert board.record == answered("leaderboard", served.world.benchmark, "val")
+        assert (board.rows[0].rank, board.rows[0].method) == (1, "GroundNet")
+        assert board.rows.rows()[0]["miou"] == submission.scores["miou"]
+        assert by_login.compare(submission.id, "latest")["miou"].difference == 0
     submission.withdraw("a mistake")
-    assert stone.leaderboard(served.world.benchmark, "val")["rows"] == []
+    assert len(stone.leaderboard(served.world.benchmark, "val").rows) == 0
 
 
 def test_what_is_invalid_is_raised_with_the_whole_report(served: Served, stone: Stone, tmp_path: Path) -> None:

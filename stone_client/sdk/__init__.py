@@ -1,0 +1,63 @@
+"""The platform from Python: what the `stone` command does, as functions that return values.
+
+    from stone_client import Stone
+
+    with Stone() as stone:
+        stone.upload("run.mcap", calibration="robot.yaml", name="forest").process().wait()
+        semantics = stone.labels("forest")["semantics"]
+
+**Conventions.** Names are those of the command. Lists are a `Table` of frozen dataclasses, with `to_pandas()`. A
+refusal is raised as a `StoneError`, whose `code` programs read. Everything may be called again: what is there already
+is used, not made twice.
+"""
+
+from stone_base.errors import StoneError
+from stone_client.errors import JobFailedError, ServerRefusedError, ServerUnreachableError
+from stone_client.sdk.datasets import DatasetVersion
+from stone_client.sdk.labels import Labels
+from stone_client.sdk.records import (
+    Benchmark,
+    BoardRow,
+    Comparison,
+    LabelSet,
+    Leaderboard,
+    Part,
+    Phase,
+    RatioDifference,
+    Results,
+    Upload,
+)
+from stone_client.sdk.runs import Run
+from stone_client.sdk.sequences import Export, Sequence
+from stone_client.sdk.stone import Stone, ignore_progress
+from stone_client.sdk.submissions import Submission
+from stone_client.sdk.tables import Table
+from stone_client.server.submission import SubmissionEndedError, SubmissionInvalidError
+
+__all__ = [
+    "Benchmark",
+    "BoardRow",
+    "Comparison",
+    "DatasetVersion",
+    "Export",
+    "JobFailedError",
+    "LabelSet",
+    "Labels",
+    "Leaderboard",
+    "Part",
+    "Phase",
+    "RatioDifference",
+    "Results",
+    "Run",
+    "Sequence",
+    "ServerRefusedError",
+    "ServerUnreachableError",
+    "Stone",
+    "StoneError",
+    "Submission",
+    "SubmissionEndedError",
+    "SubmissionInvalidError",
+    "Table",
+    "Upload",
+    "ignore_progress",
+]
