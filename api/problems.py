@@ -204,7 +204,7 @@ def _database_away(error: Any) -> JSONResponse:
     if "no such column" in str(error) or "no such table" in str(error):  # SQLite's words; PostgreSQL has a class for it
         return internal_error()
     sentence = "the database cannot be reached or is too busy; nothing was changed, try again"
-    return answer(problem("database_away", sentence))
+    return answer(problem("database_unavailable", sentence))
 
 
 ANSWERS: tuple[tuple[type[Exception], Callable[[Any], JSONResponse]], ...] = (

@@ -34,11 +34,11 @@ PROBLEM_TYPES = {
     "not_captain": ProblemType(403, "Only the captain may do this"),
     "passwords_off": ProblemType(403, "Password sign-in is disabled"),
     "provider_refused": ProblemType(403, "The provider denied the sign-in"),
-    "shut_out": ProblemType(403, "The account is deactivated"),
+    "account_deactivated": ProblemType(403, "The account is deactivated"),
     "splits_forbidden": ProblemType(403, "The draft splits are the administrators'"),
     "withheld": ProblemType(403, "This part of a result is not shown to the caller, or not yet"),
     "alarm_missing": ProblemType(404, "There is no such alarm"),
-    "foreign_truth": ProblemType(404, "The ground truth is that of another phase"),
+    "ground_truth_of_other_phase": ProblemType(404, "The ground truth is that of another phase"),
     "hidden_part": ProblemType(404, "The labels of test cannot be downloaded"),
     "no_invitation": ProblemType(404, "The invitation is unknown, used, withdrawn or too old"),
     "no_playback": ProblemType(
@@ -62,7 +62,7 @@ PROBLEM_TYPES = {
     "already_member": ProblemType(409, "The user is a member of the team"),
     "already_processing": ProblemType(409, "A run is already in progress; `job_id` is that run"),
     "bad_member": ProblemType(409, "A file cannot have this name in an archive"),
-    "captain_stays": ProblemType(409, "The captain cannot leave while there are other members"),
+    "captain_cannot_leave": ProblemType(409, "The captain cannot leave while there are other members"),
     "conflict": ProblemType(409, "Not possible in the current state"),
     "email_not_verified": ProblemType(409, "The secret of a mailed link does not verify the account's address"),
     "empty_catalogue": ProblemType(409, "There is nothing to divide"),
@@ -73,7 +73,7 @@ PROBLEM_TYPES = {
     "held_out_low": ProblemType(409, "A label set has a lower held-out recall than a published version may have"),
     "hidden_truth": ProblemType(409, "Labels that serve as hidden ground truth cannot be made public"),
     "inputs_impossible": ProblemType(409, "A sequence is gone, or what its inputs are made of"),
-    "inputs_stand": ProblemType(409, "Every sequence has its inputs already"),
+    "inputs_complete": ProblemType(409, "Every sequence has its inputs already"),
     "last_administrator": ProblemType(409, "The last administrator cannot be removed"),
     "name_taken": ProblemType(409, "Somebody or something else has this name already"),
     "no_calibration": ProblemType(409, "No calibration is assigned"),
@@ -127,14 +127,14 @@ PROBLEM_TYPES = {
     "wrong_upload_state": ProblemType(409, "The upload is not in a state in which this can be done"),
     "wrong_upload_target": ProblemType(409, "The upload was declared for another sequence"),
     "upload_gone": ProblemType(410, "The upload ended without a file: expired, terminated or failed"),
-    "board_moved": ProblemType(412, "Another evaluation version was activated since the board was read"),
+    "leaderboard_changed": ProblemType(412, "Another evaluation version was activated since the board was read"),
     "precondition_failed": ProblemType(412, "The resource was changed since it was read"),
     "tus_version": ProblemType(412, "Tus-Resumable is missing or not 1.0.0"),
     "body_too_large": ProblemType(413, "The body is larger than the route reads"),
     "over_length": ProblemType(413, "More bytes came than were declared; those of this request were cut off again"),
     "quota_exceeded": ProblemType(413, "The owner would have more than the limit"),
     "submission_too_large": ProblemType(413, "The file is larger than all frames of the phase could be"),
-    "too_many_slabs": ProblemType(
+    "too_many_small_requests": ProblemType(
         413, "The upload came in so many small requests that it is not to be kept in as many objects"
     ),
     "upload_too_large": ProblemType(413, "The file is larger than this platform takes"),
@@ -186,9 +186,6 @@ PROBLEM_TYPES = {
     "upload_locked": ProblemType(423, "Another request is writing to this upload"),
     "client_too_old": ProblemType(426, "The client's release is no longer supported by this server"),
     "precondition_required": ProblemType(428, "A change needs the ETag of the resource (If-Match)"),
-    "exhausted": ProblemType(
-        429, "The quota is used up; `next_ns` is when the next submission is available, null for never"
-    ),
     "guessed_too_often": ProblemType(
         429, "Too many wrong passwords, for this name or from this address: the next try waits"
     ),
@@ -209,12 +206,12 @@ PROBLEM_TYPES = {
     "id_token_refused": ProblemType(502, "The ID token is not one that the provider made for this sign-in"),
     "provider_answer": ProblemType(502, "What the provider answered is not what the standard says"),
     "busy": ProblemType(503, "Too many password checks, waiting programs or request bodies at this moment"),
-    "database_away": ProblemType(503, "The database cannot be reached, or is too busy"),
-    "provider_away": ProblemType(503, "The provider does not answer, or not in time"),
+    "database_unavailable": ProblemType(503, "The database cannot be reached, or is too busy"),
+    "provider_unavailable": ProblemType(503, "The provider does not answer, or not in time"),
     "reader_interrupted": ProblemType(
         503, "Reading the input was cut short by the machine; perhaps no fault of the input"
     ),
-    "store_away": ProblemType(503, "The store did not answer, or answered that it cannot work now"),
+    "store_unavailable": ProblemType(503, "The store did not answer, or answered that it cannot work now"),
     "disk_full": ProblemType(507, "The disk is full; what was written before is kept"),
     "insufficient_storage": ProblemType(507, "The disk is full; nothing was lost"),
     "storage_full": ProblemType(507, "The disk is full up to its reserve; the new files would not fit"),

@@ -97,7 +97,7 @@ OTHER_CODES: tuple[tuple[str, str], ...] = (
     ("platform_not_installed", "The command works on recordings, labels or models, which the client alone cannot."),
     ("point_offset", "Point times lie implausibly far from the stamp of their sweep."),
     ("port_taken", "The address to listen on is somebody else's, or not this machine's."),
-    ("ranges_away", "A child could not read on in an archive in place; its parent's failure says why."),
+    ("ranges_unavailable", "A child could not read on in an archive in place; its parent's failure says why."),
     ("recording_deleted", "The recording that labels were made of is no longer kept."),
     ("recording_gone", "The recording is no longer where it was labelled."),
     ("redis_missing", "There is no Redis to start."),

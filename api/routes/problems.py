@@ -7,6 +7,7 @@ from api.errors import NotFoundError
 from api.paging import Page, whole
 from api.schemas.audit import ProblemItem
 from api.statuses import PROBLEM_TYPES
+from stone_base.codes.renamed import RENAMED
 
 router = APIRouter(tags=["problems"])
 
@@ -19,6 +20,7 @@ def list_problems() -> Page[ProblemItem]:
 
 @router.get("/problems/{code}", summary="Show one problem type", responses=refusals(404))
 def show_problem(code: str) -> ProblemItem:
+    code = RENAMED.get(code, code)
     if code not in PROBLEM_TYPES:
         raise NotFoundError("problem", code)
     return ProblemItem(code=code, status=PROBLEM_TYPES[code].status, title=PROBLEM_TYPES[code].title)

@@ -92,7 +92,7 @@ class AdminJobDetail(JobDetail):
 class QueueItem(Answer):
     """A queue: `mode` is open, paused or draining; jobs ready, waiting for others, and running.
 
-    `bells` are broker notifications that no worker has acknowledged yet; null where the broker does not answer.
+    `wake_ups` are broker notifications that no worker has acknowledged yet; null where the broker does not answer.
     `oldest_ready_s` is how
     long ago the oldest of the ready jobs was made. `per_minute` are the jobs that succeeded in each of the last 30
     minutes, the oldest first; `succeeded_lately` and `failed_lately` are of the last 15.
@@ -104,7 +104,7 @@ class QueueItem(Answer):
         ready=3,
         waiting=28,
         running=2,
-        bells=3,
+        wake_ups=3,
         oldest_ready_s=41.5,
         succeeded_lately=57,
         failed_lately=1,
@@ -116,7 +116,7 @@ class QueueItem(Answer):
     ready: int
     waiting: int
     running: int
-    bells: int | None
+    wake_ups: int | None
     oldest_ready_s: float | None
     succeeded_lately: int
     failed_lately: int

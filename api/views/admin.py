@@ -153,7 +153,7 @@ def queue_items(session: Session, wake_ups: WakeUpCounts = UNASKED) -> list[Queu
             standing.get(name, QueueBacklog()),
             name=name,
             mode=modes.get(name, "open"),
-            bells=wake_ups[name],
+            wake_ups=wake_ups[name],
             oldest_ready_s=_age_s(standing.get(name, QueueBacklog()), at_ns),
             **_achieved(ended.get(name, EndedJobCounts())),
         )

@@ -38,7 +38,7 @@ JOBS: Mapping[str, str] = {
     "mode": "Mode of the queue: open, paused or draining.",
     "ready": "Number of jobs that can start.",
     "waiting": "Number of jobs that wait for other jobs.",
-    "bells": "Number of broker messages that no worker has acknowledged; null if the broker does not answer.",
+    "wake_ups": "Number of broker messages that no worker has acknowledged; null if the broker does not answer.",
     "oldest_ready_s": "Age of the oldest job that can start, in seconds; null if there is none.",
     "succeeded_lately": "Number of jobs that succeeded in the last 15 minutes.",
     "failed_lately": "Number of jobs that failed in the last 15 minutes.",

@@ -88,7 +88,7 @@ class _Reading:
 
     @classmethod
     def of(cls, store: Store, due: _Due) -> "_Reading":
-        """Return the object, opened. Raises `store_away`."""
+        """Return the object, opened. Raises `store_unavailable`."""
         opened = cls(due, iter(()))
         with opened._noting():
             if store.size_bytes(due.object_key) != due.size_bytes:
@@ -111,7 +111,7 @@ class Scrub:
         self._reading: _Reading | None = None
 
     def turn(self) -> None:
-        """Continue the pass. Raises `store_away`; the next turn then starts the unfinished object again."""
+        """Continue the pass. Raises `store_unavailable`; the next turn then starts the unfinished object again."""
         if not self._rate:
             return
         self._paid_s = max(self._paid_s, self._now_s() - CREDIT_S)

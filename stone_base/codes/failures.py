@@ -88,7 +88,7 @@ MEANINGS = (
         "Ask an administrator to upgrade all workers.",
     ),
     CodeMeaning(
-        "root_away",
+        "root_unavailable",
         "refused",
         "The folder of a root for files in place is not on the worker.",
         "Mount it; the job is tried again.",

@@ -7,6 +7,7 @@ import typer
 
 from stone_base.codes.catalogue import CATALOGUE
 from stone_base.codes.meaning import HARM_SENTENCES, HARM_WORDS, CodeMeaning
+from stone_base.codes.renamed import RENAMED
 from stone_base.errors import Refused
 from stone_client.streams import JsonOption, echo_json
 
@@ -18,13 +19,18 @@ def explain(
     """Explain a code: what it means, whether it harms labels, and what to do."""
     if not code:
         return _list(as_json)
-    one = {_bare(known): entry for known, entry in CATALOGUE.items()}.get(_bare(code))
+    named = RENAMED.get(code, code)
+    one = {_bare(known): entry for known, entry in CATALOGUE.items()}.get(_bare(named))
+    if one is None and code in RENAMED:
+        return _refusal(code, named, as_json)
     if one is None:
         raise Refused(
             "unknown_code", f"{code[:80]!r} is no code of a finding or of a failed run; `stone explain` lists them"
         )
     if as_json:
         return echo_json(_record(one))
+    if code in RENAMED:
+        typer.echo(f"{code} is the earlier name of {named}.\n")
     typer.echo(f"{one.code}: {HARM_WORDS[one.harm]}\n")
     others = (
         f" As {'an error' if word == 'error' else 'a warning'}: {HARM_WORDS[harm]}."
@@ -32,6 +38,14 @@ def explain(
     )
     typer.echo(f"{one.meaning}\n\nDoes it harm labels? {HARM_SENTENCES[one.harm]}{''.join(others)}")
     typer.echo(f"What to do: {one.remedy}")
+
+
+def _refusal(old: str, new: str, as_json: bool) -> None:
+    """Name the current code of a refusal, whose meaning the server knows."""
+    if as_json:
+        return echo_json({"code": new, "earlier_name": old, "described_at": f"/api/v1/problems/{new}"})
+    typer.echo(f"{old} is the earlier name of {new}, a refusal of the server.")
+    typer.echo(f"The server describes it at /api/v1/problems/{new}; the reference lists all codes.")
 
 
 def _list(as_json: bool) -> None:

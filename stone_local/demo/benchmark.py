@@ -120,7 +120,7 @@ def _make_inputs(api: Api, phase: DemoPhase, progress: Report) -> None:
     try:
         made = api.create(f"/admin/phases/{phase.phase_id}/inputs", {"reason": REASON})
     except ServerRefusedError as error:
-        if error.code != "inputs_stand":
+        if error.code != "inputs_complete":
             raise
     else:
         follow(api, made["id"], progress)

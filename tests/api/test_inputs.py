@@ -190,7 +190,7 @@ def test_what_stands_is_not_made_again(api: httpx.Client, administrator: Person,
     for part in ("train", "val"):
         version.make(version.names[part], FILES)
     refused = version.start(api, administrator)
-    assert (refused.status_code, refused.json()["code"]) == (409, "inputs_stand")
+    assert (refused.status_code, refused.json()["code"]) == (409, "inputs_complete")
 
 
 def test_publishing_has_the_inputs_made_of_what_has_its_recording(

@@ -235,7 +235,7 @@ def test_workers_are_told_by_the_database_when_the_broker_is_away(
             (job_id, "ingest.speak", 1)
         ]
         assert body["running"][0]["worker"].startswith(socket.gethostname())
-        assert [queue["bells"] for queue in api.get(f"{ADMIN}/queues").json()["items"]] == [None, None, None]
+        assert [queue["wake_ups"] for queue in api.get(f"{ADMIN}/queues").json()["items"]] == [None, None, None]
     platform.database.close()
 
 
@@ -246,7 +246,7 @@ def test_bells_are_asked_of_a_real_broker(
     with client_of(platform, person(platform, "administrator")) as api:
         body = api.get(f"{ADMIN}/workers").json()
         assert body["is_broker_reachable"] is True
-        assert [type(queue["bells"]) for queue in api.get(f"{ADMIN}/queues").json()["items"]] == [int, int, int]
+        assert [type(queue["wake_ups"]) for queue in api.get(f"{ADMIN}/queues").json()["items"]] == [int, int, int]
     platform.database.close()
 
 

@@ -227,7 +227,7 @@ def test_without_its_database_the_api_lives_and_answers_503(tmp_path: Path) -> N
     with client_of(opened(away, [])) as api:
         assert api.get("/healthz").status_code == 200
         answer = api.get("/api/v1/me", headers={"Authorization": "Bearer stone_" + "x" * 43})
-        problem_of(answer, 503, "database_away")
+        problem_of(answer, 503, "database_unavailable")
         assert answer.headers["retry-after"] == "2"
 
 
@@ -254,7 +254,7 @@ def test_a_locked_database_is_503(platform: Platform, curator: Person, tmp_path:
         assert api.get("/api/v1/me").status_code == 200
         with sqlite3.connect(platform.settings.root / "stone.sqlite3", isolation_level=None) as other:
             other.execute("BEGIN IMMEDIATE")
-            problem_of(api.post("/api/v1/teams", json={"name": "late"}), 503, "database_away")
+            problem_of(api.post("/api/v1/teams", json={"name": "late"}), 503, "database_unavailable")
             other.execute("ROLLBACK")
         other.close()
         assert api.post("/api/v1/teams", json={"name": "late"}).status_code == 201

@@ -127,7 +127,7 @@ def test_who_is_in_no_group_or_shut_out_is_told_so_and_has_no_session(lab: Lab, 
         users.change_user(session, user, None, is_active=False)
     with browser(lab) as client:
         answer = signed_in(client, oidc_server, "s-out")
-        assert (answer.status_code, answer.json()["code"]) == (403, "shut_out")
+        assert (answer.status_code, answer.json()["code"]) == (403, "account_deactivated")
         assert client.get(ME).status_code == 401
 
 

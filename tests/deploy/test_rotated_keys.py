@@ -100,5 +100,5 @@ def test_the_key_of_the_store_is_exchanged_while_both_are_valid(tmp_path: Path) 
         server.command.remove("--auth-key")
         server.start()
         assert b"".join(new.read("blobs/one")) == b"labels"
-        with refused_as("store_away"):
+        with refused_as("store_unavailable"):
             old.write("blobs/three", content)

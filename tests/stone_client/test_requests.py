@@ -28,7 +28,7 @@ from testing.refusals import refused_as
 
 Answer = tuple[int, dict[str, str], bytes]
 DONE: Answer = (200, {}, b'{"items": [1], "next": null}')
-AWAY: Answer = (503, {"Retry-After": "0"}, b'{"code": "database_away", "detail": "later"}')
+AWAY: Answer = (503, {"Retry-After": "0"}, b'{"code": "database_unavailable", "detail": "later"}')
 BROKEN: Answer = (0, {}, b"")  # the connection ends without an answer
 PROBLEM = {
     "code": "invalid_request",
@@ -104,11 +104,11 @@ def test_what_might_be_done_twice_is_not_sent_again() -> None:
 
 
 def test_patience_ends() -> None:
-    slow: Answer = (503, {"Retry-After": "60"}, b'{"code": "database_away", "detail": "later"}')
+    slow: Answer = (503, {"Retry-After": "60"}, b'{"code": "database_unavailable", "detail": "later"}')
     with scripted(slow) as script, Api(Server(script.url, "t"), patience_s=1.0) as api:
         with pytest.raises(ServerRefusedError, match="later") as refused:
             api.read("/sequences")
-        assert (refused.value.code, refused.value.status, len(script.heard)) == ("database_away", 503, 1)
+        assert (refused.value.code, refused.value.status, len(script.heard)) == ("database_unavailable", 503, 1)
 
 
 @pytest.mark.parametrize(("status", "request_said"), [(422, ""), (500, " (request abc)")])

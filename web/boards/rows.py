@@ -128,7 +128,7 @@ class _BoardScale:
 def shown_board(
     platform: Platform, phase_id: str, viewer: Viewer, query: BoardQuery | None = None, sort: Sort = "rank"
 ) -> ShownBoard:
-    """The board of a phase as the viewer may see it. Raises `store_away`."""
+    """The board of a phase as the viewer may see it. Raises `store_unavailable`."""
     return board_with_figures(board_answer(board(platform, phase_id, query or BoardQuery(), viewer), viewer), sort)
 
 

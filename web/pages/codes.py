@@ -7,6 +7,7 @@ from api.deps import Looker
 from api.errors import NotFoundError
 from stone_base.codes.catalogue import CATALOGUE, PROFILE_CODES, by_family
 from stone_base.codes.meaning import HARM_SENTENCES
+from stone_base.codes.renamed import RENAMED
 from web.rendering import page
 
 router = APIRouter(prefix="/codes")
@@ -21,7 +22,7 @@ def list_codes(request: Request, caller: Looker) -> HTMLResponse:
 @router.get("/{code}")
 def show_code(code: str, request: Request, caller: Looker) -> HTMLResponse:
     """One code. Raises `NotFoundError`."""
-    meaning = CATALOGUE.get(code)
+    meaning = CATALOGUE.get(RENAMED.get(code, code))
     if meaning is None:
         raise NotFoundError("code", code)
     return page(

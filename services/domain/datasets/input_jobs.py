@@ -43,8 +43,8 @@ from stone_files.joined_file import JOINED
 INPUTS = "labeler.inputs"
 
 
-def inputs_stand(holder: str, count: int) -> Refused:
-    return Refused("inputs_stand", f"the inputs of all {count} sequences of {holder} are there; they never change")
+def inputs_complete(holder: str, count: int) -> Refused:
+    return Refused("inputs_complete", f"the inputs of all {count} sequences of {holder} are there; they never change")
 
 
 def inputs_impossible(names: Listing[str]) -> Refused:
@@ -161,7 +161,7 @@ class MemberInput:
 def start_version_inputs(session: Session, dataset: Dataset, user_id: str) -> Job:
     """The run that makes what is missing and can be made: the one that is at it, or a new one.
 
-    Raises `inputs_stand`, `inputs_impossible` where all that is missing is lost, `QueueDrainingError`.
+    Raises `inputs_complete`, `inputs_impossible` where all that is missing is lost, `QueueDrainingError`.
     """
     session.scalars(select(Dataset.id).where(Dataset.id == dataset.id).with_for_update(key_share=True)).one()
     holder = {"dataset_id": dataset.id}
@@ -173,7 +173,7 @@ def start_version_inputs(session: Session, dataset: Dataset, user_id: str) -> Jo
         return _enqueued(session, dataset, missing, Context(user_id))
     if lost := [one.member.name for one in found if one.state == "lost"]:
         raise inputs_impossible(lost)
-    raise inputs_stand(f"version {dataset.name!r}", len(members))
+    raise inputs_complete(f"version {dataset.name!r}", len(members))
 
 
 def follow_publication(session: Session, dataset: Dataset, user_id: str) -> None:

@@ -83,7 +83,10 @@ def lock_user(session: Session, user_id: str) -> User:
 
 
 def issue_token(session: Session, authority: Authority, wanted: TokenRequest) -> tuple[Token, str]:
-    """Create a token; return its row and its secret, which cannot be shown again. Raises `forbidden`, `shut_out`."""
+    """Create a token; return its row and its secret, which cannot be shown again.
+
+    Raises `forbidden`, `account_deactivated`.
+    """
     scopes, expires_ns = _granted_scopes(authority, wanted), _granted_end_ns(authority, wanted)
     secret = PREFIX + token_urlsafe(32)
     row = Token(user_id=_active_user(session, authority).id, name=wanted.name, scopes=scopes, expires_ns=expires_ns)
@@ -94,7 +97,7 @@ def issue_token(session: Session, authority: Authority, wanted: TokenRequest) ->
 
 
 def open_session(session: Session, authority: Authority) -> SessionSecrets:
-    """Sign a browser in, and delete the user's expired sessions. Raises `shut_out`."""
+    """Sign a browser in, and delete the user's expired sessions. Raises `account_deactivated`."""
     user_id = _active_user(session, authority).id
     session.execute(delete(WebSession).where(WebSession.user_id == user_id, WebSession.expires_ns <= now_ns()))
     opened = SessionSecrets(token_urlsafe(32), token_urlsafe(32), authority.latest_ns)
@@ -134,7 +137,9 @@ def _standing(session: Session, kind: type[Credential], credential_id: str) -> C
 def _active_user(session: Session, authority: Authority) -> User:
     user = lock_user(session, authority.user_id)
     if not user.is_active:
-        raise Refused("shut_out", f"the account {user.name!r} is deactivated; ask an administrator of the platform")
+        raise Refused(
+            "account_deactivated", f"the account {user.name!r} is deactivated; ask an administrator of the platform"
+        )
     return user
 
 

@@ -21,7 +21,7 @@ def is_password_of(user: User | None, password: str) -> bool:
 
 
 def open_session(session: Session, user: User, lasts_s: float) -> SessionSecrets:
-    """Sign in the browser of a user who just proved their identity. Raises `shut_out`."""
+    """Sign in the browser of a user who just proved their identity. Raises `account_deactivated`."""
     return issuing.open_session(session, authority_for(user, lasts_s))
 
 

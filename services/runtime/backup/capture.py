@@ -187,7 +187,7 @@ class _BackupWriter:
 def make_backup(platform: Platform, folder: BackupFolder) -> BackupResult:
     """Back up database, store and uploads as of now.
 
-    Raises `backup_busy`, `schema_not_current`, `HoldLostError`, `store_away`, `StorageFullError`, `OSError`.
+    Raises `backup_busy`, `schema_not_current`, `HoldLostError`, `store_unavailable`, `StorageFullError`, `OSError`.
     """
     writer = _BackupWriter(platform, folder)
     with folder.writing(), gc_hold(platform.database, "backup") as hold, folder.new_snapshot() as place:

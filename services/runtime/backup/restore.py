@@ -47,7 +47,7 @@ def restore(platform: Platform, folder: BackupFolder, name: str = "") -> BackupR
     """Bring back the snapshot `name`, the newest unless named; no process of the platform may run meanwhile.
 
     Raises `snapshot_missing`, `DamagedBackupError`, `target_not_empty`, `schema_newer`, `schema_older`,
-    `StoreFullError`, `store_away`.
+    `StoreFullError`, `store_unavailable`.
     """
     place = folder.snapshot(name)
     snapshot, files = read_snapshot(place)

@@ -17,7 +17,7 @@ from botocore.exceptions import BotoCoreError, ClientError
 from services.runtime.in_place.errors import changed_in_place, vanished
 from services.runtime.in_place.settings import InPlaceSettings
 from services.runtime.settings import StoreSettings
-from services.runtime.store.s3 import MISSING, client_of, store_away
+from services.runtime.store.s3 import MISSING, client_of, store_unavailable
 from stone_recordings.sync.stored_recording import PlacedFile, RecordingPlace
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class PlacedObject:
         self.read_bytes = 0
 
     def file(self) -> PlacedFile:
-        """The object as it is. Raises `recording_vanished`, `store_away`."""
+        """The object as it is. Raises `recording_vanished`, `store_unavailable`."""
         with self._translated():
             found = self._client.head_object(Bucket=self._bucket, Key=self._key)
         return PlacedFile(self._place.name, int(found["ContentLength"]), found["ETag"].strip('"'))
@@ -51,7 +51,7 @@ class PlacedObject:
     def fetch(self, ranges: Sequence[Range], target: Path) -> None:
         """Write these bytes of the object to where they lie in it.
 
-        Raises `recording_changed_in_place`, `recording_vanished`, `store_away`.
+        Raises `recording_changed_in_place`, `recording_vanished`, `store_unavailable`.
         """
         pieces = [(at, min(at + RANGE_BYTES, stop)) for start, stop in ranges for at in range(start, stop, RANGE_BYTES)]
         with target.open("r+b") as file, ThreadPoolExecutor(READERS) as pool:
@@ -79,11 +79,11 @@ class PlacedObject:
                     content = answer["Body"].read()
             except BotoCoreError as error:
                 if attempt + 1 == TRIES:
-                    raise store_away(self._bucket, str(error)) from error
+                    raise store_unavailable(self._bucket, str(error)) from error
                 continue
             if len(content) == stop - start:
                 return content
-        raise store_away(self._bucket, f"it sent other bytes than {start}-{stop} of {self._place}")
+        raise store_unavailable(self._bucket, f"it sent other bytes than {start}-{stop} of {self._place}")
 
     @property
     def _known(self) -> PlacedFile:
@@ -104,7 +104,7 @@ class PlacedObject:
                 raise vanished(self._place, self._place.name) from error
             if code in OTHER_VERSION:
                 raise changed_in_place(self._place, self.file(), self._known) from error
-            raise store_away(self._bucket, str(error)) from error
+            raise store_unavailable(self._bucket, str(error)) from error
 
 
 def sparse_file(path: Path, size_bytes: int) -> None:

@@ -39,7 +39,10 @@ def requested_dataset(settings: InPlaceSettings, place: RecordingPlace) -> Recor
 
 
 def found_dataset(settings: InPlaceSettings, place: RecordingPlace) -> RecordingPlace:
-    """The place with its file as it is. Raises `recording_vanished`, `root_away`, `unknown_root`, `store_away`."""
+    """The place with its file as it is.
+
+    Raises `recording_vanished`, `root_unavailable`, `unknown_root`, `store_unavailable`.
+    """
     if is_by_ranges(settings, place):
         from services.runtime.in_place.bucket import PlacedObject  # boto3 takes most of a second to import
 

@@ -19,7 +19,7 @@ from stone_recordings.sync.stored_recording import PlacedFile, RecordingPlace
 
 
 def files_in_folder(settings: InPlaceSettings, place: RecordingPlace) -> tuple[PlacedFile, ...]:
-    """The files of the bag as they are. Raises `recording_vanished`, `root_away`, `bad_recording_files`."""
+    """The files of the bag as they are. Raises `recording_vanished`, `root_unavailable`, `bad_recording_files`."""
     return tuple(placed_file(path, path.name) for path in _files_of(settings, place))
 
 
@@ -33,7 +33,7 @@ def located_in_place(settings: Settings, place: RecordingPlace) -> Path:
 
 
 def file_in_folder(settings: InPlaceSettings, place: RecordingPlace) -> Path:
-    """The one file at the place, without links. Raises `recording_vanished`, `root_away`, `unknown_root`."""
+    """The one file at the place, without links. Raises `recording_vanished`, `root_unavailable`, `unknown_root`."""
     path = _resolved(settings, place)
     if not path.is_file() or not os.access(path, os.R_OK):
         raise vanished(place, place.name)
@@ -71,12 +71,12 @@ def _resolved(settings: InPlaceSettings, place: RecordingPlace) -> Path:
 
 
 def _root(settings: InPlaceSettings, place: RecordingPlace) -> Path:
-    """Raises `root_away` while it is not mounted, `unknown_root` once it is no root any more."""
+    """Raises `root_unavailable` while it is not mounted, `unknown_root` once it is no root any more."""
     if (folder := settings.folder_of.get(place.root)) is None:
         raise Refused("unknown_root", f"{place.root} is no root for recordings in place any more; set it again")
     root = Path(folder)
     if not root.is_dir():
-        raise PlatformFaultError("root_away", f"the folder of root {place.root} is not on this worker; mount it")
+        raise PlatformFaultError("root_unavailable", f"the folder of root {place.root} is not on this worker; mount it")
     return root.resolve()
 
 

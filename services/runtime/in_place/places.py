@@ -56,7 +56,7 @@ def is_by_ranges(settings: InPlaceSettings, place: RecordingPlace) -> bool:
 def found_place(settings: InPlaceSettings, place: RecordingPlace) -> RecordingPlace:
     """The place with its files as they are.
 
-    Raises `recording_vanished`, `root_away`, `bad_recording_files`, `unknown_root`, `store_away`.
+    Raises `recording_vanished`, `root_unavailable`, `bad_recording_files`, `unknown_root`, `store_unavailable`.
     """
     if is_by_ranges(settings, place):
         from services.runtime.in_place.bucket import PlacedObject  # boto3 takes most of a second to import

@@ -37,7 +37,7 @@ class PipedRanges:
     folder: Path
 
     def read_at(self, offset: int, count: int) -> bytes:
-        """Raises `ranges_away`: its parent knows why."""
+        """Raises `ranges_unavailable`: its parent knows why."""
         stop, found = min(offset + count, self.size_bytes), list[bytes]()
         with (self.folder / ASKED).open("wb", buffering=0) as asked, (self.folder / ANSWERED).open("rb") as answered:
             fcntl.flock(asked, fcntl.LOCK_EX)
@@ -45,7 +45,7 @@ class PipedRanges:
                 asked.write(REQUEST.pack(at, min(MOST_BYTES, stop - at)))
                 (size,) = SIZE.unpack(answered.read(SIZE.size))
                 if size == FAILED:
-                    raise Refused("ranges_away", f"{self.path} could not be read on from byte {at}")
+                    raise Refused("ranges_unavailable", f"{self.path} could not be read on from byte {at}")
                 found.append(answered.read(size))
         return b"".join(found)
 

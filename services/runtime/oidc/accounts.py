@@ -39,7 +39,7 @@ class AdmittedUser:
 def admit(session: Session, identity: VerifiedIdentity, settings: OidcSettings) -> AdmittedUser:
     """The active user of this identity, in the role of their groups.
 
-    Raises `not_admitted`, `shut_out`, `last_administrator`.
+    Raises `not_admitted`, `account_deactivated`, `last_administrator`.
     """
     role = role_of(identity.claims, settings)
     _one_at_a_time(session)
@@ -93,7 +93,9 @@ def _names(identity: VerifiedIdentity, claim: str) -> Iterator[str]:
 
 def _in_role(session: Session, user: User, role: Role | None) -> AdmittedUser:
     if not user.is_active:
-        raise Refused("shut_out", f"the account {user.name!r} is deactivated; ask an administrator of the platform")
+        raise Refused(
+            "account_deactivated", f"the account {user.name!r} is deactivated; ask an administrator of the platform"
+        )
     before = user.role
     if role is not None and role != before:
         change_user(session, user, role, None)

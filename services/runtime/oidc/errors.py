@@ -3,9 +3,9 @@
 from stone.errors import PlatformFaultError
 
 
-def provider_away(host: str, reason: str) -> PlatformFaultError:
+def provider_unavailable(host: str, reason: str) -> PlatformFaultError:
     return PlatformFaultError(
-        "provider_away", f"{host} cannot be asked who signs in: {reason[:200]}; try again in a minute"
+        "provider_unavailable", f"{host} cannot be asked who signs in: {reason[:200]}; try again in a minute"
     )
 
 

@@ -22,7 +22,7 @@ import httpx
 from joserfc.errors import JoseError
 from joserfc.jwk import KeySet
 
-from services.runtime.oidc.errors import provider_answer, provider_away
+from services.runtime.oidc.errors import provider_answer, provider_unavailable
 from services.runtime.oidc.settings import OidcSettings, is_local
 
 # Requests to a provider, bounded in size and time whatever it answers: JSON objects only.
@@ -38,7 +38,7 @@ Json = dict[str, Any]
 
 
 def read_json(url: str, what: str, timeout_s: float) -> Json:
-    """The object at `url`, which `what` names in a refusal. Raises `provider_away`, `provider_answer`."""
+    """The object at `url`, which `what` names in a refusal. Raises `provider_unavailable`, `provider_answer`."""
     status, content = _answer(httpx.Request("GET", url, headers=HEADERS), timeout_s)
     if status != 200:
         raise provider_answer(what, f"is answered with status {status}")
@@ -58,9 +58,9 @@ def _answer(request: httpx.Request, timeout_s: float) -> tuple[int, bytes]:
         with ThreadPoolExecutor(1) as apart:  # the caller's own thread may stand within an event loop
             return apart.submit(_run, request, timeout_s).result()
     except TimeoutError:
-        raise provider_away(host, f"it did not answer within {timeout_s:g} s") from None
+        raise provider_unavailable(host, f"it did not answer within {timeout_s:g} s") from None
     except (httpx.HTTPError, httpx.InvalidURL, OSError, UnicodeError) as error:
-        raise provider_away(host, f"{type(error).__name__}: {error}") from None
+        raise provider_unavailable(host, f"{type(error).__name__}: {error}") from None
 
 
 def _run(request: httpx.Request, timeout_s: float) -> tuple[int, bytes]:
@@ -131,7 +131,7 @@ class KeptMetadata:
         self._keys: tuple[float, KeySet] | None = None
 
     def metadata(self) -> ProviderMetadata:
-        """Raises `provider_away`, `provider_answer`."""
+        """Raises `provider_unavailable`, `provider_answer`."""
         with self._lock:
             known = self._described
         if known is None or self._now_s() - known[0] > KEPT_S:
@@ -157,7 +157,7 @@ class KeptMetadata:
 
 
 def read_metadata(settings: OidcSettings) -> ProviderMetadata:
-    """Ask the issuer of these settings. Raises `provider_away`, `provider_answer`."""
+    """Ask the issuer of these settings. Raises `provider_unavailable`, `provider_answer`."""
     described = read_json(settings.issuer.rstrip("/") + WELL_KNOWN, DESCRIPTION, settings.timeout_s)
     if described.get("issuer") != settings.issuer:
         raise provider_answer(
@@ -173,7 +173,7 @@ def read_metadata(settings: OidcSettings) -> ProviderMetadata:
 
 
 def read_keys(url: str, timeout_s: float) -> KeySet:
-    """The keys at this address. Raises `provider_away`, `provider_answer`."""
+    """The keys at this address. Raises `provider_unavailable`, `provider_answer`."""
     listed = read_json(url, "key set", timeout_s).get("keys")
     if not isinstance(listed, list) or not 0 < len(listed) <= MOST_KEYS:
         raise provider_answer("key set", f"must list 1 to {MOST_KEYS} keys")

@@ -22,7 +22,7 @@ from joserfc import jws, jwt
 from joserfc.errors import JoseError
 from joserfc.jwk import KeySet
 
-from services.runtime.oidc.errors import provider_answer, provider_away
+from services.runtime.oidc.errors import provider_answer, provider_unavailable
 from services.runtime.oidc.metadata import KeptMetadata, ProviderMetadata, send_form
 from services.runtime.oidc.settings import OidcSettings
 from stone.errors import PlatformFaultError, Refused
@@ -166,7 +166,7 @@ class Provider:
     def begin(self) -> tuple[CodeRequest, str]:
         """A new request, and the address of the provider to which the browser goes.
 
-        Raises `no_provider`, `provider_away`, `provider_answer`.
+        Raises `no_provider`, `provider_unavailable`, `provider_answer`.
         """
         with self._asking():
             where = self._kept.metadata().authorization_url
@@ -229,7 +229,7 @@ class Provider:
             )
         if not self._places.acquire(blocking=False):
             host = urlsplit(self._settings.issuer).hostname or ""
-            raise provider_away(host, f"{AT_ONCE} sign-ins wait for it already")
+            raise provider_unavailable(host, f"{AT_ONCE} sign-ins wait for it already")
         try:
             yield
         finally:

@@ -71,7 +71,7 @@ class NotedFault:
 def fault_of(store: Store, blob: BlobFacts, *, is_read: bool = False) -> str:
     """Return the fault of the blob's object: `missing`, `size`, `bytes` or none; `bytes` only if all of it is read.
 
-    Raises `store_away`.
+    Raises `store_unavailable`.
     """
     try:
         if store.size_bytes(blob.object_key) != blob.size_bytes:

@@ -53,7 +53,7 @@ CLIENT = Config(
 
 
 class S3Store:
-    """Objects of the bucket that `settings` name; raises `store_away` when it does not answer."""
+    """Objects of the bucket that `settings` name; raises `store_unavailable` when it does not answer."""
 
     def __init__(self, settings: Settings) -> None:
         self.bucket = settings.store.s3_bucket
@@ -83,7 +83,7 @@ class S3Store:
         with self._translated(checked(key)):
             length = self._client.head_object(Bucket=self.bucket, Key=key).get("ContentLength")
         if length is None:  # the answer broke off within its header, which no layer below minds
-            raise store_away(self._place, f"it tells no length of {key}")
+            raise store_unavailable(self._place, f"it tells no length of {key}")
         return int(length)
 
     def local(self, key: str) -> Path:
@@ -156,7 +156,7 @@ class S3Store:
                 reason = str(error)
             failures = 0 if start - before >= PIECE_BYTES else failures + 1
             if failures > RESUMES:
-                raise store_away(self._place, reason)
+                raise store_unavailable(self._place, reason)
 
     def _opened(self, key: str, start: int, stop: int) -> "GetObjectOutputTypeDef":
         with self._translated(key):
@@ -177,9 +177,9 @@ class S3Store:
                 raise ObjectMissingError(key) from error
             if code in NO_SPACE:
                 raise StoreFullError(self._place) from error
-            raise store_away(self._place, str(error)) from error
+            raise store_unavailable(self._place, str(error)) from error
         except (BotoCoreError, Boto3Error) as error:
-            raise store_away(self._place, str(error)) from error
+            raise store_unavailable(self._place, str(error)) from error
 
 
 def client_of(store: StoreSettings) -> "S3Client":
@@ -207,13 +207,13 @@ EXISTING = {"BucketAlreadyOwnedByYou", "BucketAlreadyExists"}
 def ensure_bucket(store: StoreSettings) -> bool:
     """Make the bucket where there is none; whether it was made. One that may not be looked at is taken to stand.
 
-    Raises `store_away`.
+    Raises `store_unavailable`.
     """
     client, bucket = client_of(store), store.s3_bucket
     try:
         return not _stands(client, bucket) and _made(client, store)
     except (BotoCoreError, ClientError) as error:
-        raise store_away(f"{client.meta.endpoint_url}/{bucket}", str(error)) from error
+        raise store_unavailable(f"{client.meta.endpoint_url}/{bucket}", str(error)) from error
 
 
 def _stands(client: "S3Client", bucket: str) -> bool:
@@ -243,5 +243,5 @@ def _code(error: ClientError) -> str:
     return str(error.response.get("Error", {}).get("Code", ""))
 
 
-def store_away(place: str, reason: str) -> PlatformFaultError:
-    return PlatformFaultError("store_away", f"the store at {place} failed: {reason}; try again when it answers")
+def store_unavailable(place: str, reason: str) -> PlatformFaultError:
+    return PlatformFaultError("store_unavailable", f"the store at {place} failed: {reason}; try again when it answers")

@@ -93,11 +93,11 @@ class LockedUploadParts:
         self._is_unverified = True
 
     def append(self, pieces: Sequence[bytes], offset_bytes: int) -> None:
-        """Raises `DiskFullError`, `too_many_slabs`, and what adding raises; what was added before counts."""
+        """Raises `DiskFullError`, `too_many_small_requests`, and what adding raises; what was added before counts."""
         with self._failing():
             if self._count >= MOST_PARTS:
                 raise Refused(
-                    "too_many_slabs",
+                    "too_many_small_requests",
                     f"upload {self._upload.id} is kept in {MOST_PARTS} objects, more are not made of one file; "
                     "create a new one and send it in larger pieces, of some MiB each",
                 )
@@ -230,7 +230,7 @@ AHEAD = 3
 
 
 def sha256_of_parts(store: Store, parts: Sequence[UploadPart]) -> str:
-    """Of their bytes one after the other. Raises `ObjectMissingError`, `store_away`."""
+    """Of their bytes one after the other. Raises `ObjectMissingError`, `store_unavailable`."""
     state = hashlib.sha256()
     for content in _contents(store, parts):
         state.update(content)
@@ -238,7 +238,10 @@ def sha256_of_parts(store: Store, parts: Sequence[UploadPart]) -> str:
 
 
 def copy_parts(store: Store, parts: Sequence[UploadPart], target: Path, reserve_bytes: int) -> None:
-    """Write them into the file `target`, flushed. Raises `ObjectMissingError`, `store_away`, `StoreFullError`."""
+    """Write them into the file `target`, flushed.
+
+    Raises `ObjectMissingError`, `store_unavailable`, `StoreFullError`.
+    """
     require_room(target.parent, sum(part.length_bytes for part in parts), reserve_bytes)
     with refusing_full(target.parent), target.open("wb") as file, ThreadPoolExecutor(AHEAD) as pool:
         list(pool.map(lambda part: _copy(store, part, file.fileno()), parts))

@@ -317,7 +317,7 @@ def test_a_folder_that_is_not_mounted_is_waited_for(placed: Platform, root: Path
     brought = bring(placed)
     job_id = add(brought, "run.mcap")
     run_all(placed)
-    assert (brought.job(job_id).failure_code, brought.recording().state) == ("root_away", "received")
+    assert (brought.job(job_id).failure_code, brought.recording().state) == ("root_unavailable", "received")
 
 
 @pytest.mark.parametrize("folders", ["nas", "nas=relative", "Nas=/mnt", "=/mnt"])

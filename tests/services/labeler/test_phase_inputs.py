@@ -143,7 +143,7 @@ def test_inputs_hold_the_frames_of_the_labels_and_no_label(asked: Asked) -> None
 def test_inputs_are_made_once(asked: Asked) -> None:
     assert asked.start() == asked.start(), "the run that is at it answers"
     run_all(asked.platform)
-    with refused_as("inputs_stand"):
+    with refused_as("inputs_complete"):
         asked.start()
 
 

@@ -91,7 +91,7 @@ def test_a_store_that_is_away_harms_nothing_and_skips_nothing(
 ) -> None:
     scrub = Scrub(having(platform, store=UNBOUND), Clock())
     with monkeypatch.context() as away:
-        away.setattr(FolderStore, "size_bytes", lambda *_: _raise(PlatformFaultError("store_away", "gone")))
+        away.setattr(FolderStore, "size_bytes", lambda *_: _raise(PlatformFaultError("store_unavailable", "gone")))
         with pytest.raises(PlatformFaultError):
             scrub.turn()
     assert faults(platform) == {}

@@ -161,7 +161,7 @@ _OUTCOMES: LRUCache[tuple[RankedScore, ...], RankConfidence] = LRUCache(MOST_OUT
 
 @cached(_OUTCOMES, key=lambda store, ranked, key_of: tuple(ranked), lock=Lock())
 def rank_confidence_of(store: Store, ranked: Sequence[RankedScore], key_of: Mapping[str, str]) -> RankConfidence:
-    """Return how certain the ranks of a board are; `key_of` gives the key of each blob. Raises `store_away`."""
+    """Return how certain the ranks of a board are; `key_of` gives the key of each blob. Raises `store_unavailable`."""
     compared = ranked[:MOST_COMPARED]
     with ThreadPoolExecutor(READERS) as readers:
         found = list(readers.map(lambda one: _spectra(store, one.spectra_sha256, key_of[one.spectra_sha256]), compared))
@@ -293,7 +293,7 @@ _KEPT_LOCK = Lock()
 
 
 def board(platform: Platform, phase_id: str, query: BoardQuery, viewer: Viewer) -> Board:
-    """The board as the viewer may see it now; `as_of_ns` in the future is now. Raises `store_away`."""
+    """The board as the viewer may see it now; `as_of_ns` in the future is now. Raises `store_unavailable`."""
     if query.as_of_ns is None:
         return _kept_board(platform, phase_id, query, viewer)
     now = now_ns()

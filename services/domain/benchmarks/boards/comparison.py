@@ -65,7 +65,7 @@ class EntryComparison:
 def compare(
     platform: Platform, phase_id: str, pair: tuple[SubmissionRow, SubmissionRow], viewer: Viewer
 ) -> EntryComparison:
-    """Two submissions that the viewer may know of. Raises `not_comparable`, `store_away`."""
+    """Two submissions that the viewer may know of. Raises `not_comparable`, `store_unavailable`."""
     with platform.database.reading() as session:
         phase = session.get_one(Phase, phase_id)
         a, b = (_scored(session, viewer, phase, submission) for submission in pair)
@@ -141,7 +141,7 @@ def _difference(a: float | None, b: float | None, is_exact: bool) -> float | Non
 
 
 def read_spectra(store: Store, object_key: str) -> RatioSpectra | None:
-    """The spectra of a score; None where bootstrap replicates were kept. Raises `store_away`."""
+    """The spectra of a score; None where bootstrap replicates were kept. Raises `store_unavailable`."""
     with np.load(io.BytesIO(b"".join(store.read(object_key))), allow_pickle=False) as arrays:
         if "coefficients" not in arrays:
             return None

@@ -49,7 +49,7 @@ class TruthFrameComparison:
 def compare_frames(platform: Platform, phase_id: str, dataset: Dataset) -> TruthFrameComparison | None:
     """The comparison that `start_truth` needs; None where there is nothing to compare with.
 
-    Reads two indexes of the store, so outside transactions. Raises `store_away`.
+    Reads two indexes of the store, so outside transactions. Raises `store_unavailable`.
     """
     with platform.database.reading() as session:
         pair = evaluation_versions.active(session, phase_id)

@@ -13,8 +13,8 @@ from services.domain.datasets.input_jobs import (
     InputResult,
     add_input,
     input_spec,
+    inputs_complete,
     inputs_impossible,
-    inputs_stand,
     is_possible,
     members_of,
     run_under_way,
@@ -31,7 +31,7 @@ RUN = "phase.inputs"
 def start_inputs(session: Session, phase: Phase, user_id: str) -> Job:
     """The run that makes what is missing: the one that is at it, or a new one with a job for each sequence.
 
-    Raises `inputs_stand`, `inputs_impossible`, `QueueDrainingError`.
+    Raises `inputs_complete`, `inputs_impossible`, `QueueDrainingError`.
     """
     phase = lock_phase(session, phase.id)
     holder = {"phase_id": phase.id}
@@ -41,7 +41,7 @@ def start_inputs(session: Session, phase: Phase, user_id: str) -> Job:
     there = set(session.scalars(select(PhaseInput.name).where(PhaseInput.phase_id == phase.id)))
     missing = [member for member in members if member.name not in there]
     if not missing:
-        raise inputs_stand(f"phase {phase.name!r}", len(members))
+        raise inputs_complete(f"phase {phase.name!r}", len(members))
     if lost := [member.name for member in missing if not is_possible(session, member)]:
         raise inputs_impossible(lost)
     run = enqueue_run(session, RUN, [input_spec(holder, member) for member in missing], Context(user_id))

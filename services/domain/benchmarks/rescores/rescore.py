@@ -44,7 +44,7 @@ def start_rescore(session: Session, phase: Phase, asked: NewRescore) -> tuple[Re
 
     By the evaluation version of the board it is refused, unless an entry lacks that (one that was hidden, say, and is
     shown again). Where one by this evaluation version is pending, it is that one: its run goes on, or, has that ended,
-    another takes up what is missing. Raises `unknown_metric`, `superseded_metric`, `foreign_truth`,
+    another takes up what is missing. Raises `unknown_metric`, `superseded_metric`, `ground_truth_of_other_phase`,
     `truth_not_ready`, `already_active`, `QueueDrainingError`.
     """
     lock_phase(session, phase.id)
@@ -69,7 +69,7 @@ def start_rescore(session: Session, phase: Phase, asked: NewRescore) -> tuple[Re
 def activate(session: Session, rescore: Rescore, expected_activation_id: str | None, user_id: str) -> Activation:
     """Switch the board to the evaluation version of `rescore`, at once and as a whole; the old one stays readable.
 
-    Raises `RescoreStateError`, `truth_not_ready`, `rescore_incomplete`, and `board_moved` where another
+    Raises `RescoreStateError`, `truth_not_ready`, `rescore_incomplete`, and `leaderboard_changed` where another
     activation than the expected one is in force.
     """
     lock_phase(session, rescore.phase_id)
@@ -77,7 +77,7 @@ def activate(session: Session, rescore: Rescore, expected_activation_id: str | N
     now_there = in_force(session, rescore.phase_id)
     if (now_there.id if now_there else None) != expected_activation_id:
         raise Refused(
-            "board_moved",
+            "leaderboard_changed",
             f"the board is at activation {now_there.id if now_there else None}, not at {expected_activation_id}; "
             "review the difference again",
         )
@@ -126,7 +126,8 @@ def _check(session: Session, phase: Phase, pair: EvaluationVersion) -> None:
     truth = session.get(GroundTruthRow, pair.truth_id)
     if truth is None or truth.phase_id != phase.id:
         raise Refused(
-            "foreign_truth", f"this phase has no ground truth {pair.truth_id[:80]!r}; is it that of another phase?"
+            "ground_truth_of_other_phase",
+            f"this phase has no ground truth {pair.truth_id[:80]!r}; is it that of another phase?",
         )
     _ready(session, pair.truth_id)
     if active(session, phase.id) == pair and not lacking_ids(session, phase.id, pair):

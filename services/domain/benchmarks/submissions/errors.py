@@ -9,8 +9,6 @@ from stone.errors import Refused, StoneError
 class ExhaustedError(Refused):
     """The quota is used up; `next_ns` is when the next submission is available, null for never."""
 
-    code = "exhausted"
-
     def __init__(self, code: str, sentence: str, next_ns: int | None) -> None:
         self.next_ns = next_ns
         when = f"the next one is available at {_moment(next_ns)}" if next_ns else "an administrator may grant more"

@@ -129,14 +129,14 @@ def enter(session: Session, phase: Phase, team_id: str) -> None:
 def leave(session: Session, team: Team, user: User) -> None:
     """Take the user out; the last member may go, and the team goes too unless something was submitted in its name.
 
-    Raises `not_member`, `captain_stays`.
+    Raises `not_member`, `captain_cannot_leave`.
     """
     lock_team(session, team.id)
     member = _member(session, team.id, user)
     others = len(_member_ids(session, team.id)) - 1
     if member.is_owner and others:
         raise Refused(
-            "captain_stays",
+            "captain_cannot_leave",
             "the captain cannot leave while there are other members; make another member the captain first",
         )
     session.delete(member)

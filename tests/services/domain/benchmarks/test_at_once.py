@@ -273,7 +273,7 @@ def test_of_switches_of_the_board_at_once_one_passes(platform_on: Platform) -> N
         return activate(session, session.get_one(Rescore, rescore_id), shown.id, place.user.id)
 
     codes = laid.at_once(platform_on, *[partial(switch, rescore_id=rescore_id) for rescore_id in ids])
-    assert sorted(codes) == ["", *["board_moved"] * 3]
+    assert sorted(codes) == ["", *["leaderboard_changed"] * 3]
     assert len(laid.rows(platform_on, select(Activation))) == 2
 
 

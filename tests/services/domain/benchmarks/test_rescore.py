@@ -153,8 +153,8 @@ def test_what_cannot_be_re_scored_is_refused(platform: Platform) -> None:
         (EvaluationVersion(place.truth_id, METRIC_VERSION), "already_active"),
         (EvaluationVersion(place.truth_id, "stone-iou-0"), "unknown_metric"),
         (EvaluationVersion(place.truth_id, "stone-iou-1"), "superseded_metric"),
-        (EvaluationVersion(other.truth_id, METRIC_VERSION), "foreign_truth"),
-        (EvaluationVersion("0" * 32, METRIC_VERSION), "foreign_truth"),
+        (EvaluationVersion(other.truth_id, METRIC_VERSION), "ground_truth_of_other_phase"),
+        (EvaluationVersion("0" * 32, METRIC_VERSION), "ground_truth_of_other_phase"),
         (EvaluationVersion(another_truth(place, is_ready=False), METRIC_VERSION), "truth_not_ready"),
     ):
         with refused_as(error):
@@ -204,7 +204,7 @@ def test_a_switch_from_a_board_that_moved_is_refused(platform: Platform) -> None
     first = _start(place, EvaluationVersion(another_truth(place), METRIC_VERSION))
     second = _start(place, EvaluationVersion(another_truth(place), METRIC_VERSION))
     moved = _activate(place, first.rescore_id, shown.id)
-    with refused_as("board_moved", match=moved):
+    with refused_as("leaderboard_changed", match=moved):
         _activate(place, second.rescore_id, shown.id)
     assert _activate(place, second.rescore_id, moved)
 

@@ -113,7 +113,7 @@ def test_the_captain_leaves_last_and_a_team_of_nobody_is_gone_unless_it_submitte
 ) -> None:
     idle, busy = laid.team(platform, ada, eve), laid.team(platform, ada)
     laid.entry(platform, phase.id, busy.id, ada.id)
-    with refused_as("captain_stays"):
+    with refused_as("captain_cannot_leave"):
         left(platform, idle, ada)
     for user, team in ((eve, idle), (ada, idle), (ada, busy)):
         left(platform, team, user)

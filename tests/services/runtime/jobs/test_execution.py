@@ -17,7 +17,7 @@ from services.runtime.orm import JobAttempt, JobLine, User
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings
 from services.runtime.store.factory import open_store
-from services.runtime.store.s3 import store_away
+from services.runtime.store.s3 import store_unavailable
 from tests.services.runtime.jobs.steps import a_job, a_run, act, an_owner, claimed, job, ran, run_all, states
 
 
@@ -171,12 +171,12 @@ def test_a_store_that_is_away_is_waited_for_and_then_named(platform: Platform) -
 
     def copy(_attempt: Attempt) -> Outcome:
         tries.append(monotonic())
-        raise store_away("s3", "connection refused")
+        raise store_unavailable("s3", "connection refused")
 
     job_id = a_job(platform, an_owner(platform), "ingest.copy")
     run_all(platform, {"ingest.copy": copy})
     failed = job(platform, job_id)
-    assert (failed.state, failed.failure_code) == ("failed", "store_away")
+    assert (failed.state, failed.failure_code) == ("failed", "store_unavailable")
     rest_s = platform.settings.jobs.rest_s
     assert [
         after - before >= rest_s * factor for before, after, factor in zip(tries, tries[1:], (1, 2), strict=False)

@@ -142,7 +142,7 @@ def test_who_was_shut_out_stays_out(platform: Platform) -> None:
     user = admitted(platform, who()).user
     with platform.database.transaction() as session:
         users.change_user(session, session.get_one(User, user.id), None, is_active=False)
-    with refused_as("shut_out"):
+    with refused_as("account_deactivated"):
         admitted(platform, who())
 
 

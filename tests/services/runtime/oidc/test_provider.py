@@ -233,7 +233,7 @@ def test_a_provider_that_is_down_is_away() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
     settings = OidcSettings(issuer=f"http://127.0.0.1:{port}", client_id="stone", timeout_s=20.0)
-    with refused_as("provider_away"):
+    with refused_as("provider_unavailable"):
         Provider(settings, OWN).begin()
 
 
@@ -253,7 +253,7 @@ def test_a_provider_that_answers_a_byte_at_a_time_is_given_up() -> None:
         thread = threading.Thread(target=dripping, args=(listening,), daemon=True)
         thread.start()
         settings = OidcSettings(f"http://127.0.0.1:{listening.getsockname()[1]}", "stone", timeout_s=0.5)
-        with refused_as("provider_away", match=r"within 0\.5 s"):
+        with refused_as("provider_unavailable", match=r"within 0\.5 s"):
             Provider(settings, OWN).begin()
         thread.join()
 
@@ -262,5 +262,5 @@ def test_sign_ins_that_wait_for_a_provider_leave_threads_for_everybody_else(forg
     provider = Provider(forger.settings(), OWN)
     for _ in range(AT_ONCE):
         provider._places.acquire()
-    with refused_as("provider_away"):
+    with refused_as("provider_unavailable"):
         provider.begin()

@@ -76,7 +76,7 @@ def test_a_database_that_is_away_is_waited_for_and_then_reported(tmp_path: Path)
 
 def test_outages_are_waited_out_and_nothing_else_is() -> None:
     left: list[Exception] = [
-        PlatformFaultError("store_away", "the store is away"),
+        PlatformFaultError("store_unavailable", "the store is away"),
         OperationalError("SELECT 1", {}, OSError("gone")),
     ]
 
@@ -151,7 +151,7 @@ def test_a_bucket_that_stands_is_left_and_a_store_that_is_away_is_said_so(
     assert not ensure_bucket(standing)
     once = Config(retries={"mode": "standard", "total_max_attempts": 1})
     monkeypatch.setattr(s3, "CLIENT", s3.CLIENT.merge(once))
-    with refused_as("store_away"):
+    with refused_as("store_unavailable"):
         ensure_bucket(replace(standing, s3_endpoint="http://127.0.0.1:9"))
 
 

@@ -101,7 +101,9 @@ def test_a_refusal_is_the_platforms_fault_if_what_was_read_differs(
     assert (anywhere.store.local(blob.object_key).read_bytes() == CONTENT) != is_in_folder
 
 
-@pytest.mark.parametrize("error", [PlatformFaultError("store_away", "gone"), JobCancelledError("stop"), OSError(5)])
+@pytest.mark.parametrize(
+    "error", [PlatformFaultError("store_unavailable", "gone"), JobCancelledError("stop"), OSError(5)]
+)
 def test_what_is_no_refusal_is_not_compared(anywhere: Platform, blob: Blob, error: Exception) -> None:
     decay(anywhere, blob.object_key)
     with (

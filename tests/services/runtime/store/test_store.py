@@ -310,9 +310,9 @@ def test_a_bucket_that_cannot_be_reached_is_said_to_be_away(
     store = S3Store(make_settings(tmp_path, store=settings))
     source = tmp_path / "source"
     source.write_bytes(b"content")
-    with refused_as("store_away", match=settings.s3_endpoint):
+    with refused_as("store_unavailable", match=settings.s3_endpoint):
         store.write("blobs/a", source)
-    with refused_as("store_away"):
+    with refused_as("store_unavailable"):
         list(store.listed("blobs/"))
     assert settings.s3_secret.get_secret_value() not in str(store.__dict__)
 
@@ -341,9 +341,9 @@ def test_a_read_that_never_gets_further_ends(
     S3Store(make_settings(tmp_path, store=s3_settings)).write("blobs/a", source)
     with unreliable(s3_settings, answer_bytes=answer_bytes) as (settings, _):
         store = S3Store(make_settings(tmp_path / "other", store=settings))
-        with refused_as("store_away"):
+        with refused_as("store_unavailable"):
             b"".join(store.read("blobs/a"))
-        with refused_as("store_away"):
+        with refused_as("store_unavailable"):
             store.local("blobs/a")
         store._client.close()
     assert [path for path in (tmp_path / "other").rglob("blobs/a") if path.is_file()] == []

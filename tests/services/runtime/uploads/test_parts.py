@@ -189,7 +189,7 @@ def test_a_file_in_crumbs_is_not_kept_in_ever_more_objects(stored: Platform, mon
     upload = made(stored, make_owner(stored), CONTENT)
     for offset in (0, 1):
         send(stored, upload, offset, CONTENT[offset : offset + 1])
-    with refused_as("too_many_slabs"):
+    with refused_as("too_many_small_requests"):
         send(stored, upload, 2, CONTENT[2:3])
     assert kept(stored, upload) == CONTENT[:2]
 
