@@ -6,6 +6,7 @@ from fastapi import Query
 from pydantic import AliasChoices, Field
 
 from api.schemas.base import ID_EXAMPLE, ID_PATTERN, Answer, Instant, example, example_of
+from api.schemas.class_counts import ClassCounts
 from api.schemas.phase_bodies import Moment
 from services.domain.benchmarks.boards.entries import EntryStatus, Track, Which
 from services.domain.benchmarks.visibility import Secrecy
@@ -47,17 +48,6 @@ class IntervalsItem(Answer):
     iou_t: Interval | None
     iou_p: Interval | None
     iou_n: Interval | None
-
-
-class SupportItem(Answer):
-    """Evaluated voxels of each class in the ground truth."""
-
-    model_config = example(free=2000000, T=40000, P=30000, N=27152)
-
-    free: int
-    T: int
-    P: int
-    N: int
 
 
 class DangerItem(Answer):
@@ -132,7 +122,7 @@ class BoardRow(Answer):
     modality: str
     ratios: RatiosItem
     intervals: IntervalsItem | None
-    support: SupportItem | None
+    support: ClassCounts | None
     danger: DangerItem | None
     source: str | None
     note: str | None

@@ -5,12 +5,12 @@ from typing import Annotated
 from fastapi import Query
 
 from api.schemas.base import Answer, IdQuery, Instant, example, example_of
+from api.schemas.class_counts import ClassCounts
 from api.schemas.leaderboard import (
     DangerItem,
     IntervalsItem,
     PairItem,
     RatiosItem,
-    SupportItem,
 )
 from services.domain.benchmarks.submissions.results import By
 from services.domain.benchmarks.visibility import Secrecy
@@ -115,7 +115,7 @@ class ResultsAnswer(Answer):
     within_occupied: RatiosItem | None
     tolerant: RatiosItem | None
     columns: RatiosItem | None
-    support: SupportItem | None
+    support: ClassCounts | None
     confusion: list[list[int]] | None
     extras: ExtrasItem | None
     intervals: ScopedIntervals | None
@@ -132,7 +132,7 @@ class PartItem(Answer):
 
     name: str
     ratios: RatiosItem
-    support: SupportItem
+    support: ClassCounts
     frames: int
 
 

@@ -5,8 +5,9 @@ from typing import Annotated, Literal
 from pydantic import AliasChoices, Field
 
 from api.schemas.base import ID_EXAMPLE, Answer, Body, IdText, Reason, example, example_of
+from api.schemas.class_counts import ClassCounts
 from api.schemas.quality import QualityFields
-from api.schemas.statistics import VoxelRatios, VoxelsItem
+from api.schemas.statistics import VoxelRatios
 from stone.splits.splits import MOST_SEQUENCES
 
 Ids = Annotated[list[IdText], Field(max_length=MOST_SEQUENCES)]
@@ -147,7 +148,7 @@ class SplitEntry(DrivenItem):
 
     sequence_id: str
     drive: str
-    voxels: VoxelsItem | None
+    voxels: ClassCounts | None
 
 
 class SplitsAnswer(Answer):

@@ -1,17 +1,8 @@
 """Dataset statistics over the wire: the record of `services/domain/datasets/statistics.py`."""
 
 from api.schemas.base import Answer, example, example_of
+from api.schemas.class_counts import ClassCounts
 from api.schemas.quality import QualityFields
-
-
-class VoxelsItem(Answer):
-    """Labelled voxels of all frames by class."""
-
-    model_config = example(traversable=1842003, potentially_traversable=2700114, non_traversable=5811201)
-
-    traversable: int
-    potentially_traversable: int
-    non_traversable: int
 
 
 class VoxelRatios(Answer):
@@ -47,7 +38,7 @@ class TallyItem(QualityFields):
     duration_s: float
     distance_m: float | None
     distances_known: int
-    voxels: VoxelsItem | None
+    voxels: ClassCounts | None
     class_ratios: VoxelRatios | None
     voxels_known: int
     held_out_known: int

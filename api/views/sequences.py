@@ -14,6 +14,7 @@ from sqlalchemy.orm import Session
 from api.deps import VISITOR, Caller
 from api.errors import NotFoundError
 from api.schemas.base import instant
+from api.schemas.class_counts import ClassCounts
 from api.schemas.sequences.sequences import ArtefactItem, LaterRecordingsItem, SequenceDetail, SequenceItem
 from api.views.preview_files import previews_of_sequence
 from api.visible import labels_of, sequences_shown
@@ -124,7 +125,9 @@ def _labels_said(row: Sequence[Any]) -> dict[str, Any]:
     times = {"created_at": instant(created_ns), "chosen_at": instant(chosen_ns)}
     return {
         "labels": {**LabelQuality(*quality).as_record(), **made, **times},
-        "class_voxels": None if None in (t, p, n) else {"t": t, "p": p, "n": n},
+        "class_voxels": None
+        if None in (t, p, n)
+        else dict(zip(ClassCounts.model_fields, (None, t, p, n), strict=True)),
         "duration_s": None if duration_ns is None else duration_ns / 1e9,
         "distance_m": distance_m,
     }

@@ -66,10 +66,6 @@ SHARED: Mapping[str, str] = {
     "distance_m": "Distance in metres; null if unknown.",
     "voxels": "Number of voxels.",
     "classes": "Class map or class numbers.",
-    "traversable": "Traversable (T): the robot drove here.",
-    "potentially_traversable": "Potentially traversable (P): terrain like the driven ground.",
-    "non_traversable": "Non-traversable (N): all other surface.",
-    "free": "Free (F): a voxel without surface.",
     "quality": "Quality figures of the recording; null until it is registered.",
     "held_out_recall": "Share of the driven ground that labels made from the other half of the track call T or P; null "
     "if unknown.",

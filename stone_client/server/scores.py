@@ -77,6 +77,10 @@ def results_tables(record: Mapping[str, Any]) -> list[Table]:
     return [table, *([confusion_table(record["confusion"])] if record["confusion"] else [])]
 
 
+COUNTED = ("traversable", "potentially_traversable", "non_traversable")
+"""The keys of numbers of voxels, in the order of `CLASSES` without free."""
+
+
 def _told(record: Mapping[str, Any], scope: str, ratio: str) -> str:
     """The interval, or in a word why there is none."""
     bounds, silence = (((record.get(part) or {}).get(scope) or {}).get(ratio) for part in ("intervals", "silences"))
@@ -88,7 +92,7 @@ def breakdown_table(record: Mapping[str, Any]) -> Table:
     names = (*RATIOS.values(), "frames", *(f"{name} voxels" for name in CLASSES[1:]))
     table = plain_table(f"by {record['by']}, %", str(record["by"]), *names)
     for part in record["parts"]:
-        counts = (f"{part['frames']:,}", *(f"{part['support'][name]:,}" for name in CLASSES[1:]))
+        counts = (f"{part['frames']:,}", *(f"{part['support'][name]:,}" for name in COUNTED))
         table.add_row(safe_text(part["name"]), *(percent(part["ratios"][key]) for key in RATIOS), *counts)
     return table
 

@@ -56,7 +56,7 @@ def test_a_board_says_by_what_and_how_surely(api: httpx.Client, platform: Platfo
     assert (first["team"], first["is_yours"], second["is_yours"]) == (look.team, True, False)
     low, high = first["intervals"]["miou"]
     assert low < first["ratios"]["miou"] < high
-    assert first["support"]["T"] > 0
+    assert first["support"]["traversable"] > 0
     extras = answered(look.of(look.mine, "results"))["extras"]
     assert first["danger"] == {name: extras[name] for name in ("n_predicted_drivable_ratio", "n_predicted_t_ratio")}
     assert 0 < first["danger"]["n_predicted_drivable_ratio"] < second["danger"]["n_predicted_drivable_ratio"] < 1

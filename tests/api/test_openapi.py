@@ -158,7 +158,6 @@ MODELS = sorted(
 )
 GLANCES = {
     "BenchmarkShown",  # generic: its two leaves have one
-    "ClassVoxels",
     "JobGlance",
     "LabelGlance",
     "Shares",

@@ -63,7 +63,7 @@ def test_what_is_put_is_what_is_read(put: Put, api: httpx.Client, platform: Plat
         [a], [b], [c], [d]
     ]  # fmt: skip
     assert shown["train"][0]["voxels"] == {
-        "traversable": 100, "potentially_traversable": 200, "non_traversable": 700
+        "free": None, "traversable": 100, "potentially_traversable": 200, "non_traversable": 700
     }  # fmt: skip
 
 
@@ -227,7 +227,7 @@ def test_the_sums_are_those_of_the_rows(api: httpx.Client, lakes_and_farm: tuple
     assert shown["dataset"] is None
     assert shown["total"] == {
         "sequences": 3, "drives": 3, "frames": 9, "duration_s": 75.0, "distance_m": 61.0, "distances_known": 2,
-        "voxels": {"traversable": 200, "potentially_traversable": 400, "non_traversable": 1400},
+        "voxels": {"free": None, "traversable": 200, "potentially_traversable": 400, "non_traversable": 1400},
         "class_ratios": {"traversable": 0.1, "potentially_traversable": 0.2, "non_traversable": 0.7}, "voxels_known": 2,
         "held_out_recall": 0.9731, "held_out_m": 150.8, "held_out_known": 2,
         "gravest": {"code": "LAB-605", "harm": "wrong"},

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, StrictFloat, StrictInt
 
 from api.schemas.base import ID_EXAMPLE, Answer, Body, IdText, Instant, Line, coded, example, example_of
+from api.schemas.class_counts import ClassCounts
 from api.schemas.grids import GridBody, GridName, chosen_grid
 from api.schemas.quality import QualityFields
 from services.domain.sequences.label_choices import DEFAULT_PROFILE, LabelProfile
@@ -121,14 +122,6 @@ class LabelGlance(QualityFields):
     chosen_at: Instant
 
 
-class ClassVoxels(Answer):
-    """Voxels of all frames by traversability class."""
-
-    t: int
-    p: int
-    n: int
-
-
 class SequenceItem(Answer):
     """A sequence as a list shows it.
 
@@ -154,7 +147,7 @@ class SequenceItem(Answer):
             "chosen_at": "2026-05-03T10:20:00Z",
             **example_of(QualityFields),
         },
-        class_voxels={"t": 812345, "p": 2045312, "n": 4198273},
+        class_voxels=example_of(ClassCounts) | {"free": None},
         duration_s=120.1,
         distance_m=143.7,
         split="train",
@@ -174,7 +167,7 @@ class SequenceItem(Answer):
     recordings: int
     job: JobGlance | None
     labels: LabelGlance | None
-    class_voxels: ClassVoxels | None
+    class_voxels: ClassCounts | None
     duration_s: float | None
     distance_m: float | None
     split: str | None
