@@ -59,7 +59,7 @@ def overview(at: AtSequence, caller: Looker) -> HTMLResponse:
         is_setting_up = status.may_change and status.sequence.labels is None
         calibrations = choosable(session, caller, status) if is_setting_up else []
         choices = topic_choices_of(session, at.sequence_id) if is_setting_up else None
-        again = choices_of(session, labels, DEFAULT_PROFILE) if status.may_process else None
+        again = choices_of(session, labels, DEFAULT_PROFILE) if status.may_process and not status.is_alive else None
     ground = ground_offer_of(at.platform, at.sequence_id) if is_setting_up else None
     return shown_section(
         at,

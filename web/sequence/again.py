@@ -46,7 +46,7 @@ class RunChoices:
 def choices_of(session: Session, labels: LabelSet | None, profile: str = "") -> RunChoices | None:
     """What the run of these labels was asked for, with this profile or its own; None for labels that no run made."""
     run = None if labels is None or labels.job_id is None else session.get(Job, labels.job_id)
-    if run is None or run.kind != PROCESS:
+    if run is None or run.kind != PROCESS or "profile" not in run.arguments:
         return None
     asked = request_of(run.arguments)
     return RunChoices(
