@@ -200,7 +200,15 @@ def by_harm(findings: Iterable[Any]) -> list[Any]:
     return sorted(findings, key=rank)
 
 
+def said_of(finding: Any) -> str:
+    """The sentence of a finding, a mapping or a value, with its topic before it unless the sentence names that."""
+    named = finding if isinstance(finding, Mapping) else {"topic": finding.topic, "message": finding.message}
+    topic, message = str(named.get("topic") or ""), str(named["message"])
+    return f"{topic}: {message}" if topic and topic not in message else message
+
+
 FILTERS: Mapping[str, Callable[..., Any]] = {
+    "said_of": said_of,
     "size": size,
     "span": span,
     "about": about,

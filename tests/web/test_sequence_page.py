@@ -411,3 +411,20 @@ def test_the_topics_of_several_recordings_are_offered_once() -> None:
     assert choices_in([INSPECTION, {"channels": {"lidar": "/other"}}]).automatic_lidar == ""
     assert choices_in([]) == TopicChoices()
     assert (ODOMETRY_ROLES, POSITION_TYPES) == (POSE_ROLES, (POSITIONS,))
+
+
+def test_a_finding_names_its_subject_and_has_the_width_of_its_card(
+    site: Site, curator: Person, shown: dict[str, Any]
+) -> None:
+    """On the overview "its points have no readable time" had lost whose, and stood in a third of the card."""
+    with site.visit(curator) as page:
+        to(page, shown)
+        findings = page.get_by_role("region", name="Findings").locator(".finding")
+        expect(findings.first).to_contain_text("the track spans 3.11 m")
+        page.get_by_role("region", name="Findings").locator("summary").first.click()
+        expect(findings.filter(has_text="TIM-201")).to_contain_text("/ins: Stamped on the host.")
+        ratio = findings.first.evaluate(
+            "one => one.querySelector('span:not(.harm)').getBoundingClientRect().width / one.clientWidth"
+        )
+        assert ratio > 0.85
+        look(page, "sequence-findings")

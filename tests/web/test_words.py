@@ -121,3 +121,10 @@ def test_of_names_in_one_place_one_is_written() -> None:
     at = SE3.from_parts(np.array([1.0, 0, 0, 0]), np.zeros(3))
     top = rig_of(rig(Mount("INS", "ins", at), Mount("IMU", "imu", at))).views[0]
     assert [mark.label for mark in top.marks] == ["lidar", "", ""]
+
+
+def test_a_finding_names_its_subject_once() -> None:
+    puts = {"code": "CAL-430", "topic": "CAM_FRONT", "message": "tf_static puts it 2.7 cm from the calibration."}
+    assert words.said_of(puts) == "CAM_FRONT: tf_static puts it 2.7 cm from the calibration."
+    assert words.said_of({**puts, "message": "CAM_FRONT: |t| is 12.3 m"}) == "CAM_FRONT: |t| is 12.3 m"
+    assert words.said_of({"code": "LAB-603", "message": "The track spans 3.11 m."}) == "The track spans 3.11 m."
