@@ -29,6 +29,7 @@ from services.domain.viewer.playback import (
     camera_file,
     cloud_file,
     index_record,
+    radar_file,
 )
 from services.runtime.jobs.enqueue import enqueue, enqueue_run
 from services.runtime.jobs.specs import Context, JobSpec
@@ -160,7 +161,11 @@ def playback(platform: Platform, sequence_id: str, tokens: Listing[str], content
     files = {camera_file("CAM_FRONT", token): b"\xff\xd8" + token.encode() + content for token in tokens}
     files |= {cloud_file(token): b"STC1" + token.encode() + content for token in tokens}
     sensors = (PlacedSensor("LIDAR_TOP", "lidar", (0.0, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0)),)
-    files |= {CAMERAS: b"STR1" + content, INDEX: index_record(PlaybackChannels(("CAM_FRONT",), True, True, sensors))}
+    files |= {radar_file(token): b"STE1" + token.encode() + content for token in tokens}
+    files |= {
+        CAMERAS: b"STR1" + content,
+        INDEX: index_record(PlaybackChannels(("CAM_FRONT",), True, True, sensors, True)),
+    }
     return export(platform, sequence_id, files, PLAYBACK)
 
 

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import select
 
-from services.domain.viewer.formats import TileMesh, TileVoxels, cloud_bytes, mesh_bytes, tile_bytes
-from services.domain.viewer.playback import INDEX, PlacedSensor, PlaybackChannels, cloud_file, index_record
+from services.domain.viewer.formats import TileMesh, TileVoxels, cloud_bytes, detections_bytes, mesh_bytes, tile_bytes
+from services.domain.viewer.playback import INDEX, PlacedSensor, PlaybackChannels, cloud_file, index_record, radar_file
 from services.runtime.orm import Artefact, LabelSet, SequenceRow
 from services.runtime.platform import Platform
 from stone.labels.traversability import Reference, distance_squared, threshold
@@ -183,7 +183,9 @@ def viewed(
     if has_clouds or has_cameras:
         files = {cloud_file(token): _cloud(run, number) for number, token in enumerate(tokens) if has_clouds}
         files |= camera_files(tokens) if has_cameras else {}
-        shown = PlaybackChannels(tuple(CHANNELS) if has_cameras else (), has_clouds, has_cameras, SENSORS)
+        files |= {radar_file(token): _radar(number) for number, token in enumerate(tokens) if has_clouds}
+        cameras = tuple(CHANNELS) if has_cameras else ()
+        shown = PlaybackChannels(cameras, has_clouds, has_cameras, SENSORS, has_clouds)
         played(platform, owner, facts["id"], {**files, INDEX: index_record(shown)})
     return {**facts, "tokens": tokens, "label_set_id": labels.id}
 
@@ -238,6 +240,16 @@ def _cloud(run: Run, number: int) -> bytes:
     x, y, z = run.poses[number, :3]
     up = height_m(flat[:, 0] + x, flat[:, 1] + y) - z
     return cloud_bytes(np.column_stack([flat, up]), random.uniform(0, 255, 4000))
+
+
+def radar_of(number: int) -> tuple[Floats, Floats]:
+    """Points (N, 3) of the ego frame and their speeds over ground: a frame more has a point more, which is faster."""
+    count = 3 + number
+    return np.column_stack([np.arange(count) + 2.0, np.full(count, 1.5), np.full(count, 0.8)]), np.arange(count) * -1.25
+
+
+def _radar(number: int) -> bytes:
+    return detections_bytes(*radar_of(number))
 
 
 @cache

@@ -42,7 +42,7 @@ def scene(api: httpx.Client, caller: Person, forest: Mapping[str, Any]) -> dict[
 
 def paths_of(forest: Mapping[str, Any], made: Labels) -> list[str]:
     frame, of_sequence = f"{URL}/frames/{next(iter(made.frames))}", f"{URL}/sequences/{forest['id']}"
-    of_frame = [f"{frame}/{part}" for part in ("voxels", "bev.png", "camera/CAM_FRONT.jpg", "cloud")]
+    of_frame = [f"{frame}/{part}" for part in ("voxels", "bev.png", "camera/CAM_FRONT.jpg", "cloud", "radar")]
     return [*of_frame, *(f"{of_sequence}/scene{part}" for part in ("", "/tiles/0_-1", "/meshes/0_-1", "/cameras"))]
 
 
@@ -110,6 +110,7 @@ def test_the_scene_is_what_the_labeler_wrote_with_what_is_known_of_it_now(
     assert (shown["sequence_id"], shown["label_set_id"]) == (forest["id"], played.id)
     assert shown["playback"].pop("export_id")
     sensors = shown["playback"].pop("sensors")
+    assert shown["playback"].pop("has_radars") is True
     assert shown["playback"] == {"state": "ready", "cameras": ["CAM_FRONT"], "has_clouds": True, "has_rays": True}
     assert sensors == [
         {"channel": "LIDAR_TOP", "kind": "lidar", "ego_from_sensor": [0.0, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0]}
@@ -121,8 +122,9 @@ def test_tiles_surfaces_pictures_and_sweeps_are_the_files_that_were_made(
 ) -> None:
     token = next(iter(played.frames))
     answers = [api.get(path, headers=curator.headers) for path in paths_of(forest, played)]
-    assert [answer.status_code for answer in answers] == [200] * 8
-    _, _, camera, cloud, _, tile, mesh, cameras = answers
+    assert [answer.status_code for answer in answers] == [200] * 9
+    _, _, camera, cloud, radar, _, tile, mesh, cameras = answers
+    assert (radar.content, radar.headers["content-type"]) == (b"STE1" + token.encode(), MEDIA_TYPES["STE1"])
     assert (camera.content, cloud.content) == (b"\xff\xd8" + token.encode(), b"STC1" + token.encode())
     assert (tile.content, mesh.content) == (played.files["scene/tile_0_-1.bin"], played.files["scene/mesh_0_-1.bin"])
     assert (camera.headers["content-type"], cloud.headers["content-type"]) == ("image/jpeg", MEDIA_TYPES["STC1"])
@@ -178,7 +180,7 @@ def test_what_is_public_is_played_to_visitors_and_its_exports_stay_the_owners(
     make_public(platform)
     for headers in ({}, participant.headers):
         assert {api.get(path, headers=headers).status_code for path in paths} == {200}
-    export_id = api.get(paths[4]).json()["playback"]["export_id"]
+    export_id = api.get(paths[5]).json()["playback"]["export_id"]
     of_export = f"{URL}/sequences/{forest['id']}/exports/{export_id}"
     for path in (of_export, f"{of_export}/files", f"{of_export}/archive", f"{of_export}/files/playback.json"):
         assert (api.get(path).status_code, api.get(path, headers=participant.headers).status_code) == (401, 404)
@@ -191,7 +193,7 @@ def test_a_playback_of_an_earlier_release_has_pictures_and_no_cameras_to_look_th
     token = next(iter(made.frames))
     with_playback(platform, curator, forest["id"], {INDEX: index, camera_file("CAM_FRONT", token): b"\xff\xd8"})
     shown = scene(api, curator, forest)["playback"]
-    assert (shown["has_rays"], shown["sensors"]) == (False, [])
+    assert (shown["has_rays"], shown["has_radars"], shown["sensors"]) == (False, False, [])
     answer = api.get(f"{URL}/sequences/{forest['id']}/scene/cameras", headers=curator.headers)
     assert (answer.status_code, answer.json()["code"]) == (404, "not_found")
 

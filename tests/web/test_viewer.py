@@ -23,7 +23,7 @@ from testing.stone_serve import until
 from testing.web.browsing import Site
 from testing.worlds import made
 from testing.worlds.benchmark_world import labels_npz
-from testing.worlds.viewer_world import BLOCK_M, Grid, Run, viewed
+from testing.worlds.viewer_world import BLOCK_M, Grid, Run, radar_of, viewed
 from tests.web.looking import keep
 from tests.web.test_viewer_data import IMPORTS
 
@@ -490,6 +490,29 @@ def test_points_are_coloured_between_the_values_of_the_legend(at_viewer: Page, s
     page.get_by_label("Points by").select_option("time")
     expect(ticks).to_have_text(["1 s", "0.5 s", "now"])
     expect(page.get_by_label("Colours of points, to", exact=True)).to_be_hidden()
+
+
+RADAR = f"""async () => {{ {IMPORTS} {VIEWER}
+  const {{ geometry }} = viewer.world.radar.group.children.find(one => one.visible);
+  return ["position", "strength"].map(name => [...geometry.getAttribute(name).array]); }}"""
+
+
+def test_radar_detections_are_a_layer_of_their_own_coloured_by_their_speed(
+    at_viewer: Page, seen: dict[str, Any]
+) -> None:
+    page = at_viewer
+    with page.expect_response(lambda answer: f"{seen['tokens'][1]}/radar" in answer.url):
+        page.get_by_label("Radar").check()
+    expect(page.locator(".viewer-ticks span")).to_have_text(["0 m/s", "2.5 m/s", "5 m/s and more"])
+    for number in (1, 2):
+        expect(host(page)).to_have_attribute("data-frame", str(number))
+        points, rates = radar_of(number)
+        until(lambda points=points: len(page.evaluate(RADAR)[1]) == len(points))  # type: ignore[misc]
+        places, strengths = page.evaluate(RADAR)
+        assert places == (100 * points).ravel().tolist()
+        assert strengths == [min(255, round(255 * abs(rate) / 5)) for rate in rates]
+        page.keyboard.press(".")
+    keep(page, "viewer-radar")
 
 
 def changed(grid: Grid) -> Grid:

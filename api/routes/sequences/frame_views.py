@@ -1,4 +1,4 @@
-"""Routes of the viewer's frame data: voxels, top-down picture, camera images, point cloud.
+"""Routes of the viewer's frame data: voxels, top-down picture, camera images, point cloud, radar detections.
 
 **Conventions.** Voxels and picture are made of the labels when they are asked for, which takes less than reading a
 stored copy would save; pictures of cameras and sweeps are of the playback (`services/domain/viewer/playback.py`).
@@ -15,11 +15,12 @@ from api.files import GeneratedFile, answer_bytes, answer_made, file_responses
 from api.routes.sequences.frames import TokenPath
 from api.views.scenes import ColoursQuery, VersionQuery, frame_picture, frame_voxels, labels_file, played_file
 from services.domain.viewer.formats import MEDIA_TYPES
-from services.domain.viewer.playback import camera_file, cloud_file
+from services.domain.viewer.playback import camera_file, cloud_file, radar_file
 
 router = APIRouter(prefix="/frames/{token}", tags=["viewer"])
 ChannelPath = Annotated[str, Path(pattern=r"^[A-Z][A-Z0-9_]{0,63}$", examples=["CAM_FRONT"])]
-VOXELS, CLOUD, PNG, JPEG = MEDIA_TYPES["STV1"], MEDIA_TYPES["STC1"], "image/png", "image/jpeg"
+VOXELS, CLOUD, RADAR = (MEDIA_TYPES[magic] for magic in ("STV1", "STC1", "STE1"))
+PNG, JPEG = "image/png", "image/jpeg"
 
 
 @router.get(
@@ -75,3 +76,14 @@ def download_point_cloud(
     """The sweep, at most 40,000 points in the ego frame (`STC1`); `no_playback` while there are none."""
     served = played_file(platform, (caller, token, version), cloud_file)
     return answer_bytes(request, replace(served, media_type=CLOUD))
+
+
+@router.get(
+    "/radar", summary="A frame's radar detections (STE1)", response_class=Response, responses=file_responses(RADAR)
+)
+def download_radar(
+    token: TokenPath, caller: Looker, platform: PlatformDep, request: Request, version: VersionQuery = None
+) -> Response:
+    """What all radars detect, in the ego frame at the frame's stamp, with its speed over ground (`STE1`)."""
+    served = played_file(platform, (caller, token, version), radar_file)
+    return answer_bytes(request, replace(served, media_type=RADAR))

@@ -73,10 +73,12 @@ class PlaybackItem(Answer):
     """Whether there are pictures and sweeps beside the voxels, and of which cameras.
 
     `has_rays`: `scene/cameras` says how the pictures look at the labels; playbacks of earlier releases have none.
-    `sensors` are those of the calibration, empty in playbacks of earlier releases.
+    `sensors` are those of the calibration, empty in playbacks of earlier releases, which have no radars either.
     """
 
-    model_config = example(state="ready", cameras=["CAM_FRONT", "CAM_BACK"], has_clouds=True, has_rays=True)
+    model_config = example(
+        state="ready", cameras=["CAM_FRONT", "CAM_BACK"], has_clouds=True, has_rays=True, has_radars=True
+    )
 
     export_id: str | None
     state: Literal["none", "making", "ready"]
@@ -84,6 +86,7 @@ class PlaybackItem(Answer):
     has_clouds: bool
     has_rays: bool
     sensors: list[SensorItem]
+    has_radars: bool
 
 
 class SceneDetail(Answer):

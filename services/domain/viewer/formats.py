@@ -1,4 +1,4 @@
-"""The viewer's binary formats: six zstd-compressed layouts, written here and read in the browser.
+"""The viewer's binary formats: seven zstd-compressed layouts, written here and read in the browser.
 
 | magic | holds | after the magic |
 |---|---|---|
@@ -7,6 +7,7 @@
 | `STT1` | the labelled voxels of a tile | u32 n; i32 i j k; u8 class; f32 elevation slope roughness D²; u8 confidence |
 | `STM1` | the tile's surface | u32 v, u32 t; f32 x y z a vertex; u8 class a vertex; u32 corners, three a triangle |
 | `STC1` | one sweep | u32 n; i16 x y z a point, centimetres in the ego frame; u8 intensity a point |
+| `STE1` | radar detections | u32 n; i16 x y z a point, centimetres in the ego frame; i16 speed a point, cm/s |
 | `STR1` | the cameras of a playback | u32 cameras, frames, columns, rows; u8 has a picture; f32 rays; f32 poses |
 
 **Conventions.** Little-endian, nothing between the parts. A plane has a bit for each voxel of the scene's grid in C
@@ -14,7 +15,8 @@ order, the first in the lowest bit. In `STT1` each of the nine arrays stands who
 order of i, then j, then k; the centre of one is (index + 0.5) · `map_voxel_m` in the map frame. `STM1` counts from the
 tile's `min_m` (scene.json); class 0 is a vertex outside every voxel. The confidence is that of `labels.npz`, 0 if it is
 unknown; tiles of earlier releases end before it. Equal values give equal bytes. Of imported labels elevation, slope,
-roughness and D² are NaN: a dataset says the class alone. In `STR1` cameras stand in the order of `playback.json`: a
+roughness and D² are NaN: a dataset says the class alone. A speed is that over ground along the radar's ray, positive
+where the distance grows. In `STR1` cameras stand in the order of `playback.json`: a
 byte for each frame of each camera, 1 where there is a picture; then of each camera rows × columns unit vectors x y z in
 its optical frame, through places spread evenly from edge to edge of the image, NaN where the lens sees nothing; then
 for each frame of each camera `ego_from_camera` as tx ty tz qw qx qy qz, from where the camera was when it took the
@@ -33,6 +35,7 @@ MEDIA_TYPES = {
     "STT1": "application/vnd.stone.tile",
     "STM1": "application/vnd.stone.mesh",
     "STC1": "application/vnd.stone.cloud",
+    "STE1": "application/vnd.stone.detections",
     "STR1": "application/vnd.stone.cameras",
 }
 PLANES = 3
@@ -109,11 +112,18 @@ def mesh_bytes(mesh: TileMesh) -> bytes:
 
 def cloud_bytes(points_ego: Floats, intensity: Floats) -> bytes:
     """`STC1` of points (N, 3), metres, and intensities (N,) 0 to 255; points beyond 327.67 m are left out."""
-    cm = np.rint(points_ego * CM_PER_M)
-    is_near = (np.abs(cm) <= MOST_CM).all(axis=1)
+    cm, is_near = _centimetres(points_ego)
     light = np.clip(np.rint(intensity[is_near]), 0, 255)
     parts = [cm[is_near].astype("<i2").tobytes(), light.astype("u1").tobytes()]
     return _frame(b"STC1", (int(is_near.sum()),), parts)
+
+
+def detections_bytes(points_ego: Floats, ground_rate_m_s: Floats) -> bytes:
+    """`STE1` of points (N, 3) and speeds (N,), m/s; left out are points beyond 327.67 m and what is not finite."""
+    cm, is_near = _centimetres(points_ego)
+    kept = is_near & np.isfinite(ground_rate_m_s)
+    rates = np.clip(np.rint(ground_rate_m_s[kept] * CM_PER_M), -MOST_CM, MOST_CM)
+    return _frame(b"STE1", (int(kept.sum()),), [cm[kept].astype("<i2").tobytes(), rates.astype("<i2").tobytes()])
 
 
 def cameras_bytes(cameras: PlaybackCameras) -> bytes:
@@ -121,6 +131,12 @@ def cameras_bytes(cameras: PlaybackCameras) -> bytes:
     _, rows, columns, _ = cameras.rays.shape
     parts = (cameras.has_picture.astype("u1"), cameras.rays.astype("<f4"), cameras.ego_from_camera.astype("<f4"))
     return _frame(b"STR1", (*cameras.has_picture.shape, columns, rows), [part.tobytes() for part in parts])
+
+
+def _centimetres(points: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """Points (N, 3) in whole centimetres, and which of them (N,) two bytes hold; NaN is not one of them."""
+    cm = np.rint(points * CM_PER_M)
+    return cm, (np.abs(cm) <= MOST_CM).all(axis=1)
 
 
 def _frame(magic: bytes, counts: tuple[int, ...], parts: list[bytes]) -> bytes:

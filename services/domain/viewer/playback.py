@@ -1,11 +1,12 @@
-"""The playback of a label set: small pictures and thinned sweeps beside the viewer's voxels.
+"""The playback of a label set: small pictures, thinned sweeps and radar detections beside the viewer's voxels.
 
     playback.json   cameras.bin   cameras/<CHANNEL>/<frame_token>.jpg   clouds/<frame_token>.bin
+    radars/<frame_token>.bin
 
 **Conventions.** An export of its own format, made after labels are published; its files are shown one by one to whoever
 may look at the sequence. `playback.json` is {"cameras": [channel, ...], "has_clouds": bool, "has_rays": bool,
-"sensors": [{"channel", "kind", "ego_from_sensor"}, ...]}; `cameras.bin` (`STR1`) is there where `has_rays` is true.
-What was made by earlier releases has neither `has_rays` nor `sensors`.
+"sensors": [{"channel", "kind", "ego_from_sensor"}, ...], "has_radars": bool}; `cameras.bin` (`STR1`) is there where
+`has_rays` is true. What was made by earlier releases lacks `has_rays`, `sensors` and `has_radars`.
 """
 
 import json
@@ -46,12 +47,13 @@ class PlacedSensor:
 
 @dataclass(frozen=True)
 class PlaybackChannels:
-    """The channels of a playback in the order of the rig, whether there are sweeps, `cameras.bin`, and all sensors."""
+    """The channels of a playback in the order of the rig, what there is beside pictures, and all sensors of the rig."""
 
     cameras: tuple[str, ...] = ()
     has_clouds: bool = False
     has_rays: bool = False
     sensors: tuple[PlacedSensor, ...] = ()
+    has_radars: bool = False
 
     def as_record(self) -> dict[str, Any]:
         """The content of `playback.json`, and of a scene's `playback`."""
@@ -66,6 +68,11 @@ def camera_file(channel: str, token: str) -> str:
 def cloud_file(token: str) -> str:
     """The name of a sweep among the files."""
     return f"clouds/{token}.bin"
+
+
+def radar_file(token: str) -> str:
+    """The name of a frame's radar detections among the files."""
+    return f"radars/{token}.bin"
 
 
 def playback_of(session: Session, label_set_id: str) -> Playback:
@@ -96,7 +103,8 @@ def _shown(store: Store, located: ExportLocation) -> PlaybackChannels:
         PlacedSensor(one["channel"], one["kind"], tuple(one["ego_from_sensor"])) for one in record.get("sensors", [])
     )
     has_rays = bool(record.get("has_rays", False))
-    return PlaybackChannels(tuple(record["cameras"]), bool(record["has_clouds"]), has_rays, sensors)
+    has_radars = bool(record.get("has_radars", False))
+    return PlaybackChannels(tuple(record["cameras"]), bool(record["has_clouds"]), has_rays, sensors, has_radars)
 
 
 def index_record(shown: PlaybackChannels) -> bytes:

@@ -1,6 +1,7 @@
-"""Sensor data for the viewer: reduced camera images and thinned sweeps.
+"""Sensor data for the viewer: reduced camera images, thinned sweeps and radar detections.
 
     playback.json   cameras.bin   cameras/<CHANNEL>/<frame_token>.jpg   clouds/<frame_token>.bin
+    radars/<frame_token>.bin
 
 **Conventions.** Pictures are at most `WIDTH_PX` wide, as the cameras saw them (a lens that bends bends here too). Of a
 sweep at most `MOST_POINTS` are kept, drawn evenly by the golden ratio, so that no ring or stretch of it is left out and
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from services.domain.viewer.formats import PlaybackCameras, cameras_bytes, cloud_bytes
+from services.domain.viewer.formats import PlaybackCameras, cameras_bytes, cloud_bytes, detections_bytes
 from services.domain.viewer.playback import (
     CAMERAS,
     INDEX,
@@ -26,6 +27,7 @@ from services.domain.viewer.playback import (
     camera_file,
     cloud_file,
     index_record,
+    radar_file,
 )
 from services.labeler.exports.nuscenes.plan import LIDAR
 from services.labeler.exports.source import LabelledSequence
@@ -34,7 +36,7 @@ from services.labeler.run import Step
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Calibration, CameraIntrinsics
 from stone.sensors.projection import rays_through
-from stone.sensors.samples import CameraSample, LidarSample, egos_at
+from stone.sensors.samples import CameraSample, LidarSample, RadarSample, egos_at
 from stone.sensors.sequence import Sequence
 
 WIDTH_PX, JPEG_QUALITY = 640, 78
@@ -52,6 +54,9 @@ def write_playback(source: LabelledSequence, out: Path, step: Step) -> None:
         (out / "cameras" / channel).mkdir(parents=True)
     (out / "clouds").mkdir()
     has_clouds = total > 0 and sequence.frames.sweeps is not None
+    radars = [one.name for one in sequence.calibration.of_kind("radar") if one.name in sequence.frames.associations]
+    has_radars = has_clouds and bool(radars) and sequence.track is not None
+    (out / "radars").mkdir()
     has_picture = np.zeros((len(taken), total), np.bool_)
     for index, token in enumerate(sequence.frames.tokens):
         for place, channel in enumerate(taken):
@@ -62,12 +67,15 @@ def write_playback(source: LabelledSequence, out: Path, step: Step) -> None:
         if has_clouds:
             sweep = source.samples.lidar(index)
             (out / cloud_file(token)).write_bytes(small_cloud(sweep, sequence.calibration.ego_from_lidar))
+        if has_radars:
+            scans = [scan for radar in radars if (scan := source.samples.radar(radar, index)) is not None]
+            (out / radar_file(token)).write_bytes(detections(scans, sequence.calibration.ego_from_lidar))
         step(index + 1, total)
     is_shown = has_picture.any(axis=1)
     cameras = tuple(taken[place] for place in np.flatnonzero(is_shown))
     if cameras:
         (out / CAMERAS).write_bytes(cameras_bytes(playback_cameras(sequence, cameras, has_picture[is_shown])))
-    shown = PlaybackChannels(cameras, has_clouds, bool(cameras), placed_sensors(sequence.calibration))
+    shown = PlaybackChannels(cameras, has_clouds, bool(cameras), placed_sensors(sequence.calibration), has_radars)
     (out / INDEX).write_bytes(index_record(shown))
 
 
@@ -106,6 +114,13 @@ def small_cloud(sample: LidarSample, ego_from_lidar: SE3) -> bytes:
         intensity *= FULL_INTENSITY
     points_ego = ego_from_lidar @ sample.points_lidar[kept].astype(np.float64)
     return cloud_bytes(points_ego, intensity)
+
+
+def detections(scans: Listing[RadarSample], ego_from_lidar: SE3) -> bytes:
+    """What all radars of a frame detect as `STE1`, moved to its stamp."""
+    points_lidar = np.concatenate([np.empty((0, 3)), *(scan.points_lidar for scan in scans)])
+    rates_m_s = np.concatenate([np.empty(0), *(scan.ground_rate_m_s for scan in scans)])
+    return detections_bytes(ego_from_lidar @ points_lidar, rates_m_s)
 
 
 def drawn(total: int, most: int) -> NDArray[np.int64]:

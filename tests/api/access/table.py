@@ -136,6 +136,7 @@ GET    /api/v1/frames/{token}/voxels                          401  404  200   40
 GET    /api/v1/frames/{token}/bev.png                         401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/frames/{token}/camera/{channel}.jpg            401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/frames/{token}/cloud                           401  404  200   404   200  404 403  401  401  200 200
+GET    /api/v1/frames/{token}/radar                           401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/sequences/{sequence_id}/scene                  401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/sequences/{sequence_id}/scene/cameras          401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/sequences/{sequence_id}/scene/tiles/{tile_name}  401 404 200 404 200 404 403 401 401 200 200

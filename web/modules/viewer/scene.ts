@@ -28,6 +28,7 @@ export interface PlaybackFacts {
   has_clouds: boolean;
   has_rays: boolean;
   sensors: SensorFacts[];
+  has_radars: boolean;
 }
 
 export interface SceneFacts {

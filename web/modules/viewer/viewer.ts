@@ -8,7 +8,7 @@ import { CameraPanel } from "./controls/camera_panel.js";
 import { type Choices, choicesPanel, firstChoices } from "./controls/choices.js";
 import { button, make } from "./controls/elements.js";
 import { isFree, keysPanel } from "./controls/keys.js";
-import { classLegend, differenceLegend, pointLegend, rampLegend } from "./controls/legend.js";
+import { classLegend, differenceLegend, pointLegend, radarLegend, rampLegend } from "./controls/legend.js";
 import { CLASS_NAMES } from "./controls/explanation.js";
 import type { Picked, Ray } from "./data/model.js";
 import { Readout } from "./controls/readout.js";
@@ -173,6 +173,7 @@ export class Viewer {
     const counts = scope === "frame" ? this.counts : [];
     if (mode === "difference") this.legend.replaceChildren(differenceLegend(counts));
     else this.legend.replaceChildren(mode === "class" ? classLegend(counts) : rampLegend(mode, this.scene));
+    if (layers.radar) this.legend.append(radarLegend());
     if (layers.points) this.legend.append(pointLegend(points, this.world.pointRange));
   }
 

@@ -20,6 +20,8 @@ import { VoxelBlock, VoxelPaint } from "./drawing/voxel_layer.js";
 
 /** So far beyond the corners of the frame's grid the terrain is fetched. */
 const KNOWN_BEYOND_M = 9;
+/** A radar detection is drawn so much larger than a point of the LiDAR. */
+const RADAR_RATIO = 3;
 const SURFACE_REACH_M = 80;
 const START_DISTANCE_M = 34;
 /** Beyond every height; graphics cards need not know infinity. */
@@ -42,6 +44,7 @@ export class World {
   private readonly height: GroundHeight;
   private readonly known_m: number;
   private readonly cloud: SweepLayer;
+  private readonly radar: SweepLayer;
   private readonly store: FrameStore;
   private sensors: SensorLayer | null = null;
   private round = 0;
@@ -56,15 +59,16 @@ export class World {
     this.robot = new Robot(scene.footprint_m);
     this.track = new Track(scene.frames.map_from_ego, scene.footprint_m[1], this.origin);
     this.cloud = new SweepLayer(this.paint, heightsOf(scene.grid), () => stage.canvas.clientHeight);
+    this.radar = new SweepLayer(this.paint, heightsOf(scene.grid), () => stage.canvas.clientHeight);
     stage.orbit.floor = (x, y) => this.height.at(x + this.origin[0], y + this.origin[1]) - this.origin[2];
     this.paint.paint(choices.look.mode);
     this.store = new FrameStore(this.asking, scene, { ...choices.look });
-    for (const prop of [this.paint, surfaces, this.frame, this.map, this.ground, this.robot, this.track, this.marker, this.cloud]) {
+    for (const prop of [this.paint, surfaces, this.frame, this.map, this.ground, this.robot, this.track, this.marker, this.cloud, this.radar]) {
       stage.add(prop);
     }
     stage.add({ drawing: () => this.paint.reach(stage.orbit.distance_m) });
     const standing: Object3D[] = [this.frame.group, this.map.voxels, this.map.surfaces, this.ground.mesh, this.track.group];
-    stage.scene.add(...standing, this.robot.group, this.cloud.group, this.marker.lines);
+    stage.scene.add(...standing, this.robot.group, this.cloud.group, this.radar.group, this.marker.lines);
   }
 
   open(): Promise<unknown> {
@@ -104,6 +108,7 @@ export class World {
     this.robot.group.visible = layers.robot;
     this.ground.mesh.visible = layers.grid;
     this.cloud.group.visible = layers.points;
+    this.radar.group.visible = layers.radar;
     this.dressPoints();
     const redraw = (): void => this.stage.ask();
     redraw();
@@ -111,13 +116,16 @@ export class World {
     await Promise.all([
       scope === "map" && layers.labels ? this.map.show(here, { ...this.choices.look }, redraw) : null,
       layers.mesh ? this.map.showSurfaces(here, SURFACE_REACH_M, redraw) : null,
-      layers.points ? this.showCloud(this.index) : null,
+      layers.points ? this.showSweep(this.cloud, "cloud", this.index) : null,
+      layers.radar ? this.showSweep(this.radar, "radar", this.index) : null,
       layers.sensors || this.sensors ? this.showSensors(this.index) : null,
     ]);
   }
 
   dressPoints(): void {
-    this.cloud.colourBy(this.choices.points, this.choices.range, this.choices.size);
+    const { points, range, size } = this.choices;
+    this.cloud.colourBy(points, range, size);
+    this.radar.colourBy("intensity", [0, 255], RADAR_RATIO * size);
     this.stage.ask();
   }
 
@@ -236,16 +244,15 @@ export class World {
     this.stage.ask();
   }
 
-  private async showCloud(index: number): Promise<void> {
-    if (!this.scene.playback.has_clouds) return;
-    const path = `/api/v1/frames/${this.scene.frames.tokens[index]}/cloud?v=${this.scene.label_set_id}`;
+  private async showSweep(layer: SweepLayer, kind: "cloud" | "radar", index: number): Promise<void> {
+    const path = `/api/v1/frames/${this.scene.frames.tokens[index]}/${kind}?v=${this.scene.label_set_id}`;
     const content = await bytes(path).catch((error: unknown) => {
-      if (index === this.index) this.cloud.clear(); // none rather than another frame's
+      if (index === this.index) layer.clear(); // none rather than another frame's
       throw error;
     });
-    const cloud = await this.asking.ask({ kind: "cloud", content });
+    const cloud = await this.asking.ask({ kind, content });
     if (index !== this.index) return;
-    this.cloud.show(index, BigInt(this.scene.frames.stamps_ns[index]!), cloud, this.matrixOf(this.pose(index)));
+    layer.show(index, BigInt(this.scene.frames.stamps_ns[index]!), cloud, this.matrixOf(this.pose(index)));
     this.clouded();
     this.stage.ask();
   }

@@ -15,6 +15,7 @@ from services.domain.viewer.formats import (
     TileVoxels,
     cameras_bytes,
     cloud_bytes,
+    detections_bytes,
     mesh_bytes,
     tile_bytes,
     voxels_bytes,
@@ -87,6 +88,15 @@ def test_a_sweep_keeps_centimetres_and_leaves_out_what_they_cannot_say(points: N
     found = np.array(read.values("h", 3 * len(kept))).reshape(-1, 3) / 100
     assert np.abs(found - points[kept]).max(initial=0) <= 0.00501
     assert read.values("B", len(kept)) == [min(max(round(light[row]), 0), 255) for row in kept]
+    assert read.is_over()
+
+
+def test_detections_keep_their_speeds_and_leave_out_what_is_not_known() -> None:
+    points = np.array([[1.004, -2.0, 0.5], [np.nan, 0.0, 0.0], [400.0, 0.0, 0.0], [3.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
+    read = Read(detections_bytes(points, np.array([-1.239, 0.0, 0.0, np.nan, 900.0])), b"STE1")
+    assert read.values("I", 1) == [2]
+    assert read.values("h", 6) == [100, -200, 50, 500, 0, 0]
+    assert read.values("h", 2) == [-124, 32767]
     assert read.is_over()
 
 

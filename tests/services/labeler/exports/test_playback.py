@@ -54,7 +54,8 @@ def test_every_frame_has_its_sweep_and_the_picture_of_every_camera(drive: Labell
     assert told["has_rays"]
     assert len(told["cameras"]) == 6
     names = {f"cameras/{channel}/{token}.jpg" for channel in told["cameras"] for token in tokens}
-    assert set(files) == {"playback.json", "cameras.bin", *names, *(f"clouds/{token}.bin" for token in tokens)}
+    sweeps = {f"{kind}/{token}.bin" for kind in ("clouds", "radars") for token in tokens}
+    assert set(files) == {"playback.json", "cameras.bin", *names, *sweeps}
     sizes = {Image.open(io.BytesIO(files[name])).size for name in names}
     assert sizes == {(96, 60)}, "small ones are not blown up"
 
@@ -67,6 +68,24 @@ def test_points_stand_where_the_sweep_saw_them(drive: Labelled, files: Mapping[s
     found = np.array(read.values("h", 3 * count)).reshape(-1, 3) / 100
     assert count == len(sweep.points_lidar)
     np.testing.assert_allclose(found, calibration.ego_from_lidar @ sweep.points_lidar.astype(np.float64), atol=0.00501)
+
+
+def test_radars_detect_what_the_samples_of_all_of_them_hold(drive: Labelled, files: Mapping[str, bytes]) -> None:
+    """Moved to the frame's stamp, in the ego frame, with their speeds over ground."""
+    source = drive.source()
+    assert json.loads(files["playback.json"])["has_radars"]
+    radars = [mount.name for mount in source.sequence.calibration.of_kind("radar")]
+    scans = [scan for radar in radars if (scan := source.samples.radar(radar, 3)) is not None]
+    assert len(scans) > 1
+    points = np.concatenate([scan.points_lidar for scan in scans])
+    rates = np.concatenate([scan.ground_rate_m_s for scan in scans])
+    is_known = np.isfinite(points).all(axis=1) & np.isfinite(rates)
+    read = Read(files[f"radars/{source.sequence.frames.tokens[3]}.bin"], b"STE1")
+    assert read.values("I", 1) == [is_known.sum()]
+    found = np.array(read.values("h", 3 * is_known.sum())).reshape(-1, 3) / 100
+    np.testing.assert_allclose(found, source.sequence.calibration.ego_from_lidar @ points[is_known], atol=0.00501)
+    np.testing.assert_allclose(np.array(read.values("h", is_known.sum())) / 100, rates[is_known], atol=0.00501)
+    assert read.is_over()
 
 
 def test_every_sensor_stands_where_the_calibration_says(drive: Labelled, files: Mapping[str, bytes]) -> None:

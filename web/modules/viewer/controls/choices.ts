@@ -8,7 +8,7 @@ import type { PointColour } from "../drawing/sweeps.js";
 import type { Look, Mode, Span, Unseen } from "../looks.js";
 import type { SceneFacts } from "../scene.js";
 
-export type LayerName = "labels" | "mesh" | "points" | "sensors" | "track" | "robot" | "grid";
+export type LayerName = "labels" | "mesh" | "points" | "radar" | "sensors" | "track" | "robot" | "grid";
 export interface Choices {
   scope: "frame" | "map";
   look: Look;
@@ -29,7 +29,7 @@ export function firstChoices(scene: SceneFacts): Choices {
   return {
     scope: "frame",
     look: { mode: scene.starts_with_difference ? "difference" : "class", classes: 0b1110, unseen: "fade", heights_m: [null, null] },
-    layers: { labels: true, mesh: false, points: false, sensors: false, track: true, robot: true, grid: true },
+    layers: { labels: true, mesh: false, points: false, radar: false, sensors: false, track: true, robot: true, grid: true },
     points: "intensity",
     range: [null, null],
     size: 1,
@@ -55,9 +55,10 @@ const NO_CONFIDENCE = "No confidence: only labels of profile field have one, and
 /** Why a layer is not there; undefined where it is. */
 export function missing(layer: LayerName, scene: SceneFacts): string | undefined {
   if (layer === "mesh" && !scene.meshes.length) return "No surface is stored for this label set.";
-  const { has_clouds, has_rays, sensors, state } = scene.playback;
-  const isThere = { points: has_clouds, sensors: has_rays || sensors.length > 0 };
-  if ((layer !== "points" && layer !== "sensors") || isThere[layer]) return undefined;
+  const { has_clouds, has_radars, has_rays, sensors, state } = scene.playback;
+  const isThere: Partial<Record<LayerName, boolean>> = { points: has_clouds, radar: has_radars, sensors: has_rays || sensors.length > 0 };
+  if (isThere[layer] ?? true) return undefined;
+  if (layer === "radar") return "No radar detections were prepared for this sequence.";
   if (layer === "sensors") return "The places of the sensors were not prepared for this sequence.";
   return state === "making" ? "The point clouds are being prepared." : "Point clouds were not prepared for this sequence.";
 }
@@ -98,7 +99,7 @@ export function choicesPanel(scene: SceneFacts, choices: Choices, changed: () =>
       ...(hasValues && !scene.has_confidence && !isImported(scene) ? [make("p", { class: "hint" }, NO_CONFIDENCE)] : []),
       pick("Voxels not observed in this frame", UNSEEN, look.unseen, (value) => ((look.unseen = value), changed()), true)),
     group("Layers", layer("labels", "Labels"), layer("mesh", "Surface"), layer("points", "Point cloud"),
-      layer("sensors", "Sensors and camera views"), layer("track", "Track"),
+      layer("radar", "Radar"), layer("sensors", "Sensors and camera views"), layer("track", "Track"),
       layer("robot", "Robot"), layer("grid", "Ground grid"),
       span("Heights shown, metres above the robot's wheels", look.heights_m ?? [null, null], "all", (value) => ((look.heights_m = value), changed())),
       ...pointFields(scene, choices, dressed),

@@ -1,6 +1,7 @@
 // What the colours mean: classes with their counts, or a ramp with its values.
 
 import { fixed } from "../../counts.js";
+import { FASTEST_M_S } from "../data/formats.js";
 import { swatch } from "./choices.js";
 import type { PointColour } from "../drawing/sweeps.js";
 import { make } from "./elements.js";
@@ -40,6 +41,10 @@ export function pointLegend(by: PointColour, [first, last]: readonly [number, nu
   if (by === "time") return ramped("Points, age", "lighter", [`${values[0]} s`, `${values[1]} s`, "now"]);
   const words = values.map((value) => (by === "height" ? `${fixed(value, 1)} m` : fixed(value, last - first < 4 ? 1 : 0)));
   return ramped(by === "height" ? "Points, height" : "Points, intensity (0–255)", "lighter", words);
+}
+
+export function radarLegend(): HTMLElement {
+  return ramped("Radar, speed over ground", "lighter", ["0 m/s", `${FASTEST_M_S / 2} m/s`, `${FASTEST_M_S} m/s and more`]);
 }
 
 export function rampLegend(mode: Mode, scene: SceneFacts): HTMLElement {

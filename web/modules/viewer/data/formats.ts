@@ -5,6 +5,8 @@
 import { type Grid, voxelCount } from "./grid.js";
 
 const MOST = 20_000_000;
+/** Of radar detections that are told apart by speed. */
+export const FASTEST_M_S = 5;
 
 /** Three bit planes over the grid, bit `index % 8` of byte `index >> 3`. */
 export interface Planes {
@@ -132,6 +134,17 @@ export function cloudOf(content: Uint8Array): Cloud {
   const cloud = { points_cm: new Int16Array(reader.take(6 * n)), intensity: new Uint8Array(reader.take(n)) };
   reader.end();
   return cloud;
+}
+
+/** `STE1` as a cloud whose intensity is the speed over ground, 0 to `FASTEST_M_S` and more. */
+export function radarOf(content: Uint8Array): Cloud {
+  const reader = new Reader(content, "STE1");
+  const n = reader.count();
+  const points_cm = new Int16Array(reader.take(6 * n));
+  const speeds_cm_s = new Int16Array(reader.take(2 * n));
+  reader.end();
+  const intensity = Uint8Array.from(speeds_cm_s, (speed) => Math.min(255, Math.round((2.55 * Math.abs(speed)) / FASTEST_M_S)));
+  return { points_cm, intensity };
 }
 
 export function camerasOf(content: Uint8Array): CameraFacts {

@@ -3,7 +3,7 @@
 import { decompress } from "../../../libraries/fzstd/esm/index.mjs";
 import { messageOf } from "../../errors.js";
 import type { CameraView, Frustum, ViewSize } from "./camera_views.js";
-import { type Cloud, camerasOf, cloudOf, planesOf, surfaceOf, tileOf, type Surface } from "./formats.js";
+import { type Cloud, camerasOf, cloudOf, planesOf, radarOf, surfaceOf, tileOf, type Surface } from "./formats.js";
 import type { Look } from "../looks.js";
 import { type Drawn, Model, type Picked, type Ray } from "./model.js";
 import type { Piece, SceneFacts } from "../scene.js";
@@ -15,6 +15,7 @@ export type Asked =
   | { kind: "draw-tile"; name: string; look: Look; level: number }
   | { kind: "mesh"; content: Uint8Array }
   | { kind: "cloud"; content: Uint8Array }
+  | { kind: "radar"; content: Uint8Array }
   | { kind: "cameras"; content: Uint8Array }
   | { kind: "camera-views"; token: string; look: Look; sizes: ViewSize[] }
   | { kind: "frusta"; token: string }
@@ -28,6 +29,7 @@ export interface Answers {
   "draw-tile": Drawn;
   mesh: Surface;
   cloud: Cloud;
+  radar: Cloud;
   /** Whether there is a picture, by camera and frame. */
   cameras: { frames: number; hasPicture: Uint8Array };
   "camera-views": CameraView[];
@@ -70,6 +72,8 @@ function answerTo(asked: Asked): Answers[Asked["kind"]] {
       return surfaceOf(decompress(asked.content));
     case "cloud":
       return cloudOf(decompress(asked.content));
+    case "radar":
+      return radarOf(decompress(asked.content));
     case "cameras": {
       const facts = camerasOf(decompress(asked.content));
       model.openCameras(facts);
