@@ -3,7 +3,8 @@
 **Conventions.** The header stamp where the type begins with one (the first eight bytes of the body) and it is set, the
 log time otherwise. A gap is an interval longer than `GAP_RATIO` median periods, so that one lost message of a jittery
 topic is no gap and two always are; only topics that keep a period have gaps. What comes in bursts (a log, events, a
-radar's lists) keeps none: its rate is its count over its time, not that of the messages of a burst.
+radar's lists) keeps none: its rate is its count over its time, not that of the messages of a burst. A topic of no
+sensor that is one short burst (a node's log as it starts) has its count over the time of the recording.
 """
 
 from dataclasses import asdict, dataclass
@@ -26,6 +27,8 @@ MOST_RATE_HZ = 10_000.0
 # How much of the time the steady intervals cover at least; of a sensor by its own stamps less, since it may have been
 # silent for most of a recording.
 STEADY_COVER, STEADY_SENSOR_COVER = 0.5, 0.03
+# One burst lasts at most this share of the recording.
+BURST_COVER = 0.1
 # Messages are counted as lost only where the beat is as strict as a trigger's.
 STRICT_RATIO = 0.1
 
@@ -60,17 +63,21 @@ class Timing:
     repeats: int = 0
 
 
-def measure(stamps_ns: NDArray[np.int64], has_header: bool, *, is_sensor: bool = True) -> Timing:
-    """Rate, gaps and steps back of stamps in log order.
+def measure(stamps_ns: NDArray[np.int64], has_header: bool, *, is_sensor: bool = True, recorded_ns: int = 0) -> Timing:
+    """Return rate, gaps and steps back of stamps in log order; `recorded_ns` is the time of the whole recording.
 
-    The rate is that of the median period, of what keeps none the count over its time; None below two stamps, and for
-    what is sampled faster than anything is.
+    The rate is that of the median period; for a topic that keeps none the count over its time. It is None below two
+    stamps, and above the rate of any sensor.
     """
     steps_ns = np.diff(stamps_ns)
     ordered = np.sort(stamps_ns)
     periods_ns = np.diff(ordered)
-    is_steady = _is_steady(periods_ns, STEADY_SENSOR_COVER if has_header and is_sensor else STEADY_COVER)
+    is_burst = not is_sensor and len(periods_ns) > 0 and periods_ns.sum() < BURST_COVER * recorded_ns
+    is_steady = not is_burst and _is_steady(
+        periods_ns, STEADY_SENSOR_COVER if has_header and is_sensor else STEADY_COVER
+    )
     period_ns = 0.0 if not len(periods_ns) else float(np.median(periods_ns) if is_steady else np.mean(periods_ns))
+    period_ns = recorded_ns / len(stamps_ns) if is_burst else period_ns
     rate_hz = NS_PER_S / period_ns if period_ns * MOST_RATE_HZ >= NS_PER_S else None
     gaps = _gaps(ordered, periods_ns) if is_steady and rate_hz is not None else ()
     return Timing(stamps_ns, has_header, rate_hz, gaps, -steps_ns[steps_ns < 0], int((periods_ns == 0).sum()))

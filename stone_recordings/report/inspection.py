@@ -169,7 +169,8 @@ def _inspected(bag: Bag, topic: Topic, scan: Scan, findings: list[Finding]) -> I
     stamps_ns = scan.stamps_ns.get(topic.name, NO_STAMPS)
     has_header = bool(stamps_ns.any())
     is_sensor = role_of(TopicFacts(topic.name, topic.type, None)) != "other"
-    timing = measure(stamps_ns if has_header else bag.log_times_ns(topic.name), has_header, is_sensor=is_sensor)
+    times_ns, recorded_ns = stamps_ns if has_header else bag.log_times_ns(topic.name), bag.end_ns - bag.start_ns
+    timing = measure(times_ns, has_header, is_sensor=is_sensor, recorded_ns=recorded_ns)
     facts = TopicFacts(topic.name, topic.type, timing.rate_hz)
     try:
         if topic.name in scan.refused:

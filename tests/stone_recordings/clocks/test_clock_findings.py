@@ -146,6 +146,23 @@ def test_what_comes_in_bursts_has_neither_gaps_nor_the_rate_of_its_bursts(type_n
     assert rate_hz == pytest.approx(39 / (8 + 7 * within_ns / 1e9))
 
 
+@pytest.mark.parametrize("type_name", [LOG, DIAGNOSTICS])
+def test_a_log_that_is_one_burst_has_its_count_over_the_time_of_the_recording(type_name: str, tmp_path: Path) -> None:
+    """A node writes 35 lines within 70 ms as it starts: these are no 507 Hz with a gap."""
+    lines_ns = every(2 * MS, 35)
+    lines_ns[-1] += 30 * MS
+    log = Recorded("/rosout", type_name, 0, serialised(random_message(type_name, np.random.default_rng(3))))
+    lines = (
+        stream("/rosout", DIAGNOSTICS, lines_ns, lines_ns)
+        if type_name == DIAGNOSTICS
+        else [replace(log, log_time_ns=time_ns) for time_ns in lines_ns.tolist()]
+    )
+    inspection = inspected(tmp_path, *_rig(), lines)
+    [timing] = [part.timing for part in inspection.topics if part.topic.name == "/rosout"]
+    assert timing.rate_hz == pytest.approx(35 / (inspection.duration_ns / 1e9))
+    assert timing.gaps == ()
+
+
 def test_the_rate_of_a_radar_that_publishes_in_pairs_is_its_count_over_its_time(tmp_path: Path) -> None:
     stamps_ns = (every(110 * MS, 17)[:, None] + np.array([0, 930_000])).ravel()
     inspection = inspected(tmp_path, *_rig(), radar_lists("/radar", stamps_ns, stamps_ns))
