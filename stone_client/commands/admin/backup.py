@@ -11,6 +11,9 @@ from stone_client.platform_part import platform_module
 from stone_client.streams import JsonOption, echo_json
 
 FolderArgument = Annotated[Path, typer.Argument(metavar="FOLDER", file_okay=False, help="The folder of the backups.")]
+BackupsArgument = Annotated[
+    Path, typer.Argument(metavar="FOLDER", exists=True, file_okay=False, help="The folder of the backups.")
+]
 DAMAGED = 1
 
 
@@ -19,18 +22,18 @@ def take(folder: FolderArgument, data: DataOption = None, as_json: JsonOption = 
     _echo(_backups().take(folder, data), as_json=as_json)
 
 
-def listed(folder: FolderArgument, as_json: JsonOption = False) -> None:
+def listed(folder: BackupsArgument, as_json: JsonOption = False) -> None:
     """List the snapshots of a folder, the oldest first."""
     _echo(_backups().listed(folder), as_json=as_json)
 
 
-def verify(folder: FolderArgument, as_json: JsonOption = False) -> None:
+def verify(folder: BackupsArgument, as_json: JsonOption = False) -> None:
     """Read everything in a folder of backups, and compare it with its hashes."""
     _echo(_backups().verify(folder), as_json=as_json)
 
 
 def prune(
-    folder: FolderArgument,
+    folder: BackupsArgument,
     keep: Annotated[int, typer.Option(metavar="N", min=1, help="The number of newest snapshots to keep.")],
     is_confirmed: YesOption = False,
     as_json: JsonOption = False,
@@ -42,7 +45,7 @@ def prune(
 
 
 def restore(
-    folder: FolderArgument,
+    folder: BackupsArgument,
     snapshot: Annotated[str, typer.Option(metavar="NAME", help="The snapshot.", show_default="the newest")] = "",
     data: DataOption = None,
     as_json: JsonOption = False,
