@@ -1,8 +1,11 @@
 """Small YAML files that people write: no aliases, no tags of other programs, bounded size.
 
-**Conventions.** YAML 1.2 by ruamel's safe loader in pure Python; a JSON file is one too.
+**Conventions.** YAML 1.2 by ruamel's safe loader in pure Python; a JSON file is one too. Values are those of JSON; a
+date is a text of ISO 8601, in UTC if it has no zone.
 """
 
+from datetime import UTC, date, datetime
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +15,7 @@ from ruamel.yaml.events import AliasEvent
 
 from stone_base.errors import Refused
 
-MOST_BYTES = 256 * 1024
+MOST_BYTES, MOST = 256 * 1024, 2**63
 
 
 def read_yaml(path: Path) -> Any:
@@ -25,10 +28,26 @@ def read_yaml(path: Path) -> Any:
         text = content.decode("utf-8-sig")
         if any(isinstance(event, AliasEvent) for event in YAML(typ="safe", pure=True).parse(text)):
             raise _bad_yaml(path, "aliases (*name) are not allowed")
-        return YAML(typ="safe", pure=True).load(text)
+        return _of_json(YAML(typ="safe", pure=True).load(text))
     except (YAMLError, ValueError, TypeError, RecursionError, AssertionError) as error:
         why = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise _bad_yaml(path, why[:200]) from None
+
+
+def _of_json(value: Any) -> Any:
+    """Return the value with texts for dates. Raises ValueError for a value that JSON has not."""
+    if isinstance(value, dict) and all(isinstance(key, str) for key in value):
+        return {key: _of_json(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_of_json(one) for one in value]
+    if isinstance(value, datetime):
+        return (value if value.tzinfo else value.replace(tzinfo=UTC)).isoformat()
+    if isinstance(value, date):
+        return datetime(value.year, value.month, value.day, tzinfo=UTC).isoformat()
+    is_number = (isinstance(value, int) and abs(value) < MOST) or (isinstance(value, float) and isfinite(value))
+    if not (value is None or isinstance(value, str) or is_number):
+        raise ValueError(f"a value ({type(value).__name__}) is none that JSON has: text, number, true, false, null")
+    return value
 
 
 def _bad_yaml(path: Path, why: str) -> Refused:

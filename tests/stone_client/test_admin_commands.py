@@ -178,6 +178,12 @@ def test_reported_rows_are_replaced_with_consent(served: Served, tmp_path: Path)
         ("name: &a b\ndataset: *a\n", "YAML"),
         ("name: !!python/object:os.system x\ndataset: b\n", "YAML"),
         ("name: a\x00\ndataset: b\n", "YAML"),
+        ("name: a\ndataset: b\ntitle: !!binary aGk=\n", "YAML"),
+        ("name: a\ndataset: b\nphases: {val: {part: !!set {a}, is_hidden: false}}\n", "YAML"),
+        ("name: a\ndataset: b\nphases: {val: {part: .nan, is_hidden: false}}\n", "YAML"),
+        (f"name: a\ndataset: b\nphases: {{val: {{part: 0x{'f' * 9000}, is_hidden: false}}}}\n", "YAML"),
+        ("name: a\ndataset: b\nphases: {1: {part: val, is_hidden: false}}\n", "YAML"),
+        ("? [a, b]\n: c\n", "YAML"),
         ("a: 1\n" * 60_000, "YAML"),
     ],
 )

@@ -8,7 +8,7 @@ next one.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from datetime import UTC, date, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -71,7 +71,7 @@ def read_benchmark_file(path: Path) -> BenchmarkFile:
         if missing := [key for key in ("part", "is_hidden") if key not in fields]:
             raise bad_benchmark_file(path, f"phase {phase} lacks {' and '.join(missing)}")
     own = {key: described[key] for key in OF_BENCHMARK if key in described}
-    return BenchmarkFile(name, dataset, own, {str(phase): _plain(fields) for phase, fields in phases.items()})
+    return BenchmarkFile(name, dataset, own, phases)
 
 
 def changes_of(api: Api, wanted: BenchmarkFile) -> list[BenchmarkChange]:
@@ -157,16 +157,6 @@ def _is_same(key: str, standing: Any, wanted: Any) -> bool:
         except (ValueError, TypeError):
             return False
     return bool(standing == wanted)
-
-
-def _plain(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields as JSON has them; a date without a zone is in UTC."""
-    return {str(key): _moment(value) if isinstance(value, date) else value for key, value in fields.items()}
-
-
-def _moment(value: date) -> str:
-    moment = value if isinstance(value, datetime) else datetime(value.year, value.month, value.day, tzinfo=UTC)
-    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).isoformat()
 
 
 def _mapping(path: Path, what: str, value: Any) -> Mapping[str, Any]:
