@@ -20,27 +20,33 @@ Clock = Callable[[], datetime]
 
 EVERY_S, EVERY_RATIO = 10.0, 0.1
 LEAST_PAUSE_S = 1.0  # between lines of a stage that is over in a few seconds
-TITLES: Mapping[str, str] = {
-    "hash": "Compute the checksum",
-    "upload": "Upload",
-    "files": "Download files",
-    "frames": "Frames",
-    "score": "Score frames",
-    "predict": "Predict frames",
-    "compare": "Compare frames",
-    "export": "Write the export",
-    "inspect": "Inspect the recording",
-    "measure": "Measure the recording",
-    "odometry": "Estimate odometry",
-    "build world": "Build the world",
-    "record sweeps": "Record sweeps",
-    "refine poses": "Refine poses",
+TITLES: Mapping[str, tuple[str, str]] = {
+    "hash": ("Compute the checksum", "bytes"),
+    "upload": ("Upload", "bytes"),
+    "files": ("Download files", "files"),
+    "frames": ("Frames", "frames"),
+    "score": ("Score frames", "frames"),
+    "predict": ("Predict frames", "frames"),
+    "compare": ("Compare frames", "frames"),
+    "export": ("Write the export", "frames"),
+    "odometry": ("Estimate odometry", "sweeps"),
+    "build world": ("Build the world", "steps"),
+    "record sweeps": ("Record sweeps", "sweeps"),
+    "refine poses": ("Refine poses", "steps"),
 }
+"""Title and unit of the stages of commands; any other stage is its own title, and counts parts."""
 BYTE_UNITS = ((10**12, "TB"), (10**9, "GB"), (10**6, "MB"), (10**3, "kB"), (1, "bytes"))
 
 
 class CountedStage(str):
-    """The title of a stage of a server's job: it counts things, also in a command that transfers bytes."""
+    """The title of a stage of a server's job: it counts `unit`, also in a command that transfers bytes."""
+
+    unit: str
+
+    def __new__(cls, title: str, unit: str) -> "CountedStage":
+        stage = super().__new__(cls, title)
+        stage.unit = unit
+        return stage
 
 
 @contextmanager
@@ -77,7 +83,7 @@ class StagePace:
 
     began: datetime
     first: int
-    is_bytes: bool
+    unit: str
     done: int
     total: int
     printed_at: datetime
@@ -85,14 +91,15 @@ class StagePace:
 
     def figures(self, now: datetime) -> str:
         """Return for example `12.4 of 50.0 GB, 95 MB/s, 6 min left`."""
-        amount = bytes_of(self.done, self.total) if self.is_bytes else f"{self.done:,} of {self.total:,}"
+        is_bytes = self.unit == "bytes"
+        amount = bytes_of(self.done, self.total) if is_bytes else f"{self.done:,} of {self.total:,} {self.unit}"
         spent_s = (now - self.began).total_seconds()
         rate = (self.done - self.first) / spent_s if spent_s > 0 else 0.0
         if self.done >= self.total:
             return f"{amount}, done in {duration(spent_s)}" if spent_s >= LEAST_PAUSE_S else amount
         if rate <= 0:
             return amount
-        speed = f"{bytes_of(round(rate))}/s" if self.is_bytes else f"{rate:,.3g}/s"
+        speed = f"{bytes_of(round(rate))}/s" if is_bytes else f"{rate:,.3g}/s"
         return f"{amount}, {speed}, {duration((self.total - self.done) / rate)} left"
 
     def is_due(self, now: datetime) -> bool:
@@ -113,9 +120,12 @@ class StagePaces:
         """Return the pace of the stage after this report."""
         pace = self._pace_of.get(stage)
         if pace is None or done < pace.done or total != pace.total:
-            now, is_bytes = self.now(), self._is_bytes and not isinstance(stage, CountedStage)
+            now, unit = (
+                self.now(),
+                "bytes" if self._is_bytes and not isinstance(stage, CountedStage) else unit_of(stage),
+            )
             printed_at, printed = (now, done) if pace is None else (pace.printed_at, min(pace.printed, done))
-            pace = self._pace_of[stage] = StagePace(now, done, is_bytes, done, total, printed_at, printed)
+            pace = self._pace_of[stage] = StagePace(now, done, unit, done, total, printed_at, printed)
         pace.done = done
         return pace
 
@@ -151,8 +161,15 @@ class _Bars:
 
 
 def title_of(stage: str) -> str:
-    """The title of a stage for people; a stage without one is its own title."""
-    return str(stage) if isinstance(stage, CountedStage) else TITLES.get(stage, stage)
+    """Return the title of a stage for people."""
+    return TITLES[stage][0] if stage in TITLES and not isinstance(stage, CountedStage) else str(stage)
+
+
+def unit_of(stage: str) -> str:
+    """Return what a stage counts."""
+    if isinstance(stage, CountedStage):
+        return stage.unit
+    return TITLES[stage][1] if stage in TITLES else "parts"
 
 
 def bytes_of(done: int, total: int | None = None) -> str:

@@ -97,8 +97,9 @@ def _job_of(event: Event, before: Mapping[str, Any]) -> Mapping[str, Any]:
 def _report(job: Mapping[str, Any], told: dict[str, tuple[int, int]], progress: Report) -> None:
     """Report what changed: a run's stages, or the job's own count, by the titles of the server's pages."""
     own = {"kind": job["kind"], "title": job.get("title"), **job["progress"]}
-    for stage in job.get("stages") or (own,):
+    stages, unit = (job["stages"], "jobs") if job.get("stages") else ((own,), "steps")
+    for stage in stages:
         counts, title = (int(stage["done"]), int(stage["total"])), stage.get("title") or stage["kind"]
         if counts[1] and told.get(title) != counts:
             told[title] = counts
-            progress(CountedStage(title), *counts)
+            progress(CountedStage(title, unit), *counts)

@@ -47,9 +47,9 @@ def test_a_stage_of_a_minute_has_a_line_every_tenth(watch: Watch) -> None:
     lines: list[str] = []
     progress = ProgressLines(lines.append, is_bytes=False, now=watch)
     for done in range(201):
-        progress(CountedStage("Label frames"), done, 200)
+        progress(CountedStage("Label frames", "jobs"), done, 200)
         watch.wait(0.25)
-    assert lines[0] == "12:00:05 Label frames 20 of 200, 4/s, 45 s left"
+    assert lines[0] == "12:00:05 Label frames 20 of 200 jobs, 4/s, 45 s left"
     assert len(lines) == 10
 
 
@@ -58,7 +58,7 @@ def test_a_stage_of_a_moment_has_one_line_and_its_repetition_none(watch: Watch) 
     progress = ProgressLines(lines.append, is_bytes=False, now=watch)
     for done in (0, 1, 2, 3, 3, 3):
         progress("predict", done, 3)
-    assert lines == ["12:00:00 Predict frames 3 of 3"]
+    assert lines == ["12:00:00 Predict frames 3 of 3 frames"]
     for done in (0, 3):
         progress("predict", done, 3)
     assert len(lines) == 2, "a stage that began again ends again"
@@ -82,7 +82,7 @@ def test_a_job_counts_also_in_a_command_that_transfers_bytes(watch: Watch) -> No
         "progress": {"stage": "keep", "done": 4, "total": 4},
     }
     _report(job, {}, progress)
-    assert lines == ["12:00:00 Read the recording 4 of 4"]
+    assert lines == ["12:00:00 Read the recording 4 of 4 steps"]
 
 
 def test_stages_of_a_run_have_the_titles_of_the_pages() -> None:
