@@ -44,10 +44,12 @@ ADMIN = GroupPlace(
             "Score a phase again, compare, and put the result in force.",
             **{"list": "listed", "start": "start", "diff": "diff", "activate": "activate", "abandon": "abandon"},
         ),
+        _group("submissions", "Hide submissions from boards, and show them again.", hide="hide", show="show"),
+        _group("datasets", "Create the missing inputs of a published version.", inputs="inputs"),
         _group(
             "jobs",
-            "List, retry and stop the jobs of all users.",
-            **{"list": "listed", "retry": "retry", "cancel": "cancel", "terminate": "terminate"},
+            "List, show, retry and stop the jobs of all users.",
+            **{"list": "listed", "show": "show", "retry": "retry", "cancel": "cancel", "terminate": "terminate"},
         ),
         _group(
             "queues",

@@ -32,14 +32,23 @@ def server_status_of(api: Api, subject: str | None) -> ServerStatus:
         return ServerStatus({"sequences": items}, (_sequences_table(api.url, items),))
     kind, found = find_subject(api, subject)
     if kind == "job":
-        lines = _last_lines(api, found)
-        return ServerStatus({**found, "lines": lines}, (_job_table(found), *_lines_tables(lines)))
+        return _job_status(found, _last_lines(api, f"/jobs/{found['id']}/logs"))
     sequence = found
     recordings = list(api.pages(f"/sequences/{sequence['id']}/recordings"))
     tables = [_sequences_table(api.url, [sequence]), _recordings_table(recordings), *_later_tables(sequence)]
     if sequence["job"] is not None:
         tables.append(_job_table(find_job(api, sequence["job"]["id"])))
     return ServerStatus({**sequence, "recordings": recordings}, tuple(tables))
+
+
+def any_job_status_of(api: Api, job_id: str) -> ServerStatus:
+    """Return the status of any job, for administrators."""
+    path = f"/admin/jobs/{job_id}"
+    return _job_status(api.read(path), _last_lines(api, f"{path}/logs"))
+
+
+def _job_status(job: Item, lines: list[Item]) -> ServerStatus:
+    return ServerStatus({**job, "lines": lines}, (_job_table(job), *_lines_tables(lines)))
 
 
 def _sequences_table(url: str, items: Iterable[Item]) -> Table:
@@ -92,12 +101,12 @@ def _left_of(job: Item) -> str:
     return "" if left_s is None else f", about {left_s:g} s left"
 
 
-def _last_lines(api: Api, job: Item) -> list[Item]:
+def _last_lines(api: Api, path: str) -> list[Item]:
     """The job's last log lines; long logs are read from their beginning, a page at a time."""
     lines: list[Item] = []
     after: dict[str, str | int] = {}
     while True:
-        page = api.read(f"/jobs/{job['id']}/logs", limit=1000, **after)
+        page = api.read(path, limit=1000, **after)
         lines = [*lines, *page["items"]][-LAST_LINES:]
         if not page["items"] or page["next"] is None:
             return lines

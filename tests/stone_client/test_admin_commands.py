@@ -85,6 +85,9 @@ def test_jobs_are_listed_and_acted_on_and_refusals_are_exit_code_1(served: Serve
     assert done.exit_code == 1
     (one,) = json.loads(done.stdout)["jobs"]
     assert one["failure"]["code"]
+    assert answered("admin", "jobs", "show", job.root_id[-12:])["id"] == job.root_id
+    assert job.root_id in stone("admin", "jobs", "show", job.root_id).stdout.replace("\n", "")
+    assert refused(stone("admin", "jobs", "show", "ffffffffffff")) == "not_found"
     assert answered("admin", "workers")["workers"] == []
     switched = answered("admin", "queues", "pause", "labeler", *WHY)["queues"]
     assert [queue["mode"] for queue in switched] == ["paused"]
@@ -201,10 +204,12 @@ def test_a_rescore_is_started_read_and_put_in_force_with_consent(
     with scoring(served.platform):
         monkeypatch.setenv("STONE_TOKEN", served.captain.secret)
         sent = zipped(served, tmp_path / "sub.zip")
-        answered(
+        own = answered(
             "benchmark", "submit", sent, *served.at("val"), "--team", served.team, "--method", "A", "--modality", "L"
         )
         monkeypatch.setenv("STONE_TOKEN", served.world.administrator.secret)
+        assert answered("admin", "submissions", "hide", own["id"], *WHY)["hidden_reason"] == "a test"
+        assert answered("admin", "submissions", "show", own["id"], *WHY)["hidden_at"] is None
         made = answered("admin", "rescores", "start", *at, "--metric", "stone-iou-occupied-2", *WHY)
         assert made["state"] == "complete"
         built = answered("admin", "truths", "build", *at, *WHY)["ground_truth"]
@@ -240,9 +245,9 @@ def test_a_backup_is_taken_listed_verified_and_restored(platform: Platform, tmp_
     assert (damaged.exit_code, "DAMAGED" in damaged.stderr) == (1, True)
 
 
-READING = ("list", "show", "audit", "workers", "diff", "alarms", "reported")
+READING = ("list", "phases show", "jobs show", "audit", "workers", "diff", "alarms", "reported")
 ACTING = [
-    words for words, _ in leaves((ADMIN,)) if words.split()[-1] not in READING and not words.startswith("admin backup")
+    words for words, _ in leaves((ADMIN,)) if not words.endswith(READING) and not words.startswith("admin backup")
 ]
 
 

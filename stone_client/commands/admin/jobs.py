@@ -56,6 +56,24 @@ def listed(
     echo_records("jobs", found, COLUMNS, as_json=as_json)
 
 
+def show(
+    job: Annotated[str, typer.Argument(metavar="JOB", help="A job's id.")],
+    server: ServerOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Show any job with its stages, its failure and its last log lines."""
+    from stone_client.connection import connected
+    from stone_client.server.admin.jobs import job_id_named
+    from stone_client.server.status import any_job_status_of
+
+    with connected(server) as api:
+        found = any_job_status_of(api, job_id_named(api, job))
+    if as_json:
+        echo_json(found.record)
+    else:
+        found.show()
+
+
 def retry(
     job_ids: JobsArgument, reason: RequiredReason, server: ServerOption = None, as_json: JsonOption = False
 ) -> None:
@@ -80,9 +98,10 @@ def terminate(
 def _act(act: str, job_ids: list[str], reason: str, server: str | None, *, as_json: bool) -> None:
     """Act on the run of each job; one that is refused does not keep the others from it, and ends with exit code 1."""
     from stone_client.connection import connected
+    from stone_client.server.admin.jobs import job_id_named
 
-    body = {"act": act, "job_ids": job_ids, "reason": reason}
     with connected(server) as api:
+        body = {"act": act, "job_ids": [job_id_named(api, one) for one in job_ids], "reason": reason}
         answer = api.send("POST", "/admin/jobs/acts", json=body).json()
     done = items_of(answer)
     if as_json:
