@@ -5,6 +5,10 @@ from contextlib import contextmanager
 
 from stone_client.api import Api
 from stone_client.credentials import choose_server
+from stone_client.errors import ServerRefusedError
+from stone_client.streams import echo_notice
+
+FORBIDDEN = 403
 
 
 @contextmanager
@@ -15,3 +19,18 @@ def connected(server: str | None) -> Iterator[Api]:
     """
     with Api(choose_server(server)) as api:
         yield api
+
+
+@contextmanager
+def administering(server: str | None) -> Iterator[Api]:
+    """Yield the API as `connected` does; a refused scope or role is followed by the way to sign in as an administrator.
+
+    Raises what `connected` raises.
+    """
+    with connected(server) as api:
+        try:
+            yield api
+        except ServerRefusedError as error:
+            if error.status == FORBIDDEN:
+                echo_notice(f"Administrators sign in by: stone auth login {api.url} --name NAME --admin")
+            raise

@@ -260,7 +260,9 @@ def test_every_act_needs_a_reason(words: str) -> None:
 def test_a_participant_is_refused(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STONE_TOKEN", served.captain.secret)
     for words in (["users", "list"], ["jobs", "list"], ["audit"], ["workers"], ["queues", "list"]):
-        assert refused(stone("admin", *words)) == "forbidden"
+        result = stone("admin", *words)
+        assert refused(result) == "forbidden"
+        assert "stone auth login http" in result.stderr
 
 
 def test_ids_are_whole_in_narrow_pipes(served: Served) -> None:

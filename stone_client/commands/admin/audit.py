@@ -23,13 +23,13 @@ def audit(
     as_json: JsonOption = False,
 ) -> None:
     """List the audit log, newest first, or verify that no entry was changed or removed."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
 
     choices = {"act": act, "actor": actor, "subject_id": subject}
     query = {key: value for key, value in choices.items() if value is not None}
     if is_verification and query:
         raise typer.BadParameter("the whole log is verified, without a choice of entries", param_hint="--verify")
-    with connected(server) as api:
+    with administering(server) as api:
         if not is_verification:
             found = list(islice(api.pages("/admin/audit-log", **query), limit))
             echo_records("entries", found, COLUMNS, as_json=as_json)

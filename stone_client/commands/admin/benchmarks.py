@@ -21,9 +21,9 @@ COLUMNS = {"name": "name", "title": "title", "phases": "phases", "public": "is_p
 
 def listed(server: ServerOption = None, as_json: JsonOption = False) -> None:
     """List the benchmarks, newest first."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
 
-    with connected(server) as api:
+    with administering(server) as api:
         echo_records("benchmarks", list(api.pages("/benchmarks")), COLUMNS, as_json=as_json)
 
 
@@ -38,11 +38,11 @@ def apply_file(
 
     Fields and phases that the file leaves out stay as they are.
     """
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.server.admin.benchmark_file import apply, changes_of, phases_beside, read_benchmark_file
 
     wanted = read_benchmark_file(file)
-    with connected(server) as api:
+    with administering(server) as api:
         changes = changes_of(api, wanted)
         beside = phases_beside(api, wanted) if wanted.phases else []
         findings = [] if is_dry_run else apply(api, changes, reason)

@@ -24,11 +24,11 @@ def inputs(
     """Create the missing inputs of a version's train and val, for training."""
     from urllib.parse import quote
 
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.server.job_following import follow
 
     named = quote(version, safe="")
-    with connected(server) as api:
+    with administering(server) as api:
         job = api.create(f"/admin/datasets/{named}/inputs", {"reason": reason})
         if is_awaited:
             with reported() as progress:

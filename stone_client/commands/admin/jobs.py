@@ -47,11 +47,11 @@ def listed(
     as_json: JsonOption = False,
 ) -> None:
     """List the jobs of all users, newest first."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
 
     choices = {"state": state, "queue": queue, "owner": owner, "dead": "true" if is_dead else None}
     query = {key: str(value) for key, value in choices.items() if value is not None}
-    with connected(server) as api:
+    with administering(server) as api:
         found = list(islice(api.pages("/admin/jobs", **query), limit))
     echo_records("jobs", found, COLUMNS, as_json=as_json)
 
@@ -62,11 +62,11 @@ def show(
     as_json: JsonOption = False,
 ) -> None:
     """Show any job with its stages, its failure and its last log lines."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.server.admin.jobs import job_id_named
     from stone_client.server.status import any_job_status_of
 
-    with connected(server) as api:
+    with administering(server) as api:
         found = any_job_status_of(api, job_id_named(api, job))
     if as_json:
         echo_json(found.record)
@@ -97,10 +97,10 @@ def terminate(
 
 def _act(act: str, job_ids: list[str], reason: str, server: str | None, *, as_json: bool) -> None:
     """Act on the run of each job; one that is refused does not keep the others from it, and ends with exit code 1."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.server.admin.jobs import job_id_named
 
-    with connected(server) as api:
+    with administering(server) as api:
         body = {"act": act, "job_ids": [job_id_named(api, one) for one in job_ids], "reason": reason}
         answer = api.send("POST", "/admin/jobs/acts", json=body).json()
     done = items_of(answer)

@@ -26,10 +26,10 @@ def show(
     benchmark: BenchmarkArgument, phase: PhaseArgument, server: ServerOption = None, as_json: JsonOption = False
 ) -> None:
     """Show the rules of a phase, and findings such as labels that became public."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.server.benchmarks import read_phase
 
-    with connected(server) as api:
+    with administering(server) as api:
         record = api.read(f"/admin/phases/{read_phase(api, benchmark, phase)['id']}")
     if as_json:
         echo_json(record)
@@ -49,11 +49,11 @@ def inputs(
     as_json: JsonOption = False,
 ) -> None:
     """Create the missing inputs of a phase: what participants predict from."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.server.benchmarks import read_phase
     from stone_client.server.job_following import follow
 
-    with connected(server) as api:
+    with administering(server) as api:
         own = read_phase(api, benchmark, phase)["id"]
         job = api.create(f"/admin/phases/{own}/inputs", {"reason": reason})
         if is_awaited:
@@ -75,10 +75,10 @@ def alarms(
     as_json: JsonOption = False,
 ) -> None:
     """List the open alarms of a phase: entries that are too much alike, or too good."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.server.benchmarks import read_phase
 
-    with connected(server) as api:
+    with administering(server) as api:
         path = f"/admin/phases/{read_phase(api, benchmark, phase)['id']}/alarms"
         found = list(api.pages(path, **({"dismissed": "true"} if has_dismissed else {})))
     columns = {"kind": "kind", "subject": "subject", "raised": "created_at", "dismissed": "dismissed_at", "id": "id"}
@@ -93,10 +93,10 @@ def dismiss(
     as_json: JsonOption = False,
 ) -> None:
     """Dismiss an alarm with the outcome of its review."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
 
     require_confirmation(PermanentAct(f"dismiss alarm {alarm}", "it is never raised again"), is_given=is_confirmed)
-    with connected(server) as api:
+    with administering(server) as api:
         record = api.create(f"/admin/alarms/{alarm}/dismiss", {"reason": reason})
     if as_json:
         echo_json(record)
@@ -108,10 +108,10 @@ def reported_rows(
     benchmark: BenchmarkArgument, phase: PhaseArgument, server: ServerOption = None, as_json: JsonOption = False
 ) -> None:
     """List the reported rows of a phase: results that others published, never ranked."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.server.benchmarks import read_phase
 
-    with connected(server) as api:
+    with administering(server) as api:
         found = items_of(api.send("GET", f"/admin/phases/{read_phase(api, benchmark, phase)['id']}/reported").json())
     columns = {"method": "method", "track": "modality", "kind": "kind", "mIoU": "miou", "source": "source"}
     echo_records("reported", found, columns, as_json=as_json)
@@ -130,14 +130,14 @@ def report(
     as_json: JsonOption = False,
 ) -> None:
     """Replace all reported rows of a phase by those of a file."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.files.yaml_file import read_yaml
     from stone_client.server.benchmarks import read_phase
 
     rows = read_yaml(file)
     if not isinstance(rows, list):
         raise typer.BadParameter("it holds no list of rows", param_hint="FILE")
-    with connected(server) as api:
+    with administering(server) as api:
         path = f"/admin/phases/{read_phase(api, benchmark, phase)['id']}/reported"
         answer = api.send("GET", path)
         clause = f"replace the {len(items_of(answer.json()))} reported rows of {benchmark} / {phase} by {len(rows)}"

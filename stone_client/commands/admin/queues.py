@@ -33,9 +33,9 @@ QueueArgument = Annotated[Queue, typer.Argument(metavar="QUEUE", help="ingest, l
 
 def listed(server: ServerOption = None, as_json: JsonOption = False) -> None:
     """List the queues with their mode and the numbers of their jobs."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
 
-    with connected(server) as api:
+    with administering(server) as api:
         found = api.send("GET", "/admin/queues").json()
     echo_records("queues", items_of(found), COLUMNS, as_json=as_json)
 
@@ -62,8 +62,8 @@ def resume(
 
 
 def _switch(queue: Queue, act: str, reason: str, server: str | None, *, as_json: bool) -> None:
-    from stone_client.connection import connected
+    from stone_client.connection import administering
 
-    with connected(server) as api:
+    with administering(server) as api:
         switched = api.create(f"/admin/queues/{queue}/{act}", {"reason": reason})
     echo_records("queues", [switched], COLUMNS, as_json=as_json)

@@ -28,10 +28,10 @@ def listed(
     benchmark: BenchmarkArgument, phase: PhaseArgument, server: ServerOption = None, as_json: JsonOption = False
 ) -> None:
     """List the re-scores of a phase, newest first."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.server.admin.rescores import rescores_path
 
-    with connected(server) as api:
+    with administering(server) as api:
         found = list(api.pages(rescores_path(api, benchmark, phase)))
     echo_records("rescores", found, COLUMNS, as_json=as_json)
 
@@ -51,13 +51,13 @@ def start(
     as_json: JsonOption = False,
 ) -> None:
     """Score all entries by another metric or ground truth; the board stays until `activate`."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.server.admin.rescores import rescores_path
     from stone_client.server.job_following import follow
 
     chosen = {"metric": metric, "truth_id": truth}
     body = {"reason": reason, **{key: value for key, value in chosen.items() if value is not None}}
-    with connected(server) as api:
+    with administering(server) as api:
         path = rescores_path(api, benchmark, phase)
         record = api.create(path, body)
         if is_awaited and record["job_id"]:
@@ -76,10 +76,10 @@ def diff(
     as_json: JsonOption = False,
 ) -> None:
     """Show the ranks and values that a re-score would change, as Markdown."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.server.admin.rescores import rescore_path
 
-    with connected(server) as api:
+    with administering(server) as api:
         path = f"{rescore_path(api, benchmark, phase, rescore)}/diff"
         if as_json:
             echo_json(api.read(path))
@@ -98,10 +98,10 @@ def activate(
     as_json: JsonOption = False,
 ) -> None:
     """Switch the board to a re-score; refused if the board was switched after the difference was read."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.server.admin.rescores import rescore_path
 
-    with connected(server) as api:
+    with administering(server) as api:
         path = rescore_path(api, benchmark, phase, rescore)
         read = api.send("GET", f"{path}/diff")
         act = _switch(f"{benchmark} / {phase}", read.json())
@@ -127,10 +127,10 @@ def abandon(
     as_json: JsonOption = False,
 ) -> None:
     """Abandon a re-score: its run stops, and the board stays as it is."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.server.admin.rescores import rescore_path
 
-    with connected(server) as api:
+    with administering(server) as api:
         path = rescore_path(api, benchmark, phase, rescore)
         act = PermanentAct(f"abandon re-score {path.rpartition('/')[2]}", "its scores are never put in force")
         require_confirmation(act, is_given=is_confirmed)

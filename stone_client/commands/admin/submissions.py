@@ -28,9 +28,9 @@ def show(
 def _put(submission: str, reason: str, server: str | None, *, is_hidden: bool, as_json: bool) -> None:
     from urllib.parse import quote
 
-    from stone_client.connection import connected
+    from stone_client.connection import administering
 
-    with connected(server) as api:
+    with administering(server) as api:
         path = f"/admin/submissions/{quote(submission, safe='')}/visibility"
         record = api.send("PUT", path, json={"hidden": is_hidden, "reason": reason}).json()
     if as_json:

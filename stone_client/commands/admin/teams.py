@@ -16,10 +16,10 @@ MemberArgument = Annotated[str, typer.Argument(metavar="MEMBER", help="The name 
 
 def listed(server: ServerOption = None, as_json: JsonOption = False) -> None:
     """List all teams, newest first."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.server.teams import read_teams
 
-    with connected(server) as api:
+    with administering(server) as api:
         found = read_teams(api)
     columns = {"name": "name", "captain": "captain", "members": "members", "id": "id"}
     echo_records("teams", found, columns, as_json=as_json)
@@ -33,10 +33,10 @@ def captain(
     as_json: JsonOption = False,
 ) -> None:
     """Make a member the captain of a team."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.server.teams import find_team
 
-    with connected(server) as api:
+    with administering(server) as api:
         path = f"/teams/{find_team(api, team)['id']}/captain"
         _echo(api.send("PUT", path, json={"member": member, "reason": reason}).json(), as_json=as_json)
 
@@ -51,10 +51,10 @@ def remove(
     """Remove a member from a team; scored submissions stay with the team."""
     from urllib.parse import quote
 
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.server.teams import find_team
 
-    with connected(server) as api:
+    with administering(server) as api:
         own = f"/teams/{find_team(api, team)['id']}"
         api.send("DELETE", f"{own}/members/{quote(member, safe='')}", params={"reason": reason})
         _echo(api.read(own), as_json=as_json)
@@ -70,11 +70,11 @@ def grant(
     as_json: JsonOption = False,
 ) -> None:
     """Grant a team more submissions in a phase than its rules allow, or take a grant back."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.server.benchmarks import read_phase
     from stone_client.server.teams import find_team
 
-    with connected(server) as api:
+    with administering(server) as api:
         body = {"phase_id": read_phase(api, benchmark, phase)["id"], "scorings": submissions, "reason": reason}
         record = api.create(f"/admin/teams/{find_team(api, team)['id']}/grants", body)
     if as_json:

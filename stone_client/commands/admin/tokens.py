@@ -16,10 +16,10 @@ COLUMNS = {"name": "name", "scopes": "scopes", "expires": "expires_at", "used": 
 
 def listed(user: UserArgument, server: ServerOption = None, as_json: JsonOption = False) -> None:
     """List a user's tokens, newest first; secrets are stored nowhere."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.server.admin.users import user_named
 
-    with connected(server) as api:
+    with administering(server) as api:
         found = list(api.pages(f"/users/{user_named(api, user)['id']}/tokens"))
     echo_records("tokens", found, COLUMNS, as_json=as_json)
 
@@ -33,10 +33,10 @@ def revoke(
     as_json: JsonOption = False,
 ) -> None:
     """End one token of a user, or all tokens and sessions, but not the token of this command."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.server.admin.users import user_named
 
-    with connected(server) as api:
+    with administering(server) as api:
         found = user_named(api, user)
         own, what = f"/users/{found['id']}", f"token {token}" if token else "all tokens and sessions"
         act = PermanentAct(f"revoke {what} of {found['name']}", "programs that use them are refused from then on")

@@ -26,10 +26,10 @@ def listed(
     benchmark: BenchmarkArgument, phase: PhaseArgument, server: ServerOption = None, as_json: JsonOption = False
 ) -> None:
     """List the ground truths of a phase, newest first."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.server.benchmarks import read_phase
 
-    with connected(server) as api:
+    with administering(server) as api:
         found = list(api.pages(f"/admin/phases/{read_phase(api, benchmark, phase)['id']}/ground-truths"))
     echo_records("ground truths", found, COLUMNS, as_json=as_json)
 
@@ -46,12 +46,12 @@ def build(
     as_json: JsonOption = False,
 ) -> None:
     """Build a ground truth; the first of a phase is in force when it is ready, a later one after a re-score."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.server.benchmarks import read_phase
     from stone_client.server.job_following import follow
 
     body = {"reason": reason, **({} if dataset is None else {"dataset": dataset})}
-    with connected(server) as api:
+    with administering(server) as api:
         own = f"/admin/phases/{read_phase(api, benchmark, phase)['id']}/ground-truths"
         accepted = api.create(own, body)
         if is_awaited:

@@ -35,10 +35,10 @@ def listed(
     as_json: JsonOption = False,
 ) -> None:
     """List the users, newest first."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
 
     query = {key: str(value) for key, value in (("role", role), ("name", name)) if value is not None}
-    with connected(server) as api:
+    with administering(server) as api:
         found = list(api.pages("/users", **query))
     echo_records("users", found, {**COLUMNS, "id": "id"}, as_json=as_json)
 
@@ -53,12 +53,12 @@ def add(
     as_json: JsonOption = False,
 ) -> None:
     """Add a user; without a password the user can sign in only by the platform's provider."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
 
     body = {"name": name, "role": str(role), "reason": reason}
     if has_password or password_stdin:
         body["password"] = _password(is_from_stdin=password_stdin)
-    with connected(server) as api:
+    with administering(server) as api:
         _echo(api.create("/users", body), "added", as_json=as_json)
 
 
@@ -101,10 +101,10 @@ def deactivate(
     as_json: JsonOption = False,
 ) -> None:
     """Keep a user from signing in; all tokens of the user end permanently."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.server.admin.users import user_named
 
-    with connected(server) as api:
+    with administering(server) as api:
         found = user_named(api, user)
         act = PermanentAct(f"deactivate {found['name']} ({found['id']})", "all tokens and sessions of the user end")
         if is_dry_run:
@@ -124,10 +124,10 @@ def delete(
     as_json: JsonOption = False,
 ) -> None:
     """Delete an account for good; sequences and submissions of the user stay, under no name."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.server.admin.users import user_named
 
-    with connected(server) as api:
+    with administering(server) as api:
         found = user_named(api, user)
         effect = "name, password, tokens and sessions are lost; what the user made stays, under no name"
         act = PermanentAct(f"delete {found['name']} ({found['id']})", effect)
@@ -139,10 +139,10 @@ def delete(
 
 
 def _change(user: str, body: dict[str, Any], server: str | None, *, as_json: bool) -> None:
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.server.admin.users import user_named
 
-    with connected(server) as api:
+    with administering(server) as api:
         answer = api.send("PATCH", f"/users/{user_named(api, user)['id']}", json=body)
     _echo(answer.json(), "changed", as_json=as_json)
 

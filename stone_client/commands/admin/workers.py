@@ -9,10 +9,10 @@ COLUMNS = {"worker": "name", "queues": "queues", "silent": "is_silent", "heartbe
 
 def workers(server: ServerOption = None, as_json: JsonOption = False) -> None:
     """List the worker processes: heartbeat, queues and current job."""
-    from stone_client.connection import connected
+    from stone_client.connection import administering
     from stone_client.streams import echo_notice
 
-    with connected(server) as api:
+    with administering(server) as api:
         record = api.read("/admin/workers")
     if as_json:
         echo_json(record)
