@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
-from hashlib import file_digest
 from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 
 from stone.labels.baseline import DEFAULTS, BaselineParameters, predict_from_sweep
 from stone_base.label_grid import PAPER, LabelGrid
+from stone_base.newer_python import file_digest
 from stone_client.progress import Report
 from stone_datasets.placed_frames import swept_frames
 from stone_exports.files import refuse_missing

@@ -3,12 +3,12 @@
 import os
 import re
 from collections.abc import Sequence
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from stone_base.newer_python import StrEnum
 from stone_client.choices import grids, layouts, one_of
 
 BagArgument = Annotated[

@@ -10,7 +10,7 @@ CVPR2023-3D-Occupancy-Prediction, "Hierarchy".
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
+from datetime import datetime
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ import numpy as np
 
 from stone.geometry.se3 import SE3
 from stone_base.names import NAME
+from stone_base.newer_python import UTC
 from stone_datasets.build import NS_PER_US, channel_and_stamp
 from stone_datasets.columns import NameColumn
 from stone_datasets.faults import DatasetFaultError, DatasetFaults, DatasetPlace, quoted

@@ -6,11 +6,13 @@ scene of one frame has no step; there the date of its log decides, if it is the 
 """
 
 from collections.abc import Iterator
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from stone_base.newer_python import UTC
 
 FIRST_US, LAST_US = 631_152_000_000_000, 4_102_444_800_000_000
 LARGEST_US = (2**63 - 1) // 1000  # in nanoseconds they are still int64

@@ -5,7 +5,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 from stone_base.label_grid import LabelGrid, grid_of
 from stone_datasets.faults import DatasetFaultError, DatasetPlace
@@ -38,7 +38,7 @@ class StatedLayout:
         return None if self == UNSTATED else {"layout": self.layout, "grid": grid}
 
     @classmethod
-    def of_record(cls, record: Mapping[str, Any] | None) -> Self:
+    def of_record(cls, record: Mapping[str, Any] | None) -> "StatedLayout":
         """Return what `as_record` wrote. Raises `bad_grid`."""
         if record is None:
             return cls()

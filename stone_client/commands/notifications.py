@@ -1,11 +1,11 @@
 """`stone notifications`: what one is told of, by which channel, and what was delivered."""
 
 from collections.abc import Mapping
-from enum import StrEnum
 from typing import Annotated, Any
 
 import typer
 
+from stone_base.newer_python import StrEnum
 from stone_client.options import ServerOption
 from stone_client.streams import JsonOption, echo_json
 from stone_client.tables import plain_table, safe_text, show

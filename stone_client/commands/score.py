@@ -1,13 +1,13 @@
 """`stone score`: a submission against ground truth."""
 
 from collections.abc import Mapping
-from enum import StrEnum
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from stone_base.newer_python import StrEnum
 from stone_client.options import GridOption, SubmissionArgument
 from stone_client.platform_part import is_platform_installed, platform_module
 from stone_client.progress import reported

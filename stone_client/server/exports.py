@@ -9,13 +9,13 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from glob import escape
-from hashlib import file_digest
 from pathlib import Path
 from typing import Any
 
 from rich.table import Table
 
 from stone_base.errors import Refused
+from stone_base.newer_python import file_digest
 from stone_client.api import Api
 from stone_client.errors import damaged_download
 from stone_client.files.fetch import PartialFile, fetch

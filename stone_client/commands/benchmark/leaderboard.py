@@ -1,11 +1,11 @@
 """`stone benchmark leaderboard`: the board of a phase."""
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from stone_base.newer_python import StrEnum
 from stone_client.choices import in_folder, refuse_options
 from stone_client.options import BenchmarkArgument, Modality, PhaseArgument, ServerOption
 from stone_client.streams import JsonOption, echo_json, echo_notice

@@ -1,10 +1,10 @@
 """`stone benchmark results`: the scores of a submission, or its progress."""
 
-from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from stone_base.newer_python import StrEnum
 from stone_client.options import ServerOption
 from stone_client.streams import JsonOption, echo_json
 from stone_client.tables import show

@@ -1,10 +1,10 @@
 """`stone sequence exports`: a sequence's labels in the formats that others open, made on the server."""
 
-from enum import StrEnum
 from typing import Annotated, Any
 
 import typer
 
+from stone_base.newer_python import StrEnum
 from stone_client.options import SequenceArgument, ServerOption
 from stone_client.progress import reported
 from stone_client.streams import JsonOption, echo_json

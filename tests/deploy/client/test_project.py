@@ -178,3 +178,29 @@ def test_the_command_has_a_name_that_no_other_distribution_has_and_runs_as_a_mod
     command = [sys.executable, "-S", "-m", "stone_client", "--version"]
     outcome = subprocess.run(command, check=True, capture_output=True, text=True, cwd=tmp_path, env=known)
     assert outcome.stdout.startswith("stone ")
+
+
+NEWER = {
+    "enum": {"StrEnum"},
+    "datetime": {"UTC"},
+    "hashlib": {"file_digest"},
+    "typing": {"Self"},
+    "tomllib": set[str](),
+}
+
+
+def test_the_client_takes_nothing_from_a_standard_library_newer_than_its_oldest_python() -> None:
+    """`stone_base.newer_python` has it; what each Python really loads: tests/deploy/client/test_wheel.py."""
+    assert project(ROOT / "deploy" / "client")["project"]["requires-python"] == ">=3.10"
+    packages = [ROOT / name for name in ("stone_client", *vendored())]
+    paths = [path for package in packages for path in package.rglob("*.py")]
+    paths += [ROOT / "stone" / module for module in vendored("SCIENCE")]
+    newer = [
+        f"{path.relative_to(ROOT)}: {node.module}"
+        for path in paths
+        if path.name != "newer_python.py"
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.ImportFrom) and node.module in NEWER
+        if {name.name for name in node.names} & (NEWER[node.module] or {name.name for name in node.names})
+    ]
+    assert newer == []

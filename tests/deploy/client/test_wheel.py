@@ -3,7 +3,9 @@
 Catches alone a module or a distribution that the client needs and its wheel does not bring.
 """
 
+import json
 import re
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -11,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
+import numpy as np
 import pytest
 
 from stone_base.releases import HEADER
@@ -37,14 +40,34 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def empty(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An environment that held nothing, and the wheel installed into it as the page says to."""
-    folder = tmp_path_factory.mktemp("empty") / "venv"
-    subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True)
+    return installed(wheel, sys.executable, tmp_path_factory.mktemp("empty") / "venv")
+
+
+def installed(wheel: Path, python: str | Path, folder: Path) -> Path:
+    """An environment of this Python that holds the wheel and what comes along."""
+    subprocess.run([str(python), "-m", "venv", str(folder)], check=True)
     installing = [folder / "bin" / "pip", "install", "--quiet", "--disable-pip-version-check", str(wheel)]
     outcome = subprocess.run(installing, check=False, capture_output=True, text=True, timeout=600)
     if outcome.returncode and any(words in outcome.stderr for words in UNREACHABLE):
         pytest.skip("no index of packages can be reached here, from which the client's requirements come")
     assert outcome.returncode == 0, outcome.stderr
     return folder
+
+
+@pytest.fixture(autouse=True)
+def no_source(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing of the checkout can be imported where the wheel is installed."""
+    monkeypatch.delenv("PYTHONPATH", raising=False)
+
+
+def python_of(minor: int) -> Path:
+    """A Python 3 of this minor version: on PATH, or beside the one that runs the tests."""
+    name = f"python3.{minor}"
+    beside = sorted(Path(sys.base_prefix).parent.glob(f"*/bin/{name}"))
+    for found in (*([Path(named)] if (named := shutil.which(name)) else []), *beside):
+        if subprocess.run([found, "--version"], check=False, capture_output=True).returncode == 0:
+            return found
+    pytest.skip(f"no {name} is on this machine, neither on PATH nor beside {sys.base_prefix}")
 
 
 @pytest.fixture
@@ -124,3 +147,71 @@ def test_a_client_of_another_release_is_understood_or_told_what_to_install(empty
     assert refused.returncode == 1
     assert refused.stderr.startswith("client_too_old: this client is of release 0.0.9")
     assert f"{running.url}/downloads/" in refused.stderr
+
+
+EVERY_MODULE = """
+import importlib, pkgutil, sys
+import stone_client
+ours = ["stone_client", "stone_base", "stone_files", "stone_submissions", "stone_exports", "stone_datasets", "stone"]
+left_out = ("__main__", "devkit.tensors")
+count = 0
+for root in map(importlib.import_module, ours):
+    for module in pkgutil.walk_packages(root.__path__, root.__name__ + "."):
+        if "_vendor" not in module.name and not module.name.endswith(left_out):
+            importlib.import_module(module.name)
+            count += 1
+print(count)
+"""
+TOKEN = "0" * 32
+
+
+@pytest.mark.release
+@pytest.mark.parametrize("minor", [10, 11, 12, 13])
+def test_it_runs_on_each_python_that_it_names(minor: int, wheel: Path, tmp_path: Path) -> None:
+    """Every module is loaded, and a submission scored; a version that is not on this machine is skipped by name."""
+    venv = installed(wheel, python_of(minor), tmp_path / "venv")
+    loaded = [venv / "bin" / "python", "-W", "error", "-c", EVERY_MODULE]
+    outcome = subprocess.run(loaded, check=False, capture_output=True, text=True, cwd=tmp_path)
+    assert outcome.returncode == 0, outcome.stderr
+    assert int(outcome.stdout) > 150
+    grid = np.zeros((256, 256, 32), np.uint8)
+    grid[100:150, 100:150, 10] = 1
+    (tmp_path / "gts" / "forest" / TOKEN).mkdir(parents=True)
+    np.savez_compressed(tmp_path / "gts" / "forest" / TOKEN / "labels.npz", semantics=grid)
+    with zipfile.ZipFile(tmp_path / "sub.zip", "w") as archive, archive.open(f"{TOKEN}.npz", "w") as member:
+        np.savez_compressed(member, semantics=grid)
+    scored = stone(venv, tmp_path, "score", "sub.zip", "--ground-truth", ".", "--json")
+    assert scored.returncode == 0, scored.stderr
+    assert json.loads(scored.stdout)["total"]["iou_t"] == 1.0
+
+
+STAND_IN = {
+    "stone/__init__.py": "",
+    "stone/theirs.py": "def main():\n    print('theirs')\n",
+    "stone-3.5.dist-info/METADATA": "Metadata-Version: 2.1\nName: stone\nVersion: 3.5\n",
+    "stone-3.5.dist-info/WHEEL": "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
+    "stone-3.5.dist-info/entry_points.txt": "[console_scripts]\nstone = stone.theirs:main\n",
+    "stone-3.5.dist-info/RECORD": "",
+}
+
+
+@pytest.mark.release
+def test_beside_the_distribution_stone_of_others_the_client_runs_by_its_own_name(wheel: Path, tmp_path: Path) -> None:
+    """Catches alone a client that cannot be started, or finds no module, once their package and script are there."""
+    venv = installed(wheel, sys.executable, tmp_path / "venv")
+    distribution = tmp_path / "stone-3.5-py3-none-any.whl"
+    with zipfile.ZipFile(distribution, "w") as theirs:
+        for name, text in STAND_IN.items():
+            theirs.writestr(name, text)
+    adding = [venv / "bin" / "pip", "install", "--quiet", "--no-deps", "--no-index", distribution]
+    subprocess.run(adding, check=True)
+    python = str(venv / "bin" / "python")
+    for words in ([str(venv / "bin" / "stone-client")], [python, "-m", "stone_client"]):
+        known = environment(tmp_path / "data", PYTHONSAFEPATH="1")
+        said = subprocess.run([*words, "--version"], check=True, capture_output=True, text=True, env=known)
+        assert said.stdout == f"stone {own_release()}\n"
+        outcome = subprocess.run([*words, "score", "--help"], check=True, capture_output=True, text=True, env=known)
+        assert "Score a submission" in outcome.stdout
+    (tmp_path / "use.py").write_text("from stone_client import Stone\nimport stone.scoring.score_record\n")
+    subprocess.run([python, tmp_path / "use.py"], check=True)
+    assert subprocess.run([venv / "bin" / "stone"], capture_output=True, text=True, check=True).stdout == "theirs\n"

@@ -1,0 +1,29 @@
+"""What Python 3.11 brought, for the client on Python 3.10.
+
+**Conventions.** The client's packages take these names from here; on 3.11 and newer they are the standard library's.
+"""
+
+import sys
+from datetime import timezone
+
+UTC = timezone.utc  # noqa: UP017
+
+if sys.version_info >= (3, 11):  # noqa: UP036
+    from enum import StrEnum as StrEnum
+    from hashlib import file_digest as file_digest
+else:
+    import hashlib
+    from enum import Enum
+    from typing import Any, BinaryIO
+
+    class StrEnum(str, Enum):  # noqa: UP042
+        """Members that are their values as text."""
+
+        __str__ = str.__str__
+
+    def file_digest(file: BinaryIO, name: str) -> Any:
+        """Return the hash object of what is left of a file."""
+        digest = hashlib.new(name)
+        while piece := file.read(2**18):
+            digest.update(piece)
+        return digest
