@@ -1,15 +1,29 @@
 #!/bin/sh
 # Install the clients of others that the tests drive (tests/clients): install-test-clients.sh, from the project's root.
 #
-# Needs node and npm; where they are missing nothing is installed and the tests that need them say why they are skipped.
-# Every package is checked against the integrity hashes of package-lock.json; no script of a package is run.
+# openapi-python-client gets an environment of its own in build/. The others need node and npm; without these they are
+# not installed, and the tests that need them are skipped with the reason. Every package is checked against the hashes of
+# its lock; no script of an npm package is run.
 set -eu
 
+lock=tests/clients/openapi-python-client.lock
+folder=build/openapi-python-client
+if [ ! -e "$folder/installed" ] || [ "$lock" -nt "$folder/installed" ]; then
+    rm -rf "$folder"
+    "$(deploy/find-python.sh)" -m venv "$folder"
+    if "$folder/bin/pip" install --quiet --disable-pip-version-check --require-hashes -r "$lock"; then
+        touch "$folder/installed"
+    else
+        rm -rf "$folder"
+        echo "openapi-python-client was not installed: tests of generated Python clients will be skipped" >&2
+    fi
+fi
+
 if ! command -v node >/dev/null || ! command -v npm >/dev/null; then
-    echo "node or npm is not on PATH: tests of tus-js-client will be skipped. On Debian: apt-get install -y nodejs npm" >&2
+    echo "node or npm is not on PATH: tests of clients in JavaScript will be skipped. On Debian: apt-get install -y nodejs npm" >&2
     exit 0
 fi
-cd "$(dirname "$0")/../tests/clients"
+cd tests/clients
 installed=node_modules/.package-lock.json
 if [ ! -e "$installed" ] || [ package-lock.json -nt "$installed" ]; then
     npm ci --silent --ignore-scripts --no-audit --no-fund

@@ -36,6 +36,8 @@ Version 1 is below `/api/v1`. A server serves its own document at `/api/v1/opena
 - **Again.** Creating POSTs take an `Idempotency-Key`; the same request within a day is answered the same.
 - **Changes.** What changes carries an `ETag`; changing it asks for `If-Match` and answers 412 when somebody was
   quicker.
+- **Clients** can be generated from the document: for Python with `openapi-python-client` and the settings in
+  `examples/openapi-python-client.yaml`, for TypeScript with `openapi-typescript --default-non-nullable=false`.
 - **Uploads** are [tus 1.0](../../formats/upload.md).
 
 """
