@@ -40,6 +40,7 @@ from web.pages import (
     viewer,
 )
 from web.pages.admin import benchmarks as admin_benchmarks
+from web.pages.admin import durations as admin_durations
 from web.pages.admin import jobs as admin_jobs
 from web.pages.admin import phase as admin_phase
 from web.rendering import PageTemplates
@@ -53,6 +54,7 @@ ROUTERS: tuple[APIRouter, ...] = (
     help.router,
     device.router,
     admin_jobs.router,
+    admin_durations.router,
     admin_benchmarks.router,
     admin_phase.router,
     calibrations.router,

@@ -170,9 +170,9 @@ def number(value: float | None) -> str:
     return f"{value:,}" if isinstance(value, int) else f"{value:,.2f}"
 
 
-def moment(value: datetime | None, zone: tzinfo) -> str:
+def moment(value: datetime | None, zone: tzinfo, is_exact: bool = False) -> str:
     """The time in the reader's zone."""
-    return DASH if value is None else written(value, zone)
+    return DASH if value is None else written(value, zone, is_exact=is_exact)
 
 
 def iso(value: datetime) -> str:

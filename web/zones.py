@@ -23,7 +23,7 @@ def zone_of(request: Request) -> tzinfo:
     return ZoneInfo(name) if name in _names() else UTC
 
 
-def written(moment: datetime, zone: tzinfo) -> str:
+def written(moment: datetime, zone: tzinfo, *, is_exact: bool = False) -> str:
     """`2026-11-21 20:10` in this zone; in UTC with its name, since the reader did not tell theirs."""
-    said = moment.astimezone(zone).strftime("%Y-%m-%d %H:%M")
+    said = moment.astimezone(zone).strftime("%Y-%m-%d %H:%M:%S" if is_exact else "%Y-%m-%d %H:%M")
     return f"{said} UTC" if zone is UTC else said

@@ -96,11 +96,12 @@ def test_many_are_selected_and_steered_with_what_came_of_each(
         expect(page.locator("[data-pick]")).to_have_count(5)
         expect(page.locator("[data-pick]:checked")).to_have_count(4)
         page.get_by_role("button", name="Retry").click()
-        give_reason(page, "the disk was full", "Retry")
-        expect(page.get_by_role("dialog")).to_contain_text("3 queued again, 1 refused")
-        expect(page.get_by_role("dialog")).to_contain_text("ingest.speak")
-        page.keyboard.press("Escape")
+        expect(page.get_by_role("dialog")).to_contain_text("1 of the selected is left as it is")
+        give_reason(page, "the disk was full", "Retry 3 jobs")
+        expect(page.get_by_role("dialog")).to_be_hidden()
         expect(page.locator("[data-picked-count]")).to_have_text("1")
+        for act in ("Retry", "Cancel", "Terminate"):
+            expect(page.get_by_role("button", name=act, exact=True)).to_be_disabled()  # the one left has succeeded
         page.keyboard.press("Escape")
         expect(page.locator("[data-picked]")).to_be_hidden()
     assert [row_of(platform, one).state for one in failed] == ["queued"] * 3

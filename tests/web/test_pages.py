@@ -77,6 +77,7 @@ PAGES = f"""
 /admin/audit          401 403 403 200
 /admin/jobs           401 403 403 200
 /admin/jobs?list=dead 401 403 403 200
+/admin/durations      401 403 403 200
 /admin/jobs/{NO_ID}   401 403 403 404
 /admin/queues         401 403 403 200
 /admin/benchmarks     401 403 403 200

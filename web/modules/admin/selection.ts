@@ -23,8 +23,11 @@ const WORDS: Record<Act, { title: string; says: string; done: string }> = {
   terminate: { title: "Terminate", says: "Their processes are killed immediately.", done: "terminated" },
 };
 
-/** The chosen rows: id → name. */
-const picked = new Map<string, string>();
+/** The states that an act applies to. */
+const APPLIES: Record<Act, readonly string[]> = { retry: ["failed", "cancelled"], cancel: ["queued", "running"], terminate: ["queued", "running"] };
+
+/** The chosen rows: id → name, and the state when the row was seen last. */
+const picked = new Map<string, { name: string; state: string }>();
 let last: string | null = null;
 let act: Act = "retry";
 
@@ -60,7 +63,7 @@ function idOf(box: HTMLInputElement): string {
 }
 
 function mark(box: HTMLInputElement, isPicked: boolean): void {
-  if (isPicked) picked.set(idOf(box), box.dataset["name"] ?? "");
+  if (isPicked) picked.set(idOf(box), { name: box.dataset["name"] ?? "", state: box.dataset["pickState"] ?? "" });
   else picked.delete(idOf(box));
 }
 
@@ -102,6 +105,7 @@ function show(): void {
   for (const box of boxes()) {
     const isPicked = picked.has(idOf(box));
     if (box.checked !== isPicked) box.checked = isPicked;
+    if (isPicked) mark(box, true); // its state may be another since
     box.closest("tr")?.toggleAttribute("data-is-picked", isPicked);
   }
   const all = document.querySelector<HTMLInputElement>("[data-pick-all]");
@@ -114,15 +118,23 @@ function show(): void {
   if (bar) bar.hidden = picked.size === 0;
   const count = document.querySelector("[data-picked-count]");
   if (count && count.textContent !== String(picked.size)) count.textContent = String(picked.size);
+  for (const button of document.querySelectorAll<HTMLButtonElement>("[data-act-on]")) button.disabled = !concerned(button.dataset["actOn"] as Act).length;
+}
+
+/** The ids of the picked jobs that the act applies to. */
+function concerned(one: Act): string[] {
+  return [...picked].filter(([, { state }]) => APPLIES[one].includes(state)).map(([id]) => id);
 }
 
 function ask(asking: HTMLDialogElement, chosen: Act): void {
   act = chosen;
   const words = WORDS[act];
-  const jobs = picked.size === 1 ? "1 job" : `${picked.size} jobs`;
-  text(asking, "#act-on-picked-title", `${words.title}: ${jobs}`);
-  text(asking, "[data-picked-says]", words.says);
-  text(asking, "[data-picked-go]", words.title);
+  const count = concerned(act).length;
+  const jobs = count === 1 ? "1 job" : `${count} jobs`;
+  const left = picked.size - count;
+  text(asking, "#act-on-picked-title", `${words.title} ${jobs}`);
+  text(asking, "[data-picked-says]", left ? `${words.says} ${left} of the selected ${left === 1 ? "is" : "are"} left as ${left === 1 ? "it is" : "they are"}.` : words.says);
+  text(asking, "[data-picked-go]", `${words.title} ${jobs}`);
   asking.querySelector("[data-outcomes]")?.replaceChildren();
   asking.querySelector(".said")?.replaceChildren();
   asking.querySelector("[data-picked-go]")?.classList.toggle("danger", act === "terminate");
@@ -136,7 +148,7 @@ async function go(asking: HTMLDialogElement): Promise<void> {
   if (!reason || !button || !said) return;
   button.disabled = true;
   try {
-    const body = { act, job_ids: [...picked.keys()], reason: reason.value };
+    const body = { act, job_ids: concerned(act), reason: reason.value };
     tell(asking, (await call<{ items: Outcome[] }>("POST", "/api/v1/admin/jobs/acts", body)).items);
     reason.value = "";
   } catch (error) {
@@ -154,7 +166,7 @@ function tell(asking: HTMLDialogElement, outcomes: Outcome[]): void {
   const done = outcomes.length - refused.length;
   const items = refused.map((one) => {
     const item = document.createElement("li");
-    const name = Object.assign(document.createElement("strong"), { textContent: picked.get(one.job_id) ?? one.job_id });
+    const name = Object.assign(document.createElement("strong"), { textContent: picked.get(one.job_id)?.name ?? one.job_id });
     item.append(name, ` ${one.failure?.sentence ?? ""}`);
     return item;
   });

@@ -1,14 +1,17 @@
 """The administrator's view of the work: queues, workers and everybody's jobs, at `/admin/jobs`."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from datetime import datetime, timedelta, tzinfo
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import HTMLResponse
-from sqlalchemy import select
+from sqlalchemy import Select, select
+from sqlalchemy.orm import Session
 
 from api.deps import Administrator, PlatformDep, at_once
-from api.paging import LONGEST_CURSOR, PageQuery
+from api.paging import LONGEST_CURSOR, PageQuery, PageRows
 from api.paging import page as page_of
 from api.routes.admin.admin_jobs import AdminFilters
 from api.schemas.base import PLAIN, IdPath, instant, instant_or_none
@@ -27,16 +30,19 @@ from api.visible import job_of
 from services.domain.notifications.spread import QUEUE as NOTIFY
 from services.runtime.jobs.broker_app import QUEUES
 from services.runtime.jobs.specs import TERMINAL
-from services.runtime.orm import Job
+from services.runtime.orm import Job, SubmissionRow
 from services.runtime.orm.base import now_ns
 from services.runtime.sandbox.fences import missing_fences
 from services.runtime.store.faults import noted_faults, scrub_status
 from web.boards.slopes import bars
 from web.rendering import page
 from web.stage_picture import stage_picture
+from web.zones import zone_of
 
 router = APIRouter()
 SHOWN = 50
+DAY = r"^((19|20)\d\d-(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01]))?$"
+OF_THE_PAGE = ("list", "since", "until", "order", "cursor")
 SPARK = (120.0, 28.0)
 LISTS = (
     ("", "All"),
@@ -60,19 +66,37 @@ class JobSearch:
     owner: Annotated[str, Query(pattern=PLAIN, max_length=64)] = ""
     id_part: Annotated[str, Query(pattern=r"^([0-9a-f]{4,32})?$")] = ""
     sequence_id: Annotated[str, Query(pattern=r"^([0-9a-f]{32})?$")] = ""
+    since: Annotated[str, Query(pattern=DAY)] = ""
+    until: Annotated[str, Query(pattern=DAY)] = ""
+    order: Annotated[str, Query(pattern=r"^(newest|oldest|longest)?$")] = ""
     cursor: Annotated[str, Query(max_length=LONGEST_CURSOR)] = ""
 
     def filters(self) -> AdminFilters:
         """The same as the API's filters."""
-        said: dict[str, Any] = {
-            key: value for key, value in asdict(self).items() if value and key not in ("list", "cursor")
-        }
+        said: dict[str, Any] = {key: value for key, value in asdict(self).items() if value and key not in OF_THE_PAGE}
         state = {"dead": {"dead": True}, "": {}}.get(self.list, {"state": self.list})
         return AdminFilters(**said, **state)
 
     @property
     def is_narrowed(self) -> bool:
-        return bool(self.kind or self.queue or self.owner or self.id_part or self.sequence_id)
+        given = (self.kind, self.queue, self.owner, self.id_part, self.sequence_id, self.since, self.until)
+        return any(given) or self.order not in ("", "newest")
+
+    def in_days(self, zone: tzinfo) -> Select[Job]:
+        """Jobs created from the day `since` to the day `until`, both included, in the reader's zone."""
+        statement = select(Job)
+        if self.since:
+            statement = statement.where(Job.created_ns >= _begins_ns(self.since, zone))
+        if self.until:
+            statement = statement.where(Job.created_ns < _begins_ns(self.until, zone, days=1))
+        return statement
+
+
+def _begins_ns(day: str, zone: tzinfo, days: int = 0) -> int:
+    """When the day begins, or the one so many days later; a day beyond its month's end counts on into the next."""
+    year, month, number = map(int, day.split("-"))
+    begins = datetime(year, month, 1) + timedelta(days=number - 1 + days)
+    return int(begins.replace(tzinfo=zone).timestamp()) * 10**9
 
 
 @router.get("/admin/jobs")
@@ -82,11 +106,12 @@ def jobs(
     platform: PlatformDep,
     search: Annotated[JobSearch, Depends(at_once(JobSearch))],
 ) -> HTMLResponse:
-    filters = search.filters()
+    filters, in_days = search.filters(), search.in_days(zone_of(request))
     with platform.database.reading() as session:
-        found = page_of(session, filters.narrowed(select(Job)), Job.id.desc(), PageQuery(search.cursor or None, SHOWN))
+        found = _found(session, filters.narrowed(in_days), search)
         items = admin_job_items(session, found.rows)
-        counts = job_counts(session, filters.of_any_state(select(Job)), filters.flat(select(Job)))
+        counts = job_counts(session, filters.of_any_state(in_days), filters.flat(in_days))
+        invalid = _invalid_submissions(session, [item.id for item in items])
         queues, workers = queue_items(session), worker_items(session, platform.settings)
         kinds = late_kinds(session)
     return page(
@@ -99,9 +124,26 @@ def jobs(
         lists=[(word, title, _count(counts.model_dump(), word)) for word, title in LISTS],
         queues=[(queue, bars(queue.per_minute, *SPARK)) for queue in queues],
         workers=workers,
-        kinds=kinds,
+        kinds=sorted({*kinds, search.kind} - {""}),
+        invalid=invalid,
         queue_names=(*QUEUES, NOTIFY),
     )
+
+
+def _found(session: Session, statement: Select[Job], search: JobSearch) -> PageRows[Job]:
+    """A page in the order of the search; of the longest there is one page only."""
+    if search.order == "longest":
+        lasted = Job.finished_ns - Job.started_ns
+        ended = statement.where(lasted.is_not(None)).order_by(lasted.desc(), Job.id.desc()).limit(SHOWN)
+        return PageRows(session.scalars(ended).all(), None)
+    order = Job.id if search.order == "oldest" else Job.id.desc()
+    return page_of(session, statement, order, PageQuery(search.cursor or None, SHOWN))
+
+
+def _invalid_submissions(session: Session, job_ids: Sequence[str]) -> frozenset[str]:
+    """Those of the jobs that succeeded in finding a submission invalid."""
+    found = select(SubmissionRow.job_id).where(SubmissionRow.job_id.in_(job_ids), SubmissionRow.state == "invalid")
+    return frozenset(one for one in session.scalars(found) if one)
 
 
 def _count(counts: dict[str, int], word: str) -> int:
