@@ -11,7 +11,7 @@ from api.schemas.sequences.label_sets import LabelComparisonItem, LabelSetItem
 from api.views.jobs import coded_failure
 from services.domain.exports.requests import counting_labels
 from services.domain.sequences.label_comparisons import StoredLabelFile, StoredPair
-from services.domain.viewer.formats import difference_bytes
+from services.domain.viewer.formats import difference_bytes, voxels_bytes
 from services.domain.viewer.frame_grids import stored_grids
 from services.domain.viewer.frame_picture import SeenGrid, comparison_picture, recoloured
 from services.runtime.orm import Job, LabelComparison, LabelSet
@@ -54,6 +54,12 @@ def pair_differences(store: Store, pair: StoredPair) -> bytes:
 
 
 @lru_cache(maxsize=HELD_PICTURES)
+def frame_voxels_of(store: Store, file: StoredLabelFile) -> bytes:
+    """`STV1` of a frame of any label set. Raises `grid_unreadable`."""
+    return voxels_bytes(*stored_grids(store, file.object_key, file.span))
+
+
+@lru_cache(maxsize=HELD_PICTURES)
 def _differences(store: Store, pair: StoredPair) -> bytes:
     return difference_bytes(differences(_grids(store, pair.a)[0], _grids(store, pair.b)[0]))
 
@@ -64,7 +70,7 @@ def _picture(store: Store, pair: StoredPair) -> bytes:
 
 
 def _grids(store: Store, file: StoredLabelFile) -> SeenGrid:
-    return stored_grids(store, file.object_key, (file.offset_bytes, file.offset_bytes + file.length_bytes))
+    return stored_grids(store, file.object_key, file.span)
 
 
 def _item(row: LabelComparison, job: Job) -> LabelComparisonItem:

@@ -7,6 +7,7 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
+import zstandard
 from sqlalchemy import select
 
 from services.runtime.orm import AuditEntry, Job, LabelComparison, LabelledFrameRow, LabelSet, new_id
@@ -65,6 +66,27 @@ def test_the_label_sets_of_a_sequence_are_listed_newest_first_and_one_counts(
         (forest.a_id, True, "paper", 3),
         (forest.b_id, False, "paper", 3),
     ]
+
+
+def test_a_frame_of_each_label_set_has_its_voxels_by_the_token_of_either(
+    api: httpx.Client, curator: Person, participant: Person, forest: Compared
+) -> None:
+    """The planes of the classes, decoded by hand; only to the owner, and only what is there."""
+    place = np.ravel_multi_index((250, 128, 9), SHAPE)
+    of_sets = f"{URL}/{forest.sequence['id']}/label-sets"
+    for label_set_id, kind in ((forest.a_id, T), (forest.b_id, N)):
+        path = f"{of_sets}/{label_set_id}/frames/{forest.tokens[0]}/voxels"
+        answer = api.get(path, headers=curator.headers)
+        planes = zstandard.ZstdDecompressor().decompress(answer.content)[8:]
+        bits = np.unpackbits(np.frombuffer(planes, np.uint8), bitorder="little").reshape(3, -1)
+        assert bits[:, place].tolist() == [kind & 1, kind >> 1, 0]
+        assert bits.sum() == 2 + bin(kind).count("1") + 32
+        assert "immutable" in answer.headers["cache-control"]
+        assert api.get(path, headers=participant.headers).status_code == 404
+        assert api.get(path).status_code == 401
+    for label_set_id, token in ((forest.a_id, "0" * 32), (NOBODY, forest.tokens[0])):
+        answer = api.get(f"{of_sets}/{label_set_id}/frames/{token}/voxels", headers=curator.headers)
+        assert answer.status_code == 404
 
 
 def test_each_label_set_says_how_well_it_holds_or_that_it_is_unknown(

@@ -492,6 +492,39 @@ def test_points_are_coloured_between_the_values_of_the_legend(at_viewer: Page, s
     expect(page.get_by_label("Colours of points, to", exact=True)).to_be_hidden()
 
 
+SECOND = f"""async () => {{ {IMPORTS} {VIEWER}
+  const {{ second }} = viewer.world;
+  if (!second?.group.visible) return null;
+  const drawn = second.mesh.geometry.getIndex().array.length / 6;
+  return [drawn, second.material.uniforms.hatch.value, second.material.polygonOffset]; }}"""
+QUADS = f"""async given => {{ {IMPORTS}
+  const {{ Solid }} = await load("data/solid"), {{ facesOf }} = await load("data/faces");
+  const solid = new Solid(PAPER.shape);
+  for (const [i, j, k, colour] of given) solid.paint(i, j, k, colour);
+  return facesOf(solid).quads; }}"""
+
+
+def second_over_the_first(page: Page, grid: Grid) -> None:
+    """The label set that counts no more is drawn over the one that does; not where it would be of something else."""
+    page.get_by_label("Show", exact=True).select_option("frame")
+    assert page.evaluate(SECOND) is None
+    page.get_by_label("Voxels not observed").select_option("show")
+    others = page.get_by_label("Second label set")
+    expect(others.locator("option")).to_have_count(2)
+    others.select_option(index=1)
+    voxels = [[*map(int, at), int(grid[tuple(at)])] for at in np.argwhere(grid)]
+    wanted = [page.evaluate(QUADS, voxels), pytest.approx(0.6), True]
+    until(lambda: page.evaluate(SECOND) == wanted)
+    expect(page.get_by_text("Hatched: ")).to_be_visible()
+    keep(page, "viewer-second")
+    until(lambda: "second=" in page.evaluate("location.href"))
+    page.goto(page.evaluate("location.href"))
+    expect(host(page)).to_have_attribute("data-state", "ready")
+    until(lambda: page.evaluate(SECOND) == wanted)
+    page.get_by_label("Show", exact=True).select_option("map")
+    until(lambda: page.evaluate(SECOND) is None)
+
+
 RADAR = f"""async () => {{ {IMPORTS} {VIEWER}
   const {{ geometry }} = viewer.world.radar.group.children.find(one => one.visible);
   return ["position", "strength"].map(name => [...geometry.getAttribute(name).array]); }}"""
@@ -554,8 +587,10 @@ def test_the_difference_of_two_label_sets_is_shown_with_its_shares_to_who_may_co
         colour.select_option("difference")
         page.get_by_label("Show", exact=True).select_option("map")
         expect(colour).to_have_value("class")
+        second_over_the_first(page, b)
     with site.visit() as page:
-        page.goto(plain)
+        page.goto(f"{plain}&second={facts['label_set_id']}")
+        expect(page.get_by_label("Second label set")).to_have_count(0)
         expect(host(page)).to_have_attribute("data-state", "ready")
         values = page.get_by_label("Colour by").locator("option").evaluate_all("all => all.map(o => o.value)")
         assert "difference" not in values

@@ -26,18 +26,18 @@ from api.schemas.sequences.label_sets import (
     NewLabelComparisonBody,
 )
 from api.views.jobs import job_items
-from api.views.label_sets import comparison_items, label_set_items, pair_differences, pair_picture
+from api.views.label_sets import comparison_items, frame_voxels_of, label_set_items, pair_differences, pair_picture
 from api.views.scenes import ColoursQuery
 from api.visible import label_comparison_of, label_set_of, sequence_of
 from services.domain.sequences import label_set_activation
-from services.domain.sequences.label_comparisons import StoredPair, start_comparison, stored_pair
+from services.domain.sequences.label_comparisons import StoredPair, start_comparison, stored_frame, stored_pair
 from services.domain.sequences.label_set_deletion import delete_label_set
 from services.domain.viewer.formats import MEDIA_TYPES
 from services.runtime.orm import LabelComparison, LabelSet
 from services.runtime.platform import Platform
 
 router = APIRouter(prefix="/sequences/{sequence_id}", tags=["label sets"])
-PNG, DIFFERENCES = "image/png", MEDIA_TYPES["STD1"]
+PNG, VOXELS, DIFFERENCES = "image/png", MEDIA_TYPES["STV1"], MEDIA_TYPES["STD1"]
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,15 @@ class ComparisonPath:
     comparison_id: IdPath
 
 
+@dataclass(frozen=True)
+class LabelSetPath:
+    """Which label set of which sequence."""
+
+    sequence_id: IdPath
+    label_set_id: IdPath
+
+
+LabelSetAt = Annotated[LabelSetPath, Depends(at_once(LabelSetPath))]
 AtComparison = Annotated[ComparisonPath, Depends(at_once(ComparisonPath))]
 
 
@@ -85,6 +94,25 @@ def remove_label_set(sequence_id: IdPath, label_set_id: IdPath, caller: Curator,
         facts = {"sequence_id": labels.sequence_id, "recipe": labels.recipe}
         audit.record(session, caller, "label_set.delete", labels.id, facts=facts)
         delete_label_set(session, labels)
+
+
+@router.get(
+    "/label-sets/{label_set_id}/frames/{token}/voxels",
+    summary="A frame's voxels in any label set (STV1)",
+    response_class=Response,
+    responses=file_responses(VOXELS),
+)
+def download_label_set_voxels(
+    at: LabelSetAt, token: TokenPath, caller: Reader, platform: PlatformDep, request: Request
+) -> Response:
+    """The classes of all voxels and which were seen (`STV1`); the token may be that of another set's same frame."""
+    with platform.database.reading() as session:
+        labels = label_set_of(session, caller, at.sequence_id, at.label_set_id)
+        file = stored_frame(session, labels, token)
+    if file is None:
+        raise NotFoundError("frame of this label set", token)
+    facts = GeneratedFile(VOXELS, f"{token}-voxels.bin", is_lasting=True)  # label sets never change
+    return answer_made(request, frame_voxels_of(platform.store, file), facts)
 
 
 @router.post("/label-comparisons", status_code=202, responses=refusals(403, 404, 409))

@@ -47,6 +47,11 @@ class StoredLabelFile:
     length_bytes: int
     sha256: str
 
+    @property
+    def span(self) -> tuple[int, int]:
+        """The half-open range of the object's bytes."""
+        return self.offset_bytes, self.offset_bytes + self.length_bytes
+
 
 @dataclass(frozen=True)
 class StoredPair:
@@ -121,6 +126,15 @@ def stored_pair(session: Session, comparison: LabelComparison, token: str) -> St
     pair = [_frame_at(session, label_set_id, stamp_ns) for label_set_id in ids]
     found = [_stored(row, _object_key(session, row)) for row in pair if row is not None]
     return StoredPair(*found) if len(found) == len(pair) else None
+
+
+def stored_frame(session: Session, labels: LabelSet, token: str) -> StoredLabelFile | None:
+    """A frame of a label set, named by its token in any set of the sequence; None if the set has none of it."""
+    named = select(LabelledFrameRow.stamp_ns).join(LabelSet, LabelSet.id == LabelledFrameRow.label_set_id)
+    of_sequence = named.where(LabelledFrameRow.token == token, LabelSet.sequence_id == labels.sequence_id)
+    stamp_ns = session.scalar(of_sequence.limit(1))
+    row = None if stamp_ns is None else _frame_at(session, labels.id, stamp_ns)
+    return None if row is None else _stored(row, _object_key(session, row))
 
 
 def _frame_at(session: Session, label_set_id: str, stamp_ns: int) -> LabelledFrameRow | None:

@@ -1,11 +1,11 @@
 """`stone admin jobs`: everybody's jobs, listed, retried and stopped."""
 
-from enum import StrEnum
 from itertools import islice
 from typing import Annotated
 
 import typer
 
+from stone_base.newer_python import StrEnum
 from stone_client.commands.admin import RequiredReason
 from stone_client.options import ServerOption
 from stone_client.record_tables import echo_records, items_of

@@ -1,10 +1,10 @@
 """`stone admin queues`: the queues of jobs, listed, paused, drained and opened."""
 
-from enum import StrEnum
 from typing import Annotated
 
 import typer
 
+from stone_base.newer_python import StrEnum
 from stone_client.commands.admin import RequiredReason
 from stone_client.options import ServerOption
 from stone_client.record_tables import echo_records, items_of

@@ -1,12 +1,12 @@
 """`stone admin users`: list, add, change and delete accounts."""
 
 import sys
-from enum import StrEnum
 from typing import Annotated, Any
 
 import typer
 
 from stone_base.errors import one_line
+from stone_base.newer_python import StrEnum
 from stone_client.commands.admin import RequiredReason
 from stone_client.confirmation import DryRunOption, PermanentAct, YesOption, require_confirmation, show_dry_run
 from stone_client.options import ServerOption

@@ -124,6 +124,7 @@ HEAD   /api/v1/sequences/{sequence_id}/exports/{export_id}/archive    401 404 20
 GET    /api/v1/sequences/{sequence_id}/label-sets                     401 404 200 404 200 404 403 401 401 200 200
 DELETE /api/v1/sequences/{sequence_id}/label-sets/{label_set_id}      401 403 204 404 204 404 403 401 401 204 403
 POST   /api/v1/sequences/{sequence_id}/label-sets/{label_set_id}/activate 401 403 200 404 200 404 403 401 401 200 403
+GET    /api/v1/sequences/{sequence_id}/label-sets/{label_set_id}/frames/{token}/voxels 401 404 200 404 200 404 403 401 401 200 200
 POST   /api/v1/sequences/{sequence_id}/label-comparisons              401 403 202 404 202 404 403 401 401 202 403
 GET    /api/v1/sequences/{sequence_id}/label-comparisons              401 404 200 404 200 404 403 401 401 200 200
 GET    /api/v1/sequences/{sequence_id}/label-comparisons/{comparison_id} 401 404 200 404 200 404 403 401 401 200 200

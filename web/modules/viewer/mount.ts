@@ -1,7 +1,7 @@
 // Viewers of a page: `<div data-viewer data-sequence="ID" data-start="first|middle|TOKEN" data-compact data-address
-// data-comparison="ID" data-difference="ID" data-rig="FRONT_LEFT FRONT …" data-may-change>`: `comparison` is a comparison
-// of two label sets whose differences are shown first, `difference` one whose differences are offered; `rig` is the order
-// of the cameras.
+// data-comparison="ID" data-difference="ID" data-label-sets="COUNT" data-rig="FRONT_LEFT FRONT …" data-may-change>`:
+// `comparison` is a comparison of two label sets whose differences are shown first, `difference` one whose differences
+// are offered; with `label-sets` the reader may see the sequence's others; `rig` is the order of the cameras.
 //
 // What the element holds (a picture, say) is shown until the labels are. The viewer is fetched when the element comes
 // near the window. `data-state` says how it stands: loading, ready, empty, picture (no WebGL2), error. It tells the

@@ -31,6 +31,14 @@ export interface PlaybackFacts {
   has_radars: boolean;
 }
 
+/** A label set as the API lists those of a sequence. */
+export interface LabelSetFacts {
+  id: string;
+  profile: string;
+  grid: Grid;
+  created_at: string;
+}
+
 export interface SceneFacts {
   sequence_id: string;
   name: string;

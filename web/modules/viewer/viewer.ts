@@ -1,19 +1,20 @@
 // The viewer of one sequence: stage, timeline, panel and readout, put together.
 
+import { call } from "../api.js";
 import { messageOf } from "../errors.js";
 import { Aiming } from "./controls/pointer.js";
 import { Asking } from "./data/worker_client.js";
-import { Address, type Standing, type Viewpoint, read } from "./controls/address.js";
+import { Address, type Begins, type Standing, read } from "./controls/address.js";
 import { CameraPanel } from "./controls/camera_panel.js";
-import { type Choices, choicesPanel, firstChoices } from "./controls/choices.js";
+import { type Choices, choicesPanel, firstChoices, namedSet, secondField } from "./controls/choices.js";
 import { button, make } from "./controls/elements.js";
 import { isFree, keysPanel } from "./controls/keys.js";
-import { classLegend, differenceLegend, pointLegend, radarLegend, rampLegend } from "./controls/legend.js";
+import { classLegend, differenceLegend, pointLegend, radarLegend, rampLegend, secondLegend } from "./controls/legend.js";
 import { CLASS_NAMES } from "./controls/explanation.js";
 import type { Picked, Ray } from "./data/model.js";
 import { Readout } from "./controls/readout.js";
 import { isShown, isWithin } from "./looks.js";
-import type { SceneFacts } from "./scene.js";
+import type { LabelSetFacts, SceneFacts } from "./scene.js";
 import { Stage } from "./drawing/stage.js";
 import { Timeline } from "./controls/timeline.js";
 import { World } from "./world.js";
@@ -43,7 +44,7 @@ export class Viewer {
   private readonly follows: HTMLButtonElement;
   private readonly cameras: CameraPanel | null;
   private readonly address: Address;
-  private readonly begins: { enlarged: string | null; at: Viewpoint | null };
+  private readonly begins: Begins;
   private isMoved = false;
   private counts: readonly number[] = [0, 0, 0];
   private readonly ended = new AbortController();
@@ -55,7 +56,7 @@ export class Viewer {
     });
     this.frameIn(canvas);
     this.choices = firstChoices(scene);
-    this.begins = options.isAddressed ? read(new URL(location.href), scene, this.choices) : { enlarged: null, at: null };
+    this.begins = options.isAddressed ? read(new URL(location.href), scene, this.choices) : { enlarged: null, second: null, at: null };
     this.address = new Address(() => this.standing(), firstChoices(scene));
     this.stage = new Stage(canvas);
     this.stage.orbit.isShy = options.isCompact;
@@ -86,6 +87,7 @@ export class Viewer {
     await this.show(this.options.start);
     this.stage.draw();
     performance.mark("first-voxel");
+    void this.offerSecond();
     await this.cameras?.open(this.options.start, this.begins.enlarged);
     if (this.choices.layers.sensors) await this.world.choose(); // now it is known where cameras stood
   }
@@ -125,6 +127,22 @@ export class Viewer {
     this.host.dataset["frame"] = String(index);
     this.host.dispatchEvent(new CustomEvent("frame", { bubbles: true, detail: { index, token } }));
     this.note();
+  }
+
+  /** To who may see them, the other label sets of the sequence. */
+  private async offerSecond(): Promise<void> {
+    const panel = this.host.querySelector(".viewer-choices fieldset");
+    if (!panel || this.host.dataset["labelSets"] === undefined) return;
+    const { sequence_id, label_set_id } = this.scene;
+    try {
+      const { items } = await call<{ items: LabelSetFacts[] }>("GET", `/api/v1/sequences/${sequence_id}/label-sets`);
+      const others = items.filter((one) => one.id !== label_set_id);
+      this.choices.second = others.find((one) => one.id === this.begins.second) ?? null;
+      panel.append(secondField(others, this.choices, () => void this.changed()));
+      if (this.choices.second) await this.changed();
+    } catch (error) {
+      this.say(`The other label sets cannot be listed: ${messageOf(error)}`);
+    }
   }
 
   private standing(): Standing {
@@ -169,10 +187,11 @@ export class Viewer {
   }
 
   private drawLegend(): void {
-    const { look: { mode }, scope, layers, points } = this.choices;
+    const { look: { mode }, scope, layers, points, second } = this.choices;
     const counts = scope === "frame" ? this.counts : [];
     if (mode === "difference") this.legend.replaceChildren(differenceLegend(counts));
     else this.legend.replaceChildren(mode === "class" ? classLegend(counts) : rampLegend(mode, this.scene));
+    if (second && scope === "frame" && mode !== "difference") this.legend.append(secondLegend(namedSet(second)));
     if (layers.radar) this.legend.append(radarLegend());
     if (layers.points) this.legend.append(pointLegend(points, this.world.pointRange));
   }

@@ -46,6 +46,7 @@ export class World {
   private readonly cloud: SweepLayer;
   private readonly radar: SweepLayer;
   private readonly store: FrameStore;
+  private second: VoxelBlock | null = null;
   private sensors: SensorLayer | null = null;
   private round = 0;
 
@@ -118,6 +119,7 @@ export class World {
       layers.mesh ? this.map.showSurfaces(here, SURFACE_REACH_M, redraw) : null,
       layers.points ? this.showSweep(this.cloud, "cloud", this.index) : null,
       layers.radar ? this.showSweep(this.radar, "radar", this.index) : null,
+      this.choices.second || this.second ? this.showSecond(this.index) : null,
       layers.sensors || this.sensors ? this.showSensors(this.index) : null,
     ]);
   }
@@ -196,6 +198,7 @@ export class World {
   end(): void {
     this.asking.end();
     this.frame.end();
+    this.second?.end();
     this.map.end();
   }
 
@@ -226,6 +229,32 @@ export class World {
     const aside = orbit.target.clone().sub(new Vector3(...from)).applyAxisAngle(new Vector3(0, 0, 1), turned);
     orbit.target.copy(aside.add(new Vector3(...to)));
     orbit.yaw_rad += turned;
+  }
+
+  /** Frames of another label set over those of the one that counts; of differences and of the whole run there are none. */
+  private async showSecond(index: number): Promise<void> {
+    const { second, scope, look } = this.choices;
+    if (!this.second) {
+      this.second = new VoxelBlock(this.paint, true);
+      this.stage.add(this.second);
+      this.stage.scene.add(this.second.group);
+    }
+    const isShown = second !== null && scope === "frame" && look.mode !== "difference";
+    if (!isShown) this.second.group.visible = false;
+    else {
+      const path = `/api/v1/sequences/${this.scene.sequence_id}/label-sets/${second.id}/frames/${this.scene.frames.tokens[index]}/voxels`;
+      const content = await bytes(path).catch((error: unknown) => {
+        if (index === this.index) this.second!.group.visible = false; // none rather than another frame's
+        throw error;
+      });
+      const drawn = await this.asking.ask({ kind: "second", content, grid: second.grid, look: { ...look } });
+      if (index !== this.index || second !== this.choices.second) return;
+      this.second.show(drawn, drawn.corner_m);
+      this.second.group.matrix.copy(this.matrixOf(this.pose(index)));
+      this.second.group.matrixWorldNeedsUpdate = true;
+      this.second.group.visible = true;
+    }
+    this.stage.ask();
   }
 
   private async showSensors(index: number): Promise<void> {

@@ -26,8 +26,15 @@ const CLASSES: [number, string][] = [[1, "t"], [2, "p"], [3, "n"]];
 const MODES: Mode[] = ["class", "difference", "d2", "confidence", "elevation", "slope", "roughness"];
 const WRITES_AFTER_MS = 300;
 
+/** What the address says that is looked up later: the channel shown large, the second label set, the view. */
+export interface Begins {
+  enlarged: string | null;
+  second: string | null;
+  at: Viewpoint | null;
+}
+
 /** Changes what was chosen to what the address says, and gives what else it says. */
-export function read(address: URL, scene: SceneFacts, choices: Choices): { enlarged: string | null; at: Viewpoint | null } {
+export function read(address: URL, scene: SceneFacts, choices: Choices): Begins {
   const said = (key: string): string | null => address.searchParams.get(key);
   const { look, layers } = choices;
   const hidden = (said("hide") ?? "").split(",");
@@ -47,7 +54,7 @@ export function read(address: URL, scene: SceneFacts, choices: Choices): { enlar
   if (size >= POINT_SIZES[0] && size <= POINT_SIZES[1]) choices.size = size;
   choices.cameras = oneOf<CameraChoice>(said("cameras"), ["labels", "plain", "off"]) ?? choices.cameras;
   if (said("follow") === "off") choices.follows = false;
-  return { enlarged: said("camera"), at: viewpointOf(said("at")) };
+  return { enlarged: said("camera"), second: said("second"), at: viewpointOf(said("at")) };
 }
 
 function isThere(mode: Mode, scene: SceneFacts): boolean {
@@ -78,6 +85,7 @@ export function written(from: URL, { token, choices, enlarged, at }: Standing, f
   put("range", differing(wordsOf(choices.range), ","));
   put("size", differing(String(choices.size), String(first.size)));
   put("cameras", differing(choices.cameras, first.cameras));
+  put("second", choices.second?.id ?? null);
   put("camera", enlarged);
   put("follow", choices.follows ? null : "off");
   put("at", at && at.map((value) => Number(value.toPrecision(4))).join(","));

@@ -6,7 +6,7 @@ import { check, choose, group, pick, slider, span } from "./fields.js";
 import { reachOf } from "../data/grid.js";
 import type { PointColour } from "../drawing/sweeps.js";
 import type { Look, Mode, Span, Unseen } from "../looks.js";
-import type { SceneFacts } from "../scene.js";
+import type { LabelSetFacts, SceneFacts } from "../scene.js";
 
 export type LayerName = "labels" | "mesh" | "points" | "radar" | "sensors" | "track" | "robot" | "grid";
 export interface Choices {
@@ -18,6 +18,8 @@ export interface Choices {
   range: Span;
   /** Of a point, against its usual size. */
   size: number;
+  /** The label set that is drawn over the one that counts; null: none. */
+  second: LabelSetFacts | null;
   cameras: CameraChoice;
   follows: boolean;
 }
@@ -33,6 +35,7 @@ export function firstChoices(scene: SceneFacts): Choices {
     points: "intensity",
     range: [null, null],
     size: 1,
+    second: null,
     cameras: "labels",
     follows: true,
   };
@@ -122,6 +125,20 @@ function pointFields(scene: SceneFacts, choices: Choices, dressed: () => void): 
     dressed();
   }, true);
   return [by, range, slider("Point size", POINT_SIZES, choices.size, (value) => ((choices.size = value), dressed()))];
+}
+
+/** A list of the sequence's other label sets, one of which is drawn over that which counts. */
+export function secondField(others: readonly LabelSetFacts[], choices: Choices, changed: () => void): HTMLElement {
+  const options = others.map((one): [string, string] => [one.id, namedSet(one)]);
+  return pick("Second label set, hatched", [["", "None"], ...options], choices.second?.id ?? "", (id) => {
+    choices.second = others.find((one) => one.id === id) ?? null;
+    changed();
+  }, true);
+}
+
+/** Its profile and when it was made. */
+export function namedSet({ profile, created_at }: LabelSetFacts): string {
+  return `${profile}, ${new Date(created_at).toLocaleString([], { dateStyle: "medium", timeStyle: "short" })}`;
 }
 
 export function swatch(fill: string): SVGSVGElement {

@@ -43,6 +43,10 @@ export function pointLegend(by: PointColour, [first, last]: readonly [number, nu
   return ramped(by === "height" ? "Points, height" : "Points, intensity (0–255)", "lighter", words);
 }
 
+export function secondLegend(name: string): HTMLElement {
+  return make("p", { class: "viewer-legend viewer-second" }, `Hatched: ${name}`);
+}
+
 export function radarLegend(): HTMLElement {
   return ramped("Radar, speed over ground", "lighter", ["0 m/s", `${FASTEST_M_S / 2} m/s`, `${FASTEST_M_S} m/s and more`]);
 }

@@ -73,7 +73,12 @@ export class Model {
     const planes = this.planes(token, look.mode);
     const lowest = lowestOf(columnsOf(planes, look.mode === "difference"));
     if (look.mode === "difference") return { ...drawnDifferences(planes, look), lowest };
-    const [pose, { grid }] = [this.pose(token), planes];
+    return { ...this.drawPlanes(planes, look, this.pose(token)), lowest };
+  }
+
+  /** Labels around the robot where it stood; of those that are coloured by class the pose does not matter. */
+  drawPlanes(planes: Planes, look: Look, pose: Pose): Drawn {
+    const { grid } = planes;
     const solid = new Solid(grid.shape);
     const counts: [number, number, number] = [0, 0, 0];
     for (const index of labelled(planes)) {
@@ -83,7 +88,7 @@ export class Model {
       const values = look.mode === "class" ? null : this.foundIn(pose, planes, index);
       solid.paint(...voxelAt(grid, index), colourOf(look, kind, isObserved(planes, index), values, this.scene));
     }
-    return { faces: facesOf(solid), counts, corner_m: grid.min_m, voxel_m: grid.voxel_m, lowest };
+    return { faces: facesOf(solid), counts, corner_m: grid.min_m, voxel_m: grid.voxel_m };
   }
 
   /** A tile with voxels of 2^level lattice steps, each of the class that most of its own have. */

@@ -4,13 +4,15 @@ import { decompress } from "../../../libraries/fzstd/esm/index.mjs";
 import { messageOf } from "../../errors.js";
 import type { CameraView, Frustum, ViewSize } from "./camera_views.js";
 import { type Cloud, camerasOf, cloudOf, planesOf, radarOf, surfaceOf, tileOf, type Surface } from "./formats.js";
+import type { Grid } from "./grid.js";
 import type { Look } from "../looks.js";
 import { type Drawn, Model, type Picked, type Ray } from "./model.js";
-import type { Piece, SceneFacts } from "../scene.js";
+import type { Piece, Pose, SceneFacts } from "../scene.js";
 
 export type Asked =
   | { kind: "open"; scene: SceneFacts }
   | { kind: "frame"; token: string; content: Uint8Array | null; look: Look }
+  | { kind: "second"; content: Uint8Array; grid: Grid; look: Look }
   | { kind: "tile"; piece: Piece; content: Uint8Array | null }
   | { kind: "draw-tile"; name: string; look: Look; level: number }
   | { kind: "mesh"; content: Uint8Array }
@@ -25,6 +27,8 @@ export type Asked =
 export interface Answers {
   open: null;
   frame: Drawn;
+  /** A frame of another label set, by class. */
+  second: Drawn;
   tile: null;
   "draw-tile": Drawn;
   mesh: Surface;
@@ -38,6 +42,7 @@ export interface Answers {
   pick: Picked | null;
 }
 
+const NOWHERE: Pose = [0, 0, 0, 1, 0, 0, 0];
 let model: Model | null = null;
 
 addEventListener("message", (event: MessageEvent<Asked & { id: number }>) => {
@@ -63,6 +68,8 @@ function answerTo(asked: Asked): Answers[Asked["kind"]] {
     case "frame":
       if (asked.content) model.keepFrame(asked.token, asked.look.mode, planesOf(decompress(asked.content), model.scene.grid, magicOf(asked.look)));
       return model.drawFrame(asked.token, asked.look);
+    case "second":
+      return model.drawPlanes(planesOf(decompress(asked.content), asked.grid), { ...asked.look, mode: "class" }, NOWHERE);
     case "tile":
       if (asked.content) model.tiles.keep(asked.piece, tileOf(decompress(asked.content)));
       return null;

@@ -38,13 +38,17 @@ in vec3 colour;
 in vec2 at;
 in float away;
 uniform float edges;
+uniform float hatch;
 out vec4 painted;
 ${FADE}
 void main() {
   vec2 width = fwidth(at);
   vec2 near = abs(fract(at - 0.5) - 0.5) / max(width, vec2(1e-4));
   float line = (1.0 - smoothstep(0.4, 1.4, min(near.x, near.y))) * clamp(1.0 - 2.6 * max(width.x, width.y), 0.0, 1.0);
-  painted = vec4(faded(colour * (1.0 - edges * line), away), 1.0);
+  float across = (at.x + at.y) * 2.0;
+  float stripe = mix(0.5, smoothstep(0.3, 0.7, abs(fract(across) - 0.5) * 2.0), clamp(1.5 - 3.0 * fwidth(across), 0.0, 1.0));
+  vec3 inked = mix(colour * (1.0 - edges * line), paper, hatch * stripe);
+  painted = vec4(faded(inked, away), 1.0);
 }`;
 
 export const SURFACE_VERTEX = /* glsl */ `

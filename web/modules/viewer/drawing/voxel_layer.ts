@@ -49,12 +49,14 @@ export class VoxelBlock {
   private readonly light = { value: [1, 1, 1, 1, 1, 1] };
   private high = new Vector3();
 
-  constructor(paint: VoxelPaint) {
+  /** A second block over another one is hatched, and seen where their faces are the same. */
+  constructor(paint: VoxelPaint, isSecond = false) {
     this.material = new ShaderMaterial({
+      ...(isSecond ? { polygonOffset: true, polygonOffsetFactor: -1, polygonOffsetUnits: -1 } : {}),
       glslVersion: GLSL3,
       vertexShader: VOXEL_VERTEX,
       fragmentShader: VOXEL_FRAGMENT,
-      uniforms: { palette: { value: paint.palette }, light: this.light, edges: { value: 0.16 }, paper: paint.paper, fade: paint.fade },
+      uniforms: { palette: { value: paint.palette }, light: this.light, edges: { value: 0.16 }, hatch: { value: isSecond ? 0.6 : 0 }, paper: paint.paper, fade: paint.fade },
     });
     this.mesh = new Mesh(new BufferGeometry(), NORMALS.map(() => this.material));
     this.mesh.matrixAutoUpdate = false;
