@@ -1,13 +1,20 @@
 """Lines of progress in logs and pipes: how often, with which title, unit, rate and remaining time."""
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from datetime import datetime, timedelta
 from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from services.runtime.jobs.queries import TITLES as PAGE_TITLES
-from stone_client.progress import CountedStage, ProgressLines, bytes_of, duration, reported
+from stone_client.progress import CountedStage, ProgressLines, bytes_of, duration, reported, transferred
 from stone_client.server.job_following import _report
+from stone_client.streams import choose_output
+from stone_local.models.prediction_pace import PredictionPace, prediction_shown
+from stone_local.models.training_progress import training_shown
 from tests.stone_client.participating import stone
 
 GB = 10**9
@@ -129,3 +136,34 @@ def test_progress_is_turned_off_before_and_after_the_word_of_the_command(option:
         assert not shown()
     assert stone("explain", "LAB-603").exit_code == 0
     assert shown()
+
+
+def test_a_terminal_has_a_bar_with_the_same_title_and_figures(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "120")
+    with transferred() as progress:
+        progress("upload", 10**9, 2 * 10**9)
+        progress(CountedStage("Read the [recording]", "steps"), 4, 4)
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    for word in ("Upload", "1.0 of 2.0 GB", "Read the [recording]", "4 of 4 steps"):
+        assert word in shown.err
+
+
+@pytest.mark.parametrize("pace", [training_shown, prediction_shown])
+def test_training_and_prediction_are_silent_too(
+    pace: Callable[[], AbstractContextManager[Callable[[Any], None]]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    reports: dict[Any, Any] = {
+        training_shown: SimpleNamespace(
+            step=3, steps=3, epoch=0, loss=1.0, losses={}, scores={}, frames_per_s=1.0, left_s=0.0, watched=False
+        ),
+        prediction_shown: PredictionPace(3, 3, 1.0, None),
+    }
+    for is_quiet, is_shown in ((False, True), (True, False), (False, True)):
+        choose_output(is_quiet=is_quiet, has_progress=True)
+        with pace() as show:
+            show(reports[pace])
+        assert bool(capsys.readouterr().err) == is_shown
