@@ -8,7 +8,7 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 import pytest
 from playwright.sync_api import Error as PlaywrightError
-from playwright.sync_api import Locator, Page, expect
+from playwright.sync_api import Locator, Page, Route, expect
 from sqlalchemy import delete
 
 from services.domain.viewer.formats import TileVoxels
@@ -20,7 +20,7 @@ from stone.scoring.agreement import DIFFERENCES, SAME, differences
 from stone_base.label_grid import MAP_VOXEL_M, RELEASE
 from testing.api.serving import Person
 from testing.stone_serve import until
-from testing.web.browsing import Site
+from testing.web.browsing import PHONE, Site
 from testing.worlds import made
 from testing.worlds.benchmark_world import labels_npz
 from testing.worlds.viewer_world import BLOCK_M, Grid, Run, radar_of, viewed
@@ -458,6 +458,37 @@ def test_what_is_above_the_heights_that_are_shown_is_neither_drawn_nor_picked(
         assert 0.6 < top_m < 1.0
         assert picked["kind"] == 3
     assert all(one["centre_m"][2] > 1.2 for one in whole["picked"])
+
+
+def test_on_a_phone_the_views_are_a_menu_that_is_closed_until_it_is_wanted(at_viewer: Page) -> None:
+    page = at_viewer
+    expect(page.get_by_role("button", name="Views")).to_be_hidden()
+    page.set_viewport_size(PHONE)  # type: ignore[arg-type]
+    menu, above = page.get_by_role("button", name="Views"), page.get_by_role("button", name="From above")
+    expect(menu).to_have_attribute("aria-expanded", "false")
+    expect(above).to_be_hidden()
+    tools, scene = page.locator(".viewer-tools").bounding_box(), canvas(page).bounding_box()
+    assert tools is not None
+    assert scene is not None
+    assert tools["width"] * tools["height"] < 0.04 * scene["width"] * scene["height"]
+    menu.click()
+    above.click()
+    assert page.evaluate(VIEW)[1] == pytest.approx(np.pi / 2, abs=0.01)
+    expect(above).to_be_hidden()
+    keep(page, "viewer-phone")
+
+
+def test_how_much_of_the_whole_run_is_drawn_is_said_until_all_of_it_is(at_viewer: Page) -> None:
+    page, held = at_viewer, list[Route]()
+    page.route("**/scene/tiles/*", lambda route: held.append(route))
+    page.get_by_label("Show", exact=True).select_option("map")
+    said = page.locator(".viewer-loading")
+    expect(said).to_have_text("Whole run: 0 of 1 tiles")
+    expect(page.get_by_role("progressbar", name="Tiles of the whole run")).to_be_visible()
+    until(lambda: held)
+    held[0].continue_()
+    expect(said).to_be_hidden()
+    assert page.evaluate(f"async () => {{ {IMPORTS} {VIEWER} return viewer.world.map.voxels.children.length; }}") == 1
 
 
 def found(page: Page, given: dict[str, Any]) -> Any:

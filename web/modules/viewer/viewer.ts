@@ -12,6 +12,7 @@ import { isFree, keysPanel } from "./controls/keys.js";
 import { classLegend, differenceLegend, pointLegend, radarLegend, rampLegend, secondLegend } from "./controls/legend.js";
 import { CLASS_NAMES } from "./controls/explanation.js";
 import type { Picked, Ray } from "./data/model.js";
+import { Loading } from "./controls/loading.js";
 import { Readout } from "./controls/readout.js";
 import { isShown, isWithin } from "./looks.js";
 import type { LabelSetFacts, SceneFacts } from "./scene.js";
@@ -41,6 +42,7 @@ export class Viewer {
   private readonly aiming: Aiming;
   private readonly legend = make("div", { class: "viewer-corner" });
   private readonly said = make("p", { class: "viewer-said", role: "status", hidden: true });
+  private readonly loading = new Loading();
   private readonly follows: HTMLButtonElement;
   private readonly cameras: CameraPanel | null;
   private readonly address: Address;
@@ -61,6 +63,7 @@ export class Viewer {
     this.stage = new Stage(canvas);
     this.stage.orbit.isShy = options.isCompact;
     this.world = new World(scene, new Asking(), this.stage, this.choices);
+    this.world.tiled = (done, of) => this.loading.tell(done, of);
     this.world.clouded = () => this.drawLegend();
     this.readout = new Readout(scene, () => this.drop());
     this.aiming = new Aiming(this.stage, this.world.origin, (ray) => void this.pick(ray));
@@ -287,14 +290,22 @@ export class Viewer {
 
   private furnish(stage: HTMLElement): void {
     const tools = make("div", { class: "viewer-tools", role: "toolbar", "aria-label": "Camera" });
+    const menu = button("Views", "Views", ABOVE, () => undefined);
+    menu.classList.add("viewer-menu");
+    tools.addEventListener("click", (event) => {
+      const isOpen = menu.contains(event.target as Node) && menu.getAttribute("aria-expanded") !== "true"; // a choice closes it
+      menu.setAttribute("aria-expanded", String(isOpen));
+    });
+    menu.setAttribute("aria-expanded", "false");
     tools.append(
+      menu,
       this.follows,
       button("Behind the robot (1)", "Behind", BEHIND, () => this.look("behind")),
       button("From above (2)", "Above", ABOVE, () => this.look("above")),
       button("Crosshair (c)", "Crosshair", AIM, () => (this.aiming.toggle(), this.stage.canvas.focus())),
       ...(document.fullscreenEnabled ? [button("Full screen", "Full screen", FULL, () => void toggleFull(this.host))] : []),
     );
-    stage.append(this.legend, tools, this.aiming.crosshair, this.readout.element, this.said);
+    stage.append(this.legend, tools, this.aiming.crosshair, this.readout.element, this.said, this.loading.element);
     if (this.cameras) this.host.append(this.cameras.strip.large, this.cameras.strip.element);
     this.host.append(this.timeline.element);
     if (this.options.isCompact) return;

@@ -35,6 +35,8 @@ export class World {
   index = 0;
   /** Another sweep is shown. */
   clouded: () => void = () => undefined;
+  /** So many tiles of the whole run are drawn. */
+  tiled: (done: number, of: number) => void = () => undefined;
   private readonly paint = new VoxelPaint();
   private readonly frame = new VoxelBlock(this.paint);
   private readonly ground = new Ground();
@@ -113,9 +115,10 @@ export class World {
     this.dressPoints();
     const redraw = (): void => this.stage.ask();
     redraw();
+    const drawn = (done: number, of: number): void => (this.tiled(done, of), redraw());
     const here = place(this.pose(this.index));
     await Promise.all([
-      scope === "map" && layers.labels ? this.map.show(here, { ...this.choices.look }, redraw) : null,
+      scope === "map" && layers.labels ? this.map.show(here, { ...this.choices.look }, drawn) : null,
       layers.mesh ? this.map.showSurfaces(here, SURFACE_REACH_M, redraw) : null,
       layers.points ? this.showSweep(this.cloud, "cloud", this.index) : null,
       layers.radar ? this.showSweep(this.radar, "radar", this.index) : null,

@@ -15,6 +15,14 @@ const LEVELS_M = [60, 130, Infinity];
 const MOST_VOXELS = 700_000;
 const MOST_VOXELS_TOUCH = 250_000;
 
+/** So many tiles are on their way at once. */
+const FETCHED_AHEAD = 4;
+
+interface Wanted {
+  piece: Piece;
+  level: number;
+}
+
 interface Shown {
   level: number;
   block: VoxelBlock;
@@ -46,14 +54,23 @@ export class MapLayer implements Prop {
     await Promise.all(near.map((tile) => this.load(tile)));
   }
 
-  /** Draws the tiles around the place, nearest first; what a later call asked for goes first. */
-  async show(place: Vector, look: Look, drawn: () => void): Promise<void> {
+  /** Draws the tiles around the place, nearest first; what a later call asked for goes first. `drawn` tells how many of how many. */
+  async show(place: Vector, look: Look, drawn: (done: number, of: number) => void): Promise<void> {
     const round = ++this.round;
     const wanted = levelled(this.scene.tiles, place);
     for (const [name, { block }] of this.shown) if (!wanted.has(name)) this.drop(name, block);
-    for (const [name, { piece, level }] of wanted) {
-      if (round !== this.round) return;
-      if (this.shown.get(name)?.level === level) continue;
+    const missing = [...wanted].filter(([name, { level }]) => this.shown.get(name)?.level !== level);
+    try {
+      await this.draw(missing, round, look, (done) => drawn(wanted.size - missing.length + done, wanted.size));
+    } finally {
+      if (round === this.round) drawn(wanted.size, wanted.size);
+    }
+  }
+
+  private async draw(missing: [string, Wanted][], round: number, look: Look, drawn: (done: number) => void): Promise<void> {
+    if (missing.length) drawn(0);
+    for (const [done, [name, { piece, level }]] of missing.entries()) {
+      for (const [, { piece: next }] of missing.slice(done, done + FETCHED_AHEAD)) void this.load(next).catch(() => undefined);
       await this.load(piece);
       const made = await this.asking.ask({ kind: "draw-tile", name, look, level });
       if (round !== this.round) return;
@@ -62,7 +79,7 @@ export class MapLayer implements Prop {
       block.show(made, lowest);
       this.voxels.add(block.group);
       this.shown.set(name, { level, block });
-      drawn();
+      drawn(done + 1);
     }
   }
 
@@ -123,9 +140,9 @@ export class MapLayer implements Prop {
 }
 
 /** The tiles to draw with their level, nearest first, until there are as many voxels as are drawn at once. */
-function levelled(tiles: Piece[], place: Vector): Map<string, { piece: Piece; level: number }> {
+function levelled(tiles: Piece[], place: Vector): Map<string, Wanted> {
   const most = matchMedia("(pointer: coarse)").matches ? MOST_VOXELS_TOUCH : MOST_VOXELS;
-  const wanted = new Map<string, { piece: Piece; level: number }>();
+  const wanted = new Map<string, Wanted>();
   let voxels = 0;
   for (const piece of [...tiles].sort((a, b) => distance(a, place) - distance(b, place))) {
     const level = LEVELS_M.findIndex((reach) => distance(piece, place) < reach);
