@@ -239,6 +239,7 @@ export class World {
     const { second, scope, look } = this.choices;
     if (!this.second) {
       this.second = new VoxelBlock(this.paint, true);
+      this.second.group.visible = false;
       this.stage.add(this.second);
       this.stage.scene.add(this.second.group);
     }

@@ -5,7 +5,7 @@ import { make } from "./elements.js";
 export class Loading {
   private readonly bar = make("progress", { "aria-label": "Tiles of the whole run" });
   private readonly words = make("span");
-  readonly element = make("p", { class: "viewer-said viewer-loading", hidden: true }, this.bar, this.words);
+  readonly element = make("p", { class: "viewer-loading", hidden: true }, this.bar, this.words);
 
   tell(done: number, of: number): void {
     this.element.hidden = done >= of;
