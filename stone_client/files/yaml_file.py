@@ -4,7 +4,7 @@
 date is a text of ISO 8601, in UTC if it has no zone.
 """
 
-from datetime import UTC, date, datetime
+from datetime import date, datetime
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from ruamel.yaml.error import YAMLError
 from ruamel.yaml.events import AliasEvent
 
 from stone_base.errors import Refused
+from stone_base.newer_python import UTC
 
 MOST_BYTES, MOST = 256 * 1024, 2**63
 

@@ -170,7 +170,7 @@ def _pasted(platform: Platform, folder: Path, patch: pytest.MonkeyPatch, *, shor
         url = stack.enter_context(serving(platform))
         for queue, handlers in queues.items():
             stack.enter_context(working(platform, queue, handlers))
-        said = {ADDRESS: url, "--propose 31,7,5": "--propose 1,1,1"}
+        said = {ADDRESS: url, "31,7,5": "1,1,1"}
         if short:
             said["simulate run.mcap"] = "simulate run.mcap --seconds 1.5 --channels 16 --columns 180 --camera-width 160"
         shell = stack.enter_context(shell_in(folder, said, patch))

@@ -153,10 +153,14 @@ def _of_benchmark(wanted: BenchmarkFile, standing: Item, keys: Any) -> Benchmark
 def _is_same(key: str, standing: Any, wanted: Any) -> bool:
     if key.endswith("_at") and isinstance(standing, str) and isinstance(wanted, str):
         try:
-            return datetime.fromisoformat(standing) == datetime.fromisoformat(wanted)
+            return _moment(standing) == _moment(wanted)
         except (ValueError, TypeError):
             return False
     return bool(standing == wanted)
+
+
+def _moment(text: str) -> datetime:
+    return datetime.fromisoformat(text.replace("Z", "+00:00"))  # Python 3.10 reads no Z
 
 
 def _mapping(path: Path, what: str, value: Any) -> Mapping[str, Any]:
