@@ -2,8 +2,8 @@
 
 **Conventions.** Blocks without a language are typed; blocks with one are saved under the name that their first line's
 comment says. A plain `stone …` or `python FILE`, with or without `.venv/bin/`, runs in this process, so that no line
-takes seconds to start; the rest is one bash, whose variables and functions last. A line that fails ends the test, and
-so does an answer of HTTP that is a refusal.
+takes seconds to start, unless another environment is tested; the rest is one bash, whose variables and functions last.
+A line that fails ends the test, and so does an answer of HTTP that is a refusal.
 """
 
 import os
@@ -56,6 +56,7 @@ class Shell:
 
     said: Mapping[str, str]
     bash: subprocess.Popen[str]
+    is_here: bool = True
     printed: list[str] = field(default_factory=list)
     answers: str = f"{PASSWORD}\n"
 
@@ -77,7 +78,9 @@ class Shell:
         is_plain = not OF_A_SHELL.search(re.split(r"\s#", line)[0])
         words = shlex.split(line, comments=True) if is_plain else [""]
         program = words[0].removeprefix(".venv/bin/")
-        if program == "stone":
+        if not self.is_here:
+            self.printed.append(self._typed_in_bash(line))
+        elif program == "stone":
             result = CliRunner().invoke(app, words[1:], input=self.answers)
             assert result.exit_code == 0, (line, result.stdout, result.stderr, result.exception)
             self.printed.append(result.stdout)
@@ -108,17 +111,20 @@ class Shell:
 
 
 @contextmanager
-def shell_in(folder: Path, said: Mapping[str, str], patch: pytest.MonkeyPatch) -> Iterator[Shell]:
-    """A shell whose home and place is `folder`, with this installation's `.venv` in it."""
-    for name in [name for name in os.environ if name.startswith(("STONE_", "XDG_CONFIG"))]:
+def shell_in(
+    folder: Path, said: Mapping[str, str], patch: pytest.MonkeyPatch, *, is_here: bool = True
+) -> Iterator[Shell]:
+    """A shell whose home and place is `folder`, with this installation's `.venv` in it if `is_here`, else none."""
+    for name in [name for name in os.environ if name.startswith(("STONE_", "XDG_CONFIG", "PYTHONPATH"))]:
         patch.delenv(name)
     patch.setenv("HOME", str(folder))
     patch.chdir(folder)
-    (folder / ".venv").symlink_to(Path(sys.executable).parents[1])
+    if is_here:
+        (folder / ".venv").symlink_to(Path(sys.executable).parents[1])
     command = ["bash", "--noprofile", "--norc"]
     streams: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
     with subprocess.Popen(command, text=True, **streams) as bash:
-        shell = Shell(said, bash)
+        shell = Shell(said, bash, is_here)
         shell.type(PRELUDE)
         try:
             yield shell
