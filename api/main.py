@@ -1,8 +1,8 @@
 """The FastAPI application: its middleware and routes.
 
-**Conventions.** A request passes, from outside in: `https` (if the public URL is HTTPS), `entry` (id, log, metrics,
-security headers, faults), `limits` (rate), `releases` (client version), `bodies` (sender, size, time), `idempotency`,
-then the router. Routes live under `/api/v1`, a module per noun; probes at the root.
+**Conventions.** A request passes, from outside in: `renamed_paths`, `https` (if the public URL is HTTPS), `entry` (id,
+log, metrics, security headers, faults), `limits` (rate), `releases` (client version), `bodies` (sender, size, time),
+`idempotency`, then the router. Routes live under `/api/v1`, a module per noun; probes at the root.
 """
 
 from collections.abc import AsyncIterator
@@ -26,6 +26,7 @@ from api.middleware.entry import Releases, RequestMiddleware
 from api.middleware.https import Https
 from api.middleware.idempotency import Idempotency
 from api.middleware.limits import RateLimit, RequestLimits
+from api.middleware.renamed_paths import RenamedPaths
 from api.middleware.strangers import strangers_routes
 from api.openapi import PREFIX, documented, operation_id
 from api.probes import Probes
@@ -158,6 +159,7 @@ def make_api(platform: Platform, shown: problems.Shown = problems.as_it_is) -> F
     api.add_middleware(RequestMiddleware, meters=api.state.meters, shown=shown, trusts_traceparent=trusts)
     if platform.settings.api.url.startswith("https://"):
         api.add_middleware(Https)
+    api.add_middleware(RenamedPaths)
     return api
 
 

@@ -18,7 +18,7 @@ from services.runtime.access.ending import end_all
 from services.runtime.access.erasure import erase_user
 from services.runtime.access.roles import Role
 
-router = APIRouter(prefix="/users", tags=["people"])
+router = APIRouter(prefix="/admin/users", tags=["people"])
 
 Administrator = Annotated[Caller, Depends(require("admin", "administrator"))]
 NamePart = Annotated[str | None, Query(pattern=PLAIN, max_length=64, description="Part of the name.")]

@@ -111,7 +111,7 @@ def _lists() -> tuple[Question, ...]:
         _route("submissions, all", "administrator", "/submissions"),
         _route("submissions of one's teams", "many", "/submissions"),
         _route("submissions of a phase", "administrator", "/submissions?phase_id={phase}&state=failed"),
-        _route("users", "administrator", "/users"),
+        _route("users", "administrator", "/admin/users"),
         _route("teams", "administrator", "/teams"),
         _route("composition of a platform", "administrator", "/statistics", "a sum over all sequences"),
     )

@@ -114,5 +114,5 @@ def signed_in(url: str, name: str, password: str) -> Api:
 
 def _person(season: Season, name: str) -> Api:
     said = {"name": name, "role": "participant", "password": PASSWORD, "reason": "takes part"}
-    season.admin.create("/users", said)
+    season.admin.create("/admin/users", said)
     return signed_in(season.admin.url, name, PASSWORD)

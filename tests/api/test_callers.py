@@ -62,7 +62,7 @@ def test_a_token_loses_what_its_user_loses(api: httpx.Client, platform: Platform
     with platform.database.transaction() as session:
         session.execute(update(User).where(User.id == administrator.user_id).values(role="participant"))
     assert api.get(ME, headers=administrator.headers).json()["scopes"] == ["account", "read", "submit"]
-    assert api.get("/api/v1/users", headers=administrator.headers).status_code == 403
+    assert api.get("/api/v1/admin/users", headers=administrator.headers).status_code == 403
 
 
 def test_what_cannot_be_written_to_can_still_be_read(platform: Platform, curator: Person, tmp_path: Path) -> None:
@@ -263,7 +263,7 @@ def test_no_token_is_spared_by_the_one_it_made(api: httpx.Client, platform: Plat
     """An administrator revokes all of their own with a token that one of these made: it goes too, and is counted."""
     owner = person(platform, "administrator")
     child = issued(api, owner.headers, scopes=["read", "admin"])
-    path = f"/api/v1/users/{owner.user_id}/credentials/revoke"
+    path = f"/api/v1/admin/users/{owner.user_id}/credentials/revoke"
     answer = api.post(path, json={"reason": "stolen"}, headers=bearing(child))
     assert (answer.status_code, answer.json()["tokens"]) == (200, 2)
     assert not is_known(api, bearing(child))

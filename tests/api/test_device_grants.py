@@ -241,7 +241,7 @@ def test_an_approved_program_gets_no_token_after_its_approver_ended(
     browser = in_browser(platform, Person(ada.id, "ada", ""))
     body = {"user_code": codes["user_code"], "approves": True}
     assert uncounted.post(f"{GRANTS}/decision", json=body, headers=browser).status_code == 204
-    user = f"/api/v1/users/{ada.id}"
+    user = f"/api/v1/admin/users/{ada.id}"
     if end == "signs out":
         answer = uncounted.delete(f"{SESSIONS}/current", headers=browser)
     elif end == "all end":
@@ -273,7 +273,7 @@ def test_a_program_that_was_approved_keeps_its_token_beyond_the_browser(
     assert uncounted.get(ME, headers=shown).status_code == 200
     root = person(platform, "administrator")
     ended = uncounted.post(
-        f"/api/v1/users/{approver.user_id}/credentials/revoke", json={"reason": "stolen"}, headers=root.headers
+        f"/api/v1/admin/users/{approver.user_id}/credentials/revoke", json={"reason": "stolen"}, headers=root.headers
     )
     assert ended.is_success
     assert uncounted.get(ME, headers=shown).status_code == 401

@@ -88,7 +88,7 @@ def make_room(platform: Platform, api: httpx.Client, curator: Person, upload: st
     assert api.post(f"/api/v1/jobs/{job_id}/cancel", headers=curator.headers).status_code == 202
     administrator = person(platform, "administrator")
     change = {"is_active": False, "reason": "fills the disk"}
-    shut_out = api.patch(f"/api/v1/users/{curator.user_id}", json=change, headers=administrator.headers)
+    shut_out = api.patch(f"/api/v1/admin/users/{curator.user_id}", json=change, headers=administrator.headers)
     assert shut_out.status_code == 200, shut_out.text
     assert api.get("/readyz").json()["parts"]["store"]["state"] == "up"
 

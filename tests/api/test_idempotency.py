@@ -86,7 +86,7 @@ def test_keys_are_their_callers_own_and_their_routes_own(api: httpx.Client, plat
     assert found(api, eve, "k", name="them").status_code == 201
     headers = {**lone.headers, "Idempotency-Key": "k"}
     user = {"name": "bob", "role": "curator", "reason": "joins"}
-    assert api.post("/api/v1/users", json=user, headers=headers).status_code == 201
+    assert api.post("/api/v1/admin/users", json=user, headers=headers).status_code == 201
 
 
 def test_an_answer_is_not_repeated_to_a_credential_that_may_do_less(
@@ -95,7 +95,7 @@ def test_an_answer_is_not_repeated_to_a_credential_that_may_do_less(
     """The attack: a token for reading, or a cookie without its CSRF token, gets the stored 201 of another request."""
     key = {"Idempotency-Key": "k"}
     user = {"name": "bob", "role": "curator", "reason": "joins"}
-    asked = partial(api.post, "/api/v1/users", json=user)
+    asked = partial(api.post, "/api/v1/admin/users", json=user)
     assert asked(headers=lone.headers | key).status_code == 201
     read_only = {"name": "reads", "scopes": ["read"]}
     reader = api.post("/api/v1/tokens", json=read_only, headers=lone.headers).json()["secret"]

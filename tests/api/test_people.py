@@ -103,7 +103,7 @@ def test_an_administrator_steers_a_team_and_says_why(
     ]
 
 
-USERS = "/api/v1/users"
+USERS = "/api/v1/admin/users"
 ADDED = {"name": "ada", "role": "curator", "reason": "joins the field team"}
 
 
@@ -195,3 +195,17 @@ def test_all_of_a_users_credentials_end_at_once_and_the_one_that_asks_stays(
     assert (log["items"][0]["act"], log["items"][0]["reason"]) == ("user.credentials_revoke", "a laptop was stolen")
     nobody = api.post(f"{USERS}/{'0' * 32}/credentials/revoke", json={"reason": "x"}, headers=root.headers)
     assert nobody.status_code == 404
+
+
+def test_the_earlier_path_of_users_is_answered_and_names_the_new_one(api: httpx.Client, platform: Platform) -> None:
+    root = person(platform, "administrator")
+    for path in ("", f"/{root.user_id}/tokens", "/nobody", "/a%0D%0AX%3A%20b", "/%C3%A9"):
+        old, new = (api.get(f"/api/v1/{name}{path}", headers=root.headers) for name in ("users", "admin/users"))
+        assert old.status_code == new.status_code
+        assert old.headers["link"] == f'</api/v1/admin/users{path}>; rel="successor-version"'
+        assert old.headers["deprecation"].startswith("@")
+        assert "deprecation" not in new.headers
+    assert old.json()["code"] == new.json()["code"]
+    assert api.get("/api/v1/users").status_code == 401
+    assert "/api/v1/users" not in api.get("/api/v1/openapi.json").json()["paths"]
+    assert api.get("/api/v1/usersx", headers=root.headers).json()["code"] == "not_found"

@@ -60,7 +60,7 @@ BODIES: dict[str, tuple[Change, list[Change]]] = {
     "POST notifications/email/verification": ({"secret": "x" * 43}, [
         {"secret": one} for one in ("", "short", "x" * 65, "<script>")
     ]),
-    "POST users": (ADA, [
+    "POST admin/users": (ADA, [
         *({"name": one} for one in ("Ada", "a b", "ada\n")), *REASONS, {"role": "king"}, {"is_admin": True},
     ]),
     "POST admin/jobs/acts": ({"act": "cancel", "job_ids": ["{job_id}"], "reason": "why"}, [
@@ -104,7 +104,7 @@ QUERIES: dict[str, list[Change]] = {
     "submissions/{scored_submission}/results/breakdowns": [{}, {"by": "weather"}, {"by": "sequence", "score": "x"}],
     "admin/audit-log": [{"actor_id": "x"}, {"act": "a\0"}, {"subject_id": "x" * 65}, {"limit": 0}],
     "admin/jobs": [{"id_part": one} for one in ("abc", "%%%%", "ABCD", "a" * 33)],
-    "users": [{"role": "king"}],
+    "admin/users": [{"role": "king"}],
 }  # fmt: skip
 CODES = ("invalid_request", "bad_cursor", "TOP-113")
 PATHS = {
@@ -122,7 +122,7 @@ class Asking:
         self.api, self.cast, self.named = api, cast, {**world.named, "unknown": NOBODY}
 
     def __call__(self, method: str, path: str, **asked: Any) -> httpx.Response:
-        is_theirs = path.startswith(("admin/", "users", "datasets", "splits"))
+        is_theirs = path.startswith(("admin/", "datasets", "splits"))
         headers = {**self.cast.headers["administrator" if is_theirs else "owner"], "If-Match": "*"}
         where = f"/api/v1/{path}".format_map(self.named)
         return self.api.request(method, where, headers=headers, **asked)

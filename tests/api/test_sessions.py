@@ -248,5 +248,5 @@ def test_a_user_let_in_again_signs_in_anew(api: httpx.Client, platform: Platform
     root, ada = person(platform, "administrator"), person(platform, "curator")
     for is_active in (False, True):
         change = {"is_active": is_active, "reason": "left"}
-        assert api.patch(f"/api/v1/users/{ada.user_id}", json=change, headers=root.headers).is_success
+        assert api.patch(f"/api/v1/admin/users/{ada.user_id}", json=change, headers=root.headers).is_success
     assert api.get(ME, headers=ada.headers).status_code == 401

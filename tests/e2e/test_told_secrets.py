@@ -99,7 +99,7 @@ def _sign_in(api: httpx.Client, told: Told) -> str:
     password, wrong = token_hex(10), token_hex(10)
     session = _session(api, told, "admin", told.planted["first password"])
     user = {"name": "field", "role": "curator", "password": password, "reason": "joins"}
-    assert api.post(f"{V1}/users", json=user, headers=session).status_code == 201
+    assert api.post(f"{V1}/admin/users", json=user, headers=session).status_code == 201
     assert api.post(f"{V1}/sessions", json={"name": "field", "password": wrong}).status_code == 401
     session = _session(api, told, "field", password)
     issued = api.post(f"{V1}/tokens", json={"name": "laptop"}, headers=session)

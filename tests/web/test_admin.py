@@ -266,7 +266,7 @@ def test_dates_are_chosen_in_a_time_zone_and_the_window_in_days(site: Site, worl
 def test_a_line_of_the_audit_log_that_somebody_changed_is_found(site: Site, administrator: Person) -> None:
     for name in ("ada", "ben"):
         body = {"name": name, "role": "curator", "reason": "joins"}
-        added = httpx.post(f"{site.url}/api/v1/users", json=body, headers=administrator.headers)
+        added = httpx.post(f"{site.url}/api/v1/admin/users", json=body, headers=administrator.headers)
         assert added.status_code == 201
     with site.platform.database.transaction() as session:
         unguarded(session)
