@@ -139,7 +139,7 @@ OTHER_CODES: tuple[tuple[str, str], ...] = (
     ("trajectory_stamps", "A trajectory's stamps do not strictly increase."),
     ("unknown_code", "No finding and no failed run has this code."),
     ("unknown_delivery", "The delivery of a job is not there any more."),
-    ("unknown_environment", "A sequence is said to be of an environment that is not one of the dataset's."),
+    ("unknown_environment", "The environment of a sequence is not a plain lower-case word."),
     ("unknown_event", "The server tells of no such event."),
     ("unknown_format", "There is no export of this name."),
     ("unknown_illumination", "A sequence is said to be lit in a way that is neither day nor night."),

@@ -27,7 +27,6 @@ from stone.splits.splits import (
     is_long_enough,
     twins_of,
 )
-from stone.splits.surroundings import ENVIRONMENTS
 from stone_base.counts import counted
 
 NAMED = 3
@@ -120,7 +119,7 @@ def check_said(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleF
     """A warning for each fact that rules need and sequences do not say."""
     entries = [entry for _, entry in _assigned(split, catalogue)]
     silent = {
-        "environment": [entry for entry in entries if entry.environment not in ENVIRONMENTS],
+        "environment": [entry for entry in entries if not entry.environment],
         "illumination": [entry for entry in entries if not entry.half],
         "region": [entry for entry in entries if not entry.region],
     }

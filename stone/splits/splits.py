@@ -100,9 +100,9 @@ def conditions_of(catalogue: Iterable[CatalogueEntry]) -> tuple[Condition, ...]:
     """Day and night, then each environment, with the sequences that have it and are long enough."""
     usable = tuple(entry for entry in catalogue if is_long_enough(entry))
     light = [Condition(LIGHT, half, tuple(e for e in usable if e.half == half)) for half in HALVES]
-    places = [
-        Condition(SEPARATED_PLACES, word, tuple(e for e in usable if e.environment == word)) for word in ENVIRONMENTS
-    ]
+    others = sorted({entry.environment for entry in usable if entry.environment} - {*ENVIRONMENTS})
+    words = (*ENVIRONMENTS, *others)
+    places = [Condition(SEPARATED_PLACES, word, tuple(e for e in usable if e.environment == word)) for word in words]
     return (*light, *places)
 
 

@@ -1,7 +1,8 @@
 """The words for where and when a sequence was driven: environments, illuminations, regions.
 
-**Conventions.** The words are here and nowhere else. '' means that nothing was said. Each illumination is day or night:
-between sunrise and sunset, and in the light of dawn and dusk, cameras see by daylight. A region is a free plain name.
+**Conventions.** The words are here and nowhere else. '' means that nothing was said. An environment is one of the
+paper's four, another that is offered, or any plain word. Each illumination is day or night: between sunrise and sunset,
+and in the light of dawn and dusk, cameras see by daylight. A region is a free plain name.
 """
 
 import re
@@ -10,6 +11,9 @@ from collections.abc import Mapping
 from stone.errors import Refused
 
 ENVIRONMENTS = ("farmland", "mountain", "lake", "construction")
+"""The paper's."""
+OFFERED = (*ENVIRONMENTS, "beach", "desert", "forest", "meadow", "mine", "orchard", "quarry", "road", "snow", "urban")
+ENVIRONMENT = re.compile(r"[a-z][a-z0-9-]{0,31}")
 DAYLIGHT: Mapping[str, str] = {
     "day": "day",
     "sunny": "day",
@@ -28,9 +32,11 @@ UNSAID = ""
 
 def checked_environment(word: str) -> str:
     """The word. Raises `unknown_environment`."""
-    if word not in (UNSAID, *ENVIRONMENTS):
+    if word != UNSAID and not ENVIRONMENT.fullmatch(word):
         raise Refused(
-            "unknown_environment", f"{word[:64]!r} is no environment; it is one of {', '.join(ENVIRONMENTS)}, or ''"
+            "unknown_environment",
+            f"{word[:64]!r} cannot name an environment; take one of {', '.join(OFFERED)}, or another word of at most "
+            "32 lower-case letters, digits and dashes, beginning with a letter; or '' if it is unspecified",
         )
     return word
 

@@ -63,7 +63,7 @@ def test_a_word_that_is_not_the_datasets_is_refused_with_those_that_are(
 ) -> None:
     for method in ["POST", "PATCH"]:
         for said, code, allowed in [
-            ({"environment": "forest"}, "unknown_environment", "farmland, mountain, lake, construction"),
+            ({"environment": "Forest"}, "unknown_environment", "farmland, mountain, lake, construction"),
             (
                 {"illumination": "Day"},
                 "unknown_illumination",

@@ -32,7 +32,7 @@ def test_an_entry_is_a_sentence_with_the_thing_and_leads_to_it(
         body, match = {"region": "Alps"}, {"If-Match": found.headers["etag"]}
         assert api.patch(url, json=body, headers=curator.headers | match).is_success
         added = {"name": "grace", "role": "curator", "reason": "field trial"}
-        assert api.post("/api/v1/users", json=added, headers=administrator.headers).is_success
+        assert api.post("/api/v1/admin/users", json=added, headers=administrator.headers).is_success
     with site.visit(administrator) as page:
         page.goto("/admin/audit")
         lines = page.get_by_role("region", name="Lines, newest first").get_by_role("listitem")

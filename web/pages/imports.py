@@ -18,7 +18,7 @@ from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import DatasetImport
 from services.runtime.uploads.creation import owner_limit_bytes
 from services.runtime.uploads.rows import UploadOwner
-from stone.splits.surroundings import ENVIRONMENTS, ILLUMINATIONS
+from stone.splits.surroundings import ILLUMINATIONS, OFFERED
 from stone_base.label_grid import GRIDS
 from stone_files.dataset_layouts import LAYOUTS
 from web.rendering import page
@@ -48,7 +48,7 @@ def list_imports(request: Request, caller: Curator, platform: PlatformDep, curso
         roots=platform.settings.in_place.roots,
         layouts=LAYOUTS,
         grids=GRIDS,
-        environments=ENVIRONMENTS,
+        environments=OFFERED,
         illuminations=ILLUMINATIONS,
         is_moving=any(item.state not in TERMINAL for item in items),
     )

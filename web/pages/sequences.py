@@ -23,7 +23,7 @@ from api.views.sequences import sequence_items
 from api.visible import sequences_shown_to, theirs
 from services.runtime.orm import CalibrationRow, SequenceRow, Upload
 from services.runtime.uploads.completion import bytes_here
-from stone.splits.surroundings import ENVIRONMENTS, ILLUMINATIONS
+from stone.splits.surroundings import ILLUMINATIONS, OFFERED
 from web.rendering import page
 from web.sequence.sequence_states import SequenceRuns, is_troubled, runs_of, state_of
 
@@ -88,7 +88,7 @@ def list_sequences(
         sent=sent,
         cursor=found.next,
         asked=asked,
-        environments=ENVIRONMENTS,
+        environments=OFFERED,
         illuminations=ILLUMINATIONS,
         is_moving=any(state in MOVING for _, state, _ in shown),
     )
@@ -109,7 +109,7 @@ def new_sequences(request: Request, caller: Curator, platform: PlatformDep) -> H
         needs_wasm=True,
         calibrations=calibrations,
         of_robots={robot: known for robot, known in last_used.items() if known in ids},
-        environments=ENVIRONMENTS,
+        environments=OFFERED,
         illuminations=ILLUMINATIONS,
     )
 

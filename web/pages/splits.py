@@ -69,6 +69,7 @@ def splits(request: Request, caller: Curator, platform: PlatformDep) -> HTMLResp
     findings = judged(current.split, seen) if caller.is_administrator else None
     shown = splits_answer(current, entries_of(seen), findings)
     columns = columns_of(shown)
+    others = sorted({one.environment for one in entries_of(seen) if one.environment} - {*ENVIRONMENTS})
     return page(
         request,
         caller,
@@ -77,7 +78,7 @@ def splits(request: Request, caller: Curator, platform: PlatformDep) -> HTMLResp
         columns=columns,
         gone=sum(current.split.sizes) - sum(len(column.entries) for column in columns if column.part),
         rules=RULES,
-        words=(*ENVIRONMENTS, *HALVES),
+        words=(*ENVIRONMENTS, *others, *HALVES),
         can_edit=caller.is_administrator,
     )
 

@@ -16,7 +16,7 @@ from api.visible import theirs
 from services.domain.sequences.label_sources import SOURCE_INDEX
 from services.runtime.jobs.queries import TITLES, title_of
 from services.runtime.orm import CalibrationRow
-from stone.splits.surroundings import ENVIRONMENTS, ILLUMINATIONS
+from stone.splits.surroundings import ILLUMINATIONS, OFFERED
 from web.rendering import page
 from web.sequence.status import SequenceStatus
 
@@ -51,7 +51,7 @@ def shown_section(
         "pictures": {one.name for one in shown.artefacts} | {one.name for one in shown.previews},
         "steps": steps_of(standing.run) if standing.run else (),
         "title_of": title_of,
-        "environments": ENVIRONMENTS,
+        "environments": OFFERED,
         "roots": at.platform.settings.in_place.roots,
         "illuminations": ILLUMINATIONS,
     }

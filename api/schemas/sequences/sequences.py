@@ -14,8 +14,9 @@ from services.domain.sequences.label_choices import DEFAULT_PROFILE, LabelProfil
 from services.domain.sequences.processing import ProcessRequest
 from stone.sensors.sequence import NAME, bad_sequence_name
 from stone.splits.surroundings import (
-    ENVIRONMENTS,
+    ENVIRONMENT,
     ILLUMINATIONS,
+    OFFERED,
     REGION,
     checked_environment,
     checked_illumination,
@@ -49,7 +50,9 @@ SequenceName = Annotated[
 
 
 Environment = Annotated[
-    str, AfterValidator(coded(checked_environment)), Field(json_schema_extra={"enum": ["", *ENVIRONMENTS]})
+    str,
+    AfterValidator(coded(checked_environment)),
+    Field(max_length=64, json_schema_extra={"pattern": f"^({ENVIRONMENT.pattern})?$"}, examples=[*OFFERED]),
 ]
 Illumination = Annotated[
     str, AfterValidator(coded(checked_illumination)), Field(json_schema_extra={"enum": ["", *ILLUMINATIONS]})

@@ -20,7 +20,7 @@ def listed(user: UserArgument, server: ServerOption = None, as_json: JsonOption 
     from stone_client.server.admin.users import user_named
 
     with administering(server) as api:
-        found = list(api.pages(f"/users/{user_named(api, user)['id']}/tokens"))
+        found = list(api.pages(f"/admin/users/{user_named(api, user)['id']}/tokens"))
     echo_records("tokens", found, COLUMNS, as_json=as_json)
 
 
@@ -38,7 +38,7 @@ def revoke(
 
     with administering(server) as api:
         found = user_named(api, user)
-        own, what = f"/users/{found['id']}", f"token {token}" if token else "all tokens and sessions"
+        own, what = f"/admin/users/{found['id']}", f"token {token}" if token else "all tokens and sessions"
         act = PermanentAct(f"revoke {what} of {found['name']}", "programs that use them are refused from then on")
         require_confirmation(act, is_given=is_confirmed)
         if token is None:

@@ -39,7 +39,7 @@ def listed(
 
     query = {key: str(value) for key, value in (("role", role), ("name", name)) if value is not None}
     with administering(server) as api:
-        found = list(api.pages("/users", **query))
+        found = list(api.pages("/admin/users", **query))
     echo_records("users", found, {**COLUMNS, "id": "id"}, as_json=as_json)
 
 
@@ -59,7 +59,7 @@ def add(
     if has_password or password_stdin:
         body["password"] = _password(is_from_stdin=password_stdin)
     with administering(server) as api:
-        _echo(api.create("/users", body), "added", as_json=as_json)
+        _echo(api.create("/admin/users", body), "added", as_json=as_json)
 
 
 def set_role(
@@ -111,7 +111,7 @@ def deactivate(
             show_dry_run(act, {"user": dict(found)}, as_json=as_json)
             return
         require_confirmation(act, is_given=is_confirmed)
-        answer = api.send("PATCH", f"/users/{found['id']}", json={"is_active": False, "reason": reason})
+        answer = api.send("PATCH", f"/admin/users/{found['id']}", json={"is_active": False, "reason": reason})
         _echo(answer.json(), "deactivated", as_json=as_json)
 
 
@@ -135,7 +135,7 @@ def delete(
             show_dry_run(act, {"user": dict(found)}, as_json=as_json)
             return
         require_confirmation(act, is_given=is_confirmed)
-        _echo(api.create(f"/users/{found['id']}/erase", {"reason": reason}), "deleted", as_json=as_json)
+        _echo(api.create(f"/admin/users/{found['id']}/erase", {"reason": reason}), "deleted", as_json=as_json)
 
 
 def _change(user: str, body: dict[str, Any], server: str | None, *, as_json: bool) -> None:
@@ -143,7 +143,7 @@ def _change(user: str, body: dict[str, Any], server: str | None, *, as_json: boo
     from stone_client.server.admin.users import user_named
 
     with administering(server) as api:
-        answer = api.send("PATCH", f"/users/{user_named(api, user)['id']}", json=body)
+        answer = api.send("PATCH", f"/admin/users/{user_named(api, user)['id']}", json=body)
     _echo(answer.json(), "changed", as_json=as_json)
 
 

@@ -10,10 +10,10 @@ from stone_client.server.sequences import Item
 
 def user_named(api: Api, named: str) -> Item:
     """Return the user with this name, id or short id. Raises `unknown_user`, `ambiguous_id`."""
-    for user in [] if is_id(named) else api.pages("/users", name=named):
+    for user in [] if is_id(named) else api.pages("/admin/users", name=named):
         if user["name"] == named:
             return cast(Item, user)
-    by_id = {str(user["id"]): user for user in api.pages("/users")} if is_id(named) or is_short_id(named) else {}
+    by_id = {str(user["id"]): user for user in api.pages("/admin/users")} if is_id(named) or is_short_id(named) else {}
     found = named if named in by_id else whole_id(named, by_id)
     if found is not None:
         return cast(Item, by_id[found])

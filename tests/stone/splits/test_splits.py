@@ -35,7 +35,14 @@ from stone.splits.splits import (
     RuleFinding,
     Split,
 )
-from stone.splits.surroundings import DAYLIGHT, ENVIRONMENTS, checked_environment, checked_illumination, checked_region
+from stone.splits.surroundings import (
+    DAYLIGHT,
+    ENVIRONMENTS,
+    OFFERED,
+    checked_environment,
+    checked_illumination,
+    checked_region,
+)
 from testing.refusals import refused_as
 from tests.stone.catalogues import catalogue, entry, shuffled
 
@@ -160,7 +167,7 @@ def test_a_split_of_another_size_is_found() -> None:
 
 
 def test_what_was_not_said_is_warned_of() -> None:
-    a = entry(1, environment="moon", illumination="", region="")
+    a = entry(1, environment="", illumination="", region="")
     findings = check_said(split_of((a,)), (a,))
     assert [(f.code, f.severity, f.sequences) for f in findings] == [(UNSAID, "warning", (a.id,))] * 3
 
@@ -399,14 +406,17 @@ def test_the_way_is_as_long_however_the_world_is_turned(points: int, yaw: float)
 @pytest.mark.parametrize(
     ("check", "word", "refusal"),
     [
-        (checked_environment, "forest", "unknown_environment"),
+        (checked_environment, "Forest", "unknown_environment"),
+        (checked_environment, "a forest", "unknown_environment"),
+        (checked_environment, "x" * 33, "unknown_environment"),
         (checked_illumination, "Day", "unknown_illumination"),
         (checked_region, "Gyeong gi", "bad_region"),
         (checked_region, "x" * 65, "bad_region"),
         (checked_region, "../x", "bad_region"),
     ],
 )
-def test_other_words_than_the_papers_are_refused(check: object, word: str, refusal: str) -> None:
-    assert [checked_environment(one) for one in ("", *ENVIRONMENTS)] == ["", *ENVIRONMENTS]
+def test_what_is_no_plain_word_is_refused(check: object, word: str, refusal: str) -> None:
+    assert [checked_environment(one) for one in ("", *OFFERED, "rice-paddy")] == ["", *OFFERED, "rice-paddy"]
+    assert OFFERED[: len(ENVIRONMENTS)] == ENVIRONMENTS
     with refused_as(refusal):
         check(word)  # type: ignore[operator]
