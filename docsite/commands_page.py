@@ -12,8 +12,22 @@ from stone_client.main import app
 
 HEAD = """# Commands
 
-What `stone COMMAND --help` says, on one page. Local commands need no server. Exit codes: 0 done, 1 the input is
-refused (coded findings on stderr, under `--json` also on stdout), 2 usage, 130 and 143 interrupted.
+The help of every command (`stone COMMAND --help`, or `-h`), on one page. A verb at the top works on files of this
+machine and needs no server; a noun groups the verbs for things on a server. Exit codes: 0 done, 1 the input is refused
+(coded findings on stderr, with `--json` also on stdout), 2 wrong usage, 130 and 143 interrupted.
+
+- **Ids** are printed whole. Commands also take six or more digits of the beginning or end of an id, `latest` and
+  `latest~1`; an ambiguous one is refused with its candidates.
+- **Completion**: `stone --install-completion` installs it for bash, zsh or fish.
+- **Words of release 0.1**, such as `stone upload`, still run; each prints the new word on stderr.
+
+| variable | |
+|---|---|
+| `STONE_URL` | The server, if `--server` is not given (default: the last one of `stone auth login`). |
+| `STONE_TOKEN` | The token for the server, instead of the stored one. |
+| `STONE_CONFIG_HOME` | The folder of `credentials.json` (default: `$XDG_CONFIG_HOME/stone`, else `~/.config/stone`). |
+| `STONE_QUIET`, `STONE_NO_PROGRESS` | As `--quiet` and `--no-progress`, if they are 1. |
+| `NO_COLOR` | Print without colours. |
 """
 
 

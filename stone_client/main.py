@@ -58,9 +58,11 @@ app = typer.Typer(
 
 def _print_version(is_given: bool) -> None:
     if is_given:
+        from platform import machine, python_version, system
+
         from stone_client.release import own_release
 
-        typer.echo(f"stone {own_release()}")
+        typer.echo(f"stone {own_release()} (Python {python_version()}, {system()} {machine()})")
         raise typer.Exit
 
 
