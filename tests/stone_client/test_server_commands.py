@@ -65,6 +65,8 @@ def test_a_token_that_is_not_known_is_refused(url: str, monkeypatch: pytest.Monk
 
 def test_a_wrong_password_is_refused_and_nothing_is_kept(url: str, owner: Person, tmp_path: Path) -> None:
     assert refused(stone("login", url, "--name", "ada", "--password-stdin", stdin="guess\n")) == "wrong_password"
+    without = stone("login", url, "--name", "ada", stdin="")
+    assert (without.exit_code, "no terminal for a prompt" in without.stderr) == (2, True)
     assert not (tmp_path / "configuration").exists()
 
 
@@ -108,6 +110,7 @@ def test_a_job_that_fails_is_exit_code_1_with_its_code_and_reason(
 def test_a_password_becomes_a_token_that_the_other_commands_use(platform: Platform, url: str, owner: Person) -> None:
     with platform.database.transaction() as session:
         session.get_one(User, owner.user_id).password_hash = hash_password(PASSWORD)
+    assert stone("login", url, "--name", "ada", stdin=PASSWORD + "\n").exit_code == 0, "without a terminal as well"
     signed_in = stone("login", url, "--name", "ada", "--password-stdin", "--json", stdin=PASSWORD + "\n")
     assert signed_in.exit_code == 0, signed_in.stderr
     assert json.loads(signed_in.stdout)["scopes"] == ["read", "submit", "upload"]

@@ -50,7 +50,10 @@ def login(
         signed_in = sign_in_by_browser(server, _show, as_administrator=admin)
     else:
         name = name or typer.prompt("Name", err=True)
-        password = _line() if password_stdin else typer.prompt("Password", hide_input=True, err=True)
+        is_prompted = not password_stdin and sys.stdin.isatty()
+        password = typer.prompt("Password", hide_input=True, err=True) if is_prompted else _line()
+        if not password:
+            raise typer.BadParameter("there is no terminal for a prompt, and stdin has no line", param_hint="password")
         signed_in = sign_in_by_password(server, name, password, as_administrator=admin)
     if as_json:
         echo_json(signed_in.as_record())
