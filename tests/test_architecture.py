@@ -7,14 +7,15 @@ import shutil
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
 
 import pytest
 
 from stone_client.command_tree import COMMANDS
-from stone_client.old_words import OLD_WORDS
+from stone_client.lazy_commands import GroupPlace, Place
+from stone_client.old_words import words_of_today
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = (
@@ -267,12 +268,18 @@ def test_the_pages_point_at_what_exists(page: Path) -> None:
         assert link.startswith("https://") or (page.parent / link).exists(), link
 
 
+def is_command(words: Sequence[str], places: Sequence[Place] = COMMANDS) -> bool:
+    """Whether the words begin with those of a command, below its groups."""
+    found = next((place for place in places if words and place.word == words[0]), None)
+    return is_command(words[1:], found.places) if isinstance(found, GroupPlace) else found is not None
+
+
 @pytest.mark.parametrize("page", sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]), ids=lambda p: p.name)
 def test_the_pages_name_only_commands_and_targets_that_exist(page: Path) -> None:
     text = page.read_text("utf-8")
-    commands = {place.word for place in COMMANDS} | {row.old for row in OLD_WORDS}
+    named = [words.split() for words in re.findall(r"bin/stone ([a-z][\w-]*(?: [a-z][\w-]*)*)", text)]
     targets = set(re.findall(r"(?m)^([\w-]+):", (ROOT / "Makefile").read_text("utf-8")))
-    assert set(re.findall(r"bin/stone (\w+)", text)) <= commands
+    assert [words for words in named if not is_command(words_of_today(words)[0])] == []
     assert set(re.findall(r"(?m)(?:`|^)make ([\w-]+)", text)) <= targets
 
 

@@ -8,7 +8,9 @@ from stone_client.options import ServerOption
 from stone_client.streams import JsonOption, echo_json, echo_notice
 from stone_client.tables import show
 
-FirstArgument = Annotated[str, typer.Argument(metavar="A", help="Its id, or latest, latest~1, …")]
+FirstArgument = Annotated[
+    str, typer.Argument(metavar="A", help="A submission: six or more digits of its id, or latest, latest~1, …")
+]
 SecondArgument = Annotated[str, typer.Argument(metavar="B", help="Another submission's to the same phase.")]
 
 

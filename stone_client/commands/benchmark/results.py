@@ -25,7 +25,11 @@ class ResultGrouping(StrEnum):
 
 
 IdArgument = Annotated[
-    str | None, typer.Argument(metavar="[SUBMISSION]", help="Its id, latest, latest~1, …; else all of your teams.")
+    str | None,
+    typer.Argument(
+        metavar="[SUBMISSION]",
+        help="Six or more digits of its id, or latest, latest~1, … (default: all of your teams).",
+    ),
 ]
 ByOption = Annotated[
     ResultGrouping | None, typer.Option("--by", help="Break down by this; for a hidden phase once it has ended.")

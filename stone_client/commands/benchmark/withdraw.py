@@ -8,7 +8,9 @@ from stone_client.confirmation import DryRunOption, YesOption, require_confirmat
 from stone_client.options import ServerOption
 from stone_client.streams import JsonOption, echo_json
 
-IdArgument = Annotated[str, typer.Argument(metavar="SUBMISSION", help="Its id, or latest, latest~1, …")]
+IdArgument = Annotated[
+    str, typer.Argument(metavar="SUBMISSION", help="Six or more digits of its id, or latest, latest~1, …")
+]
 ReasonOption = Annotated[str, typer.Option(metavar="TEXT", help="Reason, recorded in the audit log.")]
 
 

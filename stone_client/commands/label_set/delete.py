@@ -8,7 +8,9 @@ from stone_client.confirmation import DryRunOption, YesOption, require_confirmat
 from stone_client.options import SequenceArgument, ServerOption
 from stone_client.streams import JsonOption, echo_json
 
-LabelSetArgument = Annotated[str, typer.Argument(metavar="LABEL_SET", help="An id, or latest, latest~1, …")]
+LabelSetArgument = Annotated[
+    str, typer.Argument(metavar="LABEL_SET", help="Six or more digits of its id, or latest, latest~1, …")
+]
 
 
 def delete(

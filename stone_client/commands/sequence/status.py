@@ -7,7 +7,9 @@ import typer
 from stone_client.options import ServerOption
 from stone_client.streams import JsonOption, echo_json
 
-SubjectArgument = Annotated[str, typer.Argument(metavar="SEQUENCE|JOB", help="A sequence's name or id, or a job's id.")]
+SubjectArgument = Annotated[
+    str, typer.Argument(metavar="SEQUENCE|JOB", help="A sequence's name or id, or a job's id; six digits are enough.")
+]
 
 
 def listed(server: ServerOption = None, as_json: JsonOption = False) -> None:

@@ -8,7 +8,10 @@ from stone_client.options import ServerOption
 from stone_client.streams import JsonOption, echo_json
 
 SubjectArgument = Annotated[
-    str, typer.Argument(metavar="JOB|SEQUENCE", help="A job's ID, or a sequence (its latest run).")
+    str,
+    typer.Argument(
+        metavar="JOB|SEQUENCE", help="A job's id, or a sequence (its newest run); six digits of an id are enough."
+    ),
 ]
 
 
