@@ -10,14 +10,16 @@ import typer
 
 from stone_files.joined_file import MOST_OFFSET_NS
 
-CHOICE = re.compile(r"(?P<name>.+)=(?P<seconds>[+-]?\d{1,11}(\.\d{1,9})?)s?")
+UNITS_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
+CHOICE = re.compile(r"(?P<name>.+)=(?P<number>[+-]?\d{1,19}(\.\d{1,9})?)(?P<unit>ns|us|ms|s|)")
 
 ClockOffsetOption = Annotated[
     list[str],
     typer.Option(
         "--clock-offset",
-        metavar="FILE=SECONDS",
-        help="Add this offset to the stamps of a recording instead of the measured one; repeatable.",
+        metavar="FILE=TIME",
+        help="Add this offset to the stamps of a recording instead of the measured one, as in cameras.mcap=-80ms; in "
+        "seconds without a unit; repeatable.",
     ),
 ]
 
@@ -27,12 +29,13 @@ def chosen_clock_offsets(choices: Sequence[str]) -> dict[str, int]:
     chosen: dict[str, int] = {}
     for choice in choices:
         found = CHOICE.fullmatch(choice)
-        if found is None or abs(Decimal(found["seconds"])) * 10**9 > MOST_OFFSET_NS:
+        offset_ns = 0 if found is None else int(Decimal(found["number"]) * UNITS_NS[found["unit"] or "s"])
+        if found is None or abs(offset_ns) > MOST_OFFSET_NS:
             raise typer.BadParameter(
-                f"{choice[:80]!r} is no offset of a recording; write cameras.mcap=-0.080 (seconds)",
+                f"{choice[:80]!r} is no offset of a recording; write cameras.mcap=-80ms, or -0.080 for seconds",
                 param_hint="--clock-offset",
             )
-        chosen[Path(found["name"]).name] = int(Decimal(found["seconds"]) * 10**9)
+        chosen[Path(found["name"]).name] = offset_ns
     return chosen
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from stone_client.clock_offsets import UNITS_NS
 from stone_files.joined_file import MOST_OFFSET_NS
 
 if TYPE_CHECKING:
@@ -85,7 +86,6 @@ def chosen_poses(poses: Path | None, frame: str, odometry: str | None = None) ->
 
 
 PARTS = ("lidar", "pose")
-UNITS_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 CHOICE = re.compile(r"(?P<part>[a-z]+)=(?P<number>[+-]?\d{1,19}(\.\d{1,9})?)(?P<unit>ns|us|ms|s)")
 
 TimeOffsetOption = Annotated[

@@ -12,6 +12,7 @@ from hashlib import sha256
 from pathlib import Path
 
 import pytest
+import typer
 from sqlalchemy import func, select
 
 from services.runtime.orm import Job, QuotaEntry, Recording, Upload
@@ -20,6 +21,7 @@ from services.runtime.uploads import upload_file as stored_file
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
 from stone_client.api import Api
+from stone_client.clock_offsets import chosen_clock_offsets
 from stone_client.credentials import Server
 from stone_client.files import parallel, tus
 from stone_client.files.bags import bags_among, called, hashed_bag
@@ -202,6 +204,7 @@ import sys
 from pathlib import Path
 import stone_client.files.tus
 from stone_client.api import Api
+from stone_client.clock_offsets import chosen_clock_offsets
 from stone_client.credentials import Server
 stone_client.files.tus.PIECE_BYTES = 2**16
 path = Path(sys.argv[3])
@@ -345,3 +348,23 @@ def test_a_large_file_comes_in_parts_side_by_side_and_goes_on_where_they_ended(
 def rows(platform: Platform) -> list[Upload]:
     with platform.database.reading() as session:
         return list(session.scalars(select(Upload)))
+
+
+@pytest.mark.parametrize(
+    ("typed", "offset_ns"),
+    [
+        ("cameras.mcap=-0.080", -80_000_000),
+        ("cameras.mcap=-80ms", -80_000_000),
+        ("there/cameras.mcap=2s", 2_000_000_000),
+        ("cameras.mcap=0.5us", 500),
+        ("cameras.mcap=7ns", 7),
+    ],
+)
+def test_an_offset_of_a_recording_has_a_unit_or_is_in_seconds(typed: str, offset_ns: int) -> None:
+    assert chosen_clock_offsets([typed]) == {"cameras.mcap": offset_ns}
+
+
+@pytest.mark.parametrize("typed", ["cameras.mcap", "=1s", "cameras.mcap=1h", "cameras.mcap=9999999999999s", "x=nan"])
+def test_what_is_no_offset_is_refused(typed: str) -> None:
+    with pytest.raises(typer.BadParameter, match="is no offset of a recording"):
+        chosen_clock_offsets([typed])
