@@ -7,7 +7,7 @@ import typer
 
 from stone_client.options import ManifestOption, WorkersOption, cores
 from stone_client.progress import reported
-from stone_client.streams import JsonOption, echo_json
+from stone_client.streams import JsonOption, echo_json, echo_notice
 
 SourceArgument = Annotated[
     list[Path],
@@ -48,4 +48,4 @@ def baseline(
         echo_json(written.as_record())
     else:
         typer.echo(f"{output}: {written.frames:,} frames, {written.size_bytes:,} bytes, sha256 {written.sha256}")
-        typer.echo(f"Next: stone validate {output} --manifest {manifest}")
+        echo_notice(f"Next: stone validate {output} --manifest {manifest}")

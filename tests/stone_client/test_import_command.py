@@ -160,7 +160,7 @@ def test_a_class_map_that_is_none_is_told_by_the_server_and_the_upload_stays(
     assert uploads(api) == ["complete"]
     result: Result = stone("import", dataset, "--no-wait")
     assert (result.exit_code, uploads(api)) == (0, ["consumed"])
-    assert "Next: stone sequence watch" in result.stdout
+    assert "Next: stone sequence watch" in result.stderr
 
 
 def test_only_ones_own_import_of_the_same_wishes_is_gone_on_with(

@@ -40,8 +40,8 @@ def test_predictions_are_scored_and_the_table_is_printed(served: Served, tmp_pat
     assert result.exit_code == 0, (result.stderr, result.exception)
     for word in ("GroundNet (L)", "mIoU", "IoU occ", "95 % here", "dangerous", "over-cautious"):
         assert word in result.stdout
-    assert f"Next: stone benchmark leaderboard {served.world.benchmark} val" in result.stdout
-    for step in ("hash", "upload", "queued"):
+    assert f"Next: stone benchmark leaderboard {served.world.benchmark} val" in result.stderr
+    for step in ("Compute the checksum", "Upload", "queued"):
         assert step in result.stderr
     with served.platform.database.reading() as session:
         row = session.scalars(select(SubmissionRow).where(SubmissionRow.team_id == served.team_id)).one()

@@ -103,7 +103,8 @@ def _say_sent(sent: dict[str, Any], *, as_json: bool) -> None:
     if as_json:
         echo_json(sent)
     else:
-        typer.echo(f"submission {sent['id']} {sent['state']}\nNext: stone benchmark results {sent['id']}")
+        typer.echo(f"submission {sent['id']} {sent['state']}")
+        echo_notice(f"Next: stone benchmark results {sent['id']}")
 
 
 def _say_ended(ended: dict[str, Any], results: Callable[[], dict[str, Any]], *, as_json: bool) -> None:
@@ -118,4 +119,4 @@ def _say_ended(ended: dict[str, Any], results: Callable[[], dict[str, Any]], *, 
         return
     for table in results_tables(scored):
         show(table)
-    typer.echo(f"Next: stone benchmark leaderboard {scored['benchmark']} {scored['phase']}")
+    echo_notice(f"Next: stone benchmark leaderboard {scored['benchmark']} {scored['phase']}")

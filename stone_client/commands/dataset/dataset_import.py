@@ -9,7 +9,7 @@ from stone_base.counts import counted
 from stone_client.choices import refuse_options
 from stone_client.options import DatasetClassesOption, DatasetGridOption, DatasetLayoutOption, ServerOption
 from stone_client.progress import transferred
-from stone_client.streams import JsonOption, echo_json
+from stone_client.streams import JsonOption, echo_json, echo_notice
 from stone_client.tables import show
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ def _list(server: str | None, *, as_json: bool) -> None:
 def _say(record: dict[str, Any]) -> None:
     typer.echo(f"{record['name']}: import {record['id']} {record['state']}")
     if record["state"] != "succeeded":
-        typer.echo(f"Next: stone sequence watch {record['job_id']}")
+        echo_notice(f"Next: stone sequence watch {record['job_id']}")
         return
     names = [scene["name"] for scene in record["scenes"]]
     more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
@@ -154,7 +154,7 @@ def _say(record: dict[str, Any]) -> None:
         where = f"{place['root']}:{place['path']}"
         typer.echo(f"Read in place: {where} as it was at {record['created_at'][:19]}")
         typer.echo("If it has changed since, import it again with --add-to-existing and another --name")
-    typer.echo(f"Next: stone sequence download {names[0]} -o DIR")
+    echo_notice(f"Next: stone sequence download {names[0]} -o DIR")
 
 
 def _text(path: Path) -> str:

@@ -7,7 +7,7 @@ import typer
 from stone_base.newer_python import StrEnum
 from stone_client.options import SequenceArgument, ServerOption
 from stone_client.progress import reported
-from stone_client.streams import JsonOption, echo_json
+from stone_client.streams import JsonOption, echo_json, echo_notice
 from stone_client.tables import show
 
 
@@ -48,6 +48,6 @@ def exports(
         return
     show(exports_table(found["name"], listed))
     if form is not None:
-        typer.echo(
+        echo_notice(
             f"Next: stone sequence download {found['name']} --format {form.value} -o {found['name']}-{form.value}.tar"
         )

@@ -18,7 +18,7 @@ from stone_client.options import (
     ServerOption,
     chosen_parameters,
 )
-from stone_client.streams import JsonOption, echo_json
+from stone_client.streams import JsonOption, echo_json, echo_notice
 
 RecordingOption = Annotated[
     list[str],
@@ -68,4 +68,4 @@ def process(
     else:
         typer.echo(f"{run['kind']} {run['id']} {run['state']}")
         following = f"download {found['name']} -o DIR" if run["state"] == "succeeded" else f"watch {run['id']}"
-        typer.echo(f"Next: stone sequence {following}")
+        echo_notice(f"Next: stone sequence {following}")

@@ -7,7 +7,7 @@ import typer
 from stone_base.findings import Finding
 from stone_client.options import CalibrationOption, ServerOption
 from stone_client.progress import transferred
-from stone_client.streams import JsonOption, echo_findings, echo_json
+from stone_client.streams import JsonOption, echo_findings, echo_json, echo_notice
 
 PlacesArgument = Annotated[
     list[str],
@@ -61,6 +61,6 @@ def register(
         for place in found:
             typer.echo(f"{sequence['name']}: {api.url} reads {place} where it lies")
         following = f"download {sequence['name']} -o DIR" if process else f"process {sequence['name']} --wait"
-        typer.echo(f"Next: stone sequence {following}")
+        echo_notice(f"Next: stone sequence {following}")
     noticed = [*kept["findings"], *(finding for recording in recordings for finding in recording["findings"])]
     echo_findings(Finding(**finding) for finding in noticed)

@@ -9,7 +9,7 @@ from stone_client.choices import refuse_options
 from stone_client.clock_offsets import ClockOffsetOption, clock_offsets_body
 from stone_client.options import CalibrationOption, RunArgument, ServerOption
 from stone_client.progress import transferred
-from stone_client.streams import JsonOption, echo_findings, echo_json
+from stone_client.streams import JsonOption, echo_findings, echo_json, echo_notice
 
 NameOption = Annotated[str | None, typer.Option(metavar="NAME", help="The sequence; else the bag's own name.")]
 ProcessOption = Annotated[bool, typer.Option("--process", help="Process it immediately and follow the run.")]
@@ -65,4 +65,4 @@ def upload(
 
 def _say_next(name: str, *, is_processed: bool) -> None:
     following = f"stone sequence download {name} -o DIR" if is_processed else f"stone sequence process {name} --wait"
-    typer.echo(f"Next: {following}")
+    echo_notice(f"Next: {following}")

@@ -11,7 +11,7 @@ from stone_client.commands.benchmark.submit import submit as send_submission
 from stone_client.files.bags import called
 from stone_client.options import Ground, GroundOption, LidarOption, Modality, OdometryOption, ServerOption
 from stone_client.progress import reported
-from stone_client.streams import JsonOption, echo_json
+from stone_client.streams import JsonOption, echo_json, echo_notice
 from stone_local.commands.models.train import Device, DeviceOption
 from stone_local.models.prediction_choices import RecordingFiles, refuse_contradictions
 from stone_local.models.prediction_pace import prediction_shown
@@ -125,7 +125,7 @@ def predict(
     else:
         typer.echo(f"{output}: {written['frames']:,} frames by {written['method']} after {written['steps']:,} steps")
         if manifest is not None:
-            typer.echo(f"Next: stone validate {output} --manifest {manifest}")
+            echo_notice(f"Next: stone validate {output} --manifest {manifest}")
 
 
 def _of_exports(run: Path, inputs: list[Path], files: tuple[Path | None, Path], device: Device) -> dict[str, Any]:

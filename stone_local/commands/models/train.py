@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from stone_client.progress import reported
-from stone_client.streams import JsonOption, echo_json
+from stone_client.streams import JsonOption, echo_json, echo_notice
 from stone_local.models.torch_there import torch_needed
 from stone_local.models.training_progress import training_shown
 
@@ -143,4 +143,4 @@ def train(
     typer.echo(f"{output}: {ended.steps:,} steps on {ended.frames:,} frames (sha256 {ended.data_sha256[:16]}…)")
     if ended.best_miou is not None:
         typer.echo(f"best validation mIoU: {100 * ended.best_miou:.2f} %")
-    typer.echo(f"Next: stone model predict {output} INPUTS --manifest M.json -o sub.zip")
+    echo_notice(f"Next: stone model predict {output} INPUTS --manifest M.json -o sub.zip")
