@@ -3,6 +3,7 @@
 import json
 import os
 import pty
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +16,7 @@ from testing.api.serving import Person, person
 from testing.worlds.published import published_sequence
 from tests.stone_client.participating import Served, answered, scoring, stone, zipped
 
+DOCS = Path(__file__).resolve().parents[2] / "docs"
 ASKING = """
 from stone_client.confirmation import PermanentAct, require_confirmation
 require_confirmation(PermanentAct("drain the lake", "the fish die"), is_given=False)
@@ -143,3 +145,19 @@ def test_the_question_is_put_on_a_real_terminal(typed: bytes, code: int) -> None
     os.close(ours)
     assert (asking.returncode == 0) == (code == 0)
     assert printed == (b"drained\n" if code == 0 else b"")
+
+
+FENCED = re.compile(r"^```\w*\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def test_no_guide_confirms_an_act_after_a_line_that_may_be_refused() -> None:
+    """A pasted block goes on after a refusal, so `--yes` is in its first line, or behind `&&`."""
+    confirming = [
+        (number, line)
+        for page in sorted(DOCS.rglob("*.md"))
+        for block in FENCED.findall(page.read_text("utf-8"))
+        for number, line in enumerate(block.splitlines())
+        if "--yes" in line
+    ]
+    assert confirming
+    assert [line for number, line in confirming if number and "&&" not in line.partition("--yes")[0]] == []
