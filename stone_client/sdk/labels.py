@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from shutil import rmtree
+from weakref import finalize
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +27,10 @@ class Labels(Mapping[str, "NDArray[np.uint8]"]):
     The files lie in `folder`; without one of the caller's they are deleted with this object.
     """
 
-    def __init__(self, folder: Path, stamps_ns: Mapping[str, int], kept: TemporaryDirectory[str] | None = None) -> None:
-        self.folder, self._kept = folder, kept
+    def __init__(self, folder: Path, stamps_ns: Mapping[str, int], *, is_temporary: bool = False) -> None:
+        self.folder = folder
+        if is_temporary:
+            finalize(self, rmtree, folder, ignore_errors=True)
         self._dataset = open_dataset(folder)
         by_token = {frame.token: frame for frame in self._dataset}
         self.frames: Sequence[Frame] = [by_token[token] for token in stamps_ns]
@@ -66,4 +69,4 @@ class Labels(Mapping[str, "NDArray[np.uint8]"]):
         return len(ARRAYS)
 
     def __repr__(self) -> str:
-        return f"<Labels of {len(self.frames)} frames, grid {self.grid}, in {self.folder}>"
+        return f"<Labels of {len(self.frames)} frames, grid {self.grid}>"

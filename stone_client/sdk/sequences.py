@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from shutil import rmtree
+from tempfile import mkdtemp
 from typing import Any
 
 from stone_base.errors import Refused
@@ -76,13 +77,16 @@ class Sequence:
 
         They go into `folder`, in the layout of `stone download`; without one, into a temporary folder.
         """
-        kept = None if folder is not None else TemporaryDirectory(prefix="stone-labels-")
-        output = Path(folder) if folder is not None else Path(str(kept and kept.name)) / self.name
-        download_labels(self._at.api, self._fresh(), output, self._at.progress)
-        stamps_ns = {
-            frame["token"]: int(frame["stamp_ns"]) for frame in self._at.api.pages(f"/sequences/{self.id}/frames")
-        }
-        return Labels(output, stamps_ns, kept)
+        output = Path(folder) if folder is not None else Path(mkdtemp(prefix="stone-labels-"))
+        try:
+            download_labels(self._at.api, self._fresh(), output, self._at.progress)
+            frames = self._at.api.pages(f"/sequences/{self.id}/frames")
+            stamps_ns = {frame["token"]: int(frame["stamp_ns"]) for frame in frames}
+            return Labels(output, stamps_ns, is_temporary=folder is None)
+        except BaseException:
+            if folder is None:
+                rmtree(output, ignore_errors=True)
+            raise
 
     def label_sets(self) -> Table[LabelSet]:
         """Return its label sets, newest first."""

@@ -4,6 +4,7 @@ Catches alone a line of a guide that does not do what is printed below it.
 """
 
 import json
+import os
 import shutil
 import sys
 from collections.abc import Iterator, Mapping
@@ -40,6 +41,7 @@ from testing.worlds.published import dataset
 from testing.worlds.released_datasets import ReleasedDataset, write_released_zip
 from testing.worlds.runs import bring_ready, run_all
 from tests.deploy.wheels import built_wheel
+from tests.e2e.notebooks import NOTEBOOK, kinds, run_cells
 from tests.e2e.pasting import ADDRESS, PASSWORD, Shell, blocks, shell_in, statements
 from tests.stone_client.participating import answered
 from tests.working import working
@@ -152,6 +154,22 @@ def test_the_page_of_the_sdk_works_line_by_line(
     assert lines[3] == f"sdk-forest.tar {(tmp_path / 'sdk-forest.tar').stat().st_size}"
     assert lines[4].endswith(" nuscenes")
     assert lines[5] == "<1 × LabelSet>"
+
+
+def test_the_notebook_runs_from_top_to_bottom(field: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And shows what it was stored with: WRITES_GOLDEN=1 stores it."""
+    _benchmark(field)
+    with field.database.transaction() as session:
+        for row in session.query(SequenceRow):
+            row.is_public = True
+    stored = json.loads(NOTEBOOK.read_text("utf-8"))
+    with _pasted(field, tmp_path, monkeypatch):
+        shown = run_cells(json.loads(NOTEBOOK.read_text("utf-8")))
+    if os.environ.get("WRITES_GOLDEN"):
+        NOTEBOOK.write_text(json.dumps(shown, indent=1, ensure_ascii=False) + "\n", "utf-8")
+    else:
+        assert kinds(shown) == kinds(stored)
+    assert "image/png" in {kind for cell in kinds(shown) for kind in cell}
 
 
 def test_the_release_is_imported_as_its_page_says(
