@@ -19,7 +19,7 @@ DOWNLOAD := api/downloads/.built
 # The docs site, from where the platform serves it.
 MANUAL := web/manual/index.html
 DOCS := mkdocs.yml $(shell find docs docsite -type f -not -name '*.pyc')
-CLIENT := $(shell find stone_base stone_files stone_submissions stone_client deploy/client -name '*.py' -o -name '*.toml')
+CLIENT := $(shell find stone stone_base stone_files stone_submissions stone_exports stone_datasets stone_client deploy/client -name '*.py' -o -name '*.toml')
 # One more than cores: tests wait for the servers that they start. Whole files, so that what a file makes is made once.
 # A test that failed beside the others runs once more, alone (testing/reruns.py).
 BESIDE = --rerun-failed-once --numprocesses $(shell n=$$(nproc); echo $$((n < 5 ? n + 1 : 6))) --dist loadfile --no-loadscope-reorder

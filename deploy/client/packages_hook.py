@@ -1,7 +1,7 @@
 """Build hook: takes the client's packages from where they lie, at the root of the project.
 
 The packages that the client stands on go into its folder `_vendor`, which `stone_client/__init__.py` puts on the path;
-of the science those modules that `stone_datasets` loads, which need numpy alone.
+of the science those modules that `stone_datasets`, the baseline and scoring load, which need numpy alone.
 A checkout that is installed in place needs none of them: `dev-mode-dirs` of `pyproject.toml` names that root.
 """
 

@@ -109,6 +109,17 @@ def test_few_packages_come_along_and_none_of_the_platforms(empty: Path) -> None:
 
 
 @pytest.mark.release
+def test_a_script_of_a_user_is_typed_by_what_the_wheel_holds(empty: Path, tmp_path: Path) -> None:
+    """Catches alone a wheel without its marker of types."""
+    script = "from stone_client import Stone\n\nreveal_type(Stone().labels('forest')['semantics'])\n"
+    (tmp_path / "user.py").write_text(script)
+    typing = [sys.executable, "-m", "mypy", "--strict", "--python-executable", str(empty / "bin" / "python"), "user.py"]
+    checked = subprocess.run(typing, check=False, capture_output=True, text=True, cwd=tmp_path)
+    assert checked.returncode == 0, checked.stdout
+    assert "unsignedinteger" in checked.stdout
+
+
+@pytest.mark.release
 def test_a_submission_is_validated_and_scored_by_a_running_platform(
     empty: Path, served: Served, tmp_path: Path
 ) -> None:
