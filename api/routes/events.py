@@ -47,12 +47,22 @@ LastEventId = Annotated[
     str | None, Header(pattern=r"^\d{1,18}$", description="`id` of the last event that was received.")
 ]
 EVENT = {
-    "type": "string",
+    "type": "object",
+    "properties": {
+        "event": {"type": "string", "enum": ["progress", "ended"]},
+        "id": {"type": "string"},
+        "data": {"type": "string", "contentMediaType": "application/json"},
+    },
+}
+EVENTS = {
     "description": "Server-sent events of three lines each: `event` (`progress` or `ended`), `id`, and `data` (JSON).",
     "examples": ['event: progress\nid: 7\ndata: {"state": "running"}\n\n'],
 }
 STREAM: Responses = {
-    200: {"description": "Events, until it has ended", "content": {EVENT_STREAM: {"schema": EVENT}}},
+    200: {
+        "description": "Events, until it has ended",
+        "content": {EVENT_STREAM: {"schema": EVENTS, "x-itemSchema": EVENT}},
+    },
     204: {"description": "It has ended, and the caller has seen it end"},
     **refusals(403, 404, 429),
 }
