@@ -36,11 +36,23 @@ def shown(request: Request, answer: Response) -> Response:
     problem = json.loads(bytes(answer.body))
     if problem["status"] == 401:
         return _sign_in(request)
+    if problem["code"] == "not_found" and not _is_known(request):
+        problem |= {
+            "title": "This page does not exist",
+            "detail": f"Nothing is at the address {request.url.path[:200]}.",
+        }
+        advice = "Check the address, or choose from the menu above."
+        return page(request, caller_of(request), "problem.html", status=404, problem=problem, advice=advice)
     advice = NEXT.get(problem["status"], "Reload the page; if it persists, give your administrator the request ID.")
     made = page(request, caller_of(request), "problem.html", status=problem["status"], problem=problem, advice=advice)
     if wait := answer.headers.get("Retry-After"):
         made.headers["Retry-After"] = wait
     return made
+
+
+def _is_known(request: Request) -> bool:
+    """Whether some page has an address of this form."""
+    return "route" in request.scope
 
 
 def _sign_in(request: Request) -> Response:

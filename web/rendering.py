@@ -38,18 +38,23 @@ WITH_WASM = " 'wasm-unsafe-eval'"
 
 @dataclass(frozen=True)
 class Nav:
-    """A link of the head of every page; `begins` marks it as where one is, `roles` may see it."""
+    """A link of the head of every page, which `roles` may see; it is marked on pages below it and below `also`."""
 
     title: str
     path: str
     roles: tuple[str, ...] = ()
+    also: tuple[str, ...] = ()
+
+    def holds(self, path: str) -> bool:
+        """Whether the page is one of this link's."""
+        return path.startswith((self.path.rsplit("/", 1)[0] or self.path, *self.also))
 
 
 NAVIGATION = (
-    Nav("Sequences", "/sequences"),
-    Nav("Benchmarks", "/benchmarks"),
+    Nav("Sequences", "/sequences", also=("/calibrations", "/imports")),
+    Nav("Benchmarks", "/benchmarks", also=("/entries",)),
     Nav("Dataset", "/dataset", ("participant", "curator", "administrator")),
-    Nav("Submissions", "/submissions", ("participant", "curator", "administrator")),
+    Nav("Submissions", "/submissions", ("participant", "curator", "administrator"), also=("/teams",)),
     Nav("Administration", "/admin/jobs", ("administrator",)),
 )
 
