@@ -31,7 +31,7 @@ from tests.api.inputs_made import made_input, made_version_input
 from tests.services.domain.benchmarks.boards import Made, scene
 from tests.web.boards_world import Season, publish, season
 
-METHODS = "tbody[data-standing='ranked'] .method .row > :first-child"
+METHODS = "tr[data-standing='ranked'] .method .row > :first-child"
 IN_ORDER: list[str | re.Pattern[str]] = ["TerrainFormer-L", "GroundNet++", "VoxTrav", "SurroundOcc-T", "RadarScout"]
 BACKGROUNDS = """row => [...row.querySelectorAll("th.method, td.number")].slice(0, 2).map(cell => {
   for (let one = cell; one; one = one.parentElement) {

@@ -75,18 +75,33 @@ def methods(board: ShownBoard) -> list[list[str]]:
 
 
 def test_rows_of_a_tie_group_share_one_bracket() -> None:
-    assert [[one.tied for one in group.rows] for group in a_board(ROWS).groups] == [[1, 2, 0], [1], [1]]
+    assert [[one.tied for one in group.rows] for group in a_board(ROWS).groups] == [[1, 1, 2, 0], [1]]
 
 
 @pytest.mark.parametrize(
     ("sort", "ranked"),
-    [("rank", "bac"), ("miou", "bac"), ("iou_t", "cab"), ("method", "abc"), ("submitted", "abc"), ("danger", "cba")],
+    [
+        ("rank", "dbac"),
+        ("miou", "dbac"),
+        ("iou_t", "cabd"),
+        ("method", "abcd"),
+        ("submitted", "adbc"),
+        ("danger", "cbda"),
+    ],
 )
 def test_sorting_moves_rows_within_their_standing_and_keeps_their_ranks(sort: Any, ranked: str) -> None:
     board = a_board(ROWS, sort)
-    assert methods(board) == [list(ranked), ["d"], ["e"]]
-    assert {one.row.method: one.row.rank for one in board.groups[0].rows} == {"b": 1, "a": 2, "c": 3}
+    assert methods(board) == [list(ranked), ["e"]]
+    assert {one.row.method: one.row.rank for one in board.groups[0].rows} == {"b": 1, "a": 2, "c": 3, "d": None}
     assert board.has_brackets is (sort == "rank")
+
+
+@pytest.mark.parametrize(("score", "placed"), [(0.9, "dbac"), (0.55, "bdac"), (0.45, "bacd"), (None, "bacd")])
+def test_a_baseline_stands_at_its_score_and_never_within_a_tie_group(score: float | None, placed: str) -> None:
+    """The winner stood above a baseline that beats it."""
+    baseline = row("d", score, standing="baseline", rank=None, tie_group=None)
+    assert methods(a_board([*ROWS[:3], baseline])) == [list(placed)]
+    assert methods(a_board([baseline])) == [["d"]], "without entries a group of its own"
 
 
 def test_only_ranked_rows_are_the_best_of_a_column() -> None:
@@ -127,7 +142,7 @@ FEW = {"silences": {"these_places": "few_frames", "new_place": "few_sequences"}}
         (BEHIND | HERE, "Bee is better than Ant", "+1.00 to +3.00 (95 % interval, p < 0.001)"),
         (BEHIND | {"these_places": UNSURE}, "No significant difference between Ant and Bee", "−0.20 to +3.00"),
         (BEHIND | HERE | {"new_place": UNSURE}, "Bee is better than Ant", "is open"),
-        (BEHIND | FEW, "Bee is ahead of Ant", "too few independent frames"),
+        (BEHIND | FEW, "Whether Bee is better than Ant is not known", "too few independent frames"),
         ({"a": 0.4, "b": 0.4, "difference": 0.0} | FEW, "Ant and Bee have the same mIoU", ""),
         ({"a": 0.4}, "The two entries cannot be ordered", ""),
     ],
@@ -142,7 +157,7 @@ def test_the_verdict_says_who_is_better_by_how_much_and_how_surely(
 
 def test_a_withheld_comparison_claims_no_more_than_the_rounded_totals() -> None:
     found = compared(comparison(BEHIND, is_withheld=True), NAMES)
-    assert found.verdict.headline == "Bee is ahead of Ant"
+    assert found.verdict.headline == "Whether Bee is better than Ant is not known"
     assert all(one.these_places is None and one.new_place is None for one in found.rows)
 
 

@@ -169,7 +169,9 @@ def verdict(answer: ComparisonAnswer, names: Names) -> ComparisonVerdict:
     if found.difference == 0:
         return ComparisonVerdict(f"{names.a} and {names.b} have the same mIoU", (_uncertain(answer, found),))
     if answer.is_withheld or found.these_places is None:
-        return ComparisonVerdict(f"{better} is ahead of {worse}", (margin, _uncertain(answer, found)))
+        headline = f"Whether {better} is better than {worse} is not known"
+        scored = f"{better} scored {abs(100 * found.difference):.2f} points of mIoU more."
+        return ComparisonVerdict(headline, (scored, _uncertain(answer, found)))
     grounds = (margin, _here(answer, found.difference, found.these_places), *_elsewhere(answer, found))
     if found.these_places.p > 1 - answer.interval_level:
         return ComparisonVerdict(f"No significant difference between {names.a} and {names.b}", grounds)

@@ -25,7 +25,7 @@ RATIO_COLUMNS = (("iou_occ", "occupied"), ("iou_t", "T"), ("iou_p", "P"), ("iou_
 VALUE_NAMES = ("miou", *(name for name, _ in RATIO_COLUMNS), "danger")
 TITLES: Mapping[EntryStatus, str] = {
     "ceiling": "Ceiling: the same drive labelled twice",
-    "ranked": "Entries",
+    "ranked": "Entries, and baselines without a rank",
     "baseline": "Baselines (not ranked)",
     "undefined": "Unranked entries (a class is undefined)",
     "reported": "Reported by others, not evaluated here",
@@ -139,16 +139,18 @@ def board_with_figures(answer: LeaderboardAnswer, sort: Sort = "rank") -> ShownB
         _bests([row for row in answer.rows if row.standing == "ranked"]),
         sort,
     )
-    groups = tuple(_group(standing, rows, scale) for standing, rows in _by_status(answer.rows))
+    groups = tuple(_group(standing, rows, scale) for standing, rows in _by_group(answer.rows))
     return ShownBoard(answer, groups, scale.axis, sort, answer.ranked_total - _ranked(answer.rows))
 
 
 def shortened(whole: ShownBoard, most: int = FEW) -> ShownBoard:
     """The best `most` ranked rows with their axis, beside them the best ceiling, baseline and reported row."""
-    shown = {"ceiling": 1, "ranked": most, "baseline": 1, "reported": 1}
+    shown: dict[EntryStatus, int] = {"ceiling": 1, "ranked": most, "baseline": 1, "reported": 1}
     rows: list[BoardRow] = []
-    for group in whole.groups:
-        rows += [one.row for one in group.rows[: shown.get(group.standing, 0)]]
+    for row in (one.row for group in whole.groups for one in group.rows):
+        if shown.get(row.standing, 0):
+            shown[row.standing] -= 1
+            rows.append(row)
     return board_with_figures(whole.answer.model_copy(update={"rows": rows}), whole.sort)
 
 
@@ -156,11 +158,30 @@ def _ranked(rows: Iterable[BoardRow]) -> int:
     return sum(row.standing == "ranked" for row in rows)
 
 
-def _by_status(rows: Iterable[BoardRow]) -> list[tuple[EntryStatus, list[BoardRow]]]:
+def _by_group(rows: Iterable[BoardRow]) -> list[tuple[EntryStatus, list[BoardRow]]]:
+    """The rows by standing; baselines stand among the ranked entries, if there are any."""
     found: dict[EntryStatus, list[BoardRow]] = {standing: [] for standing in TITLES}
     for row in rows:
         found[row.standing].append(row)
+    if found["ranked"]:
+        found["ranked"] = _with_baselines(found["ranked"], found.pop("baseline"))
     return [(standing, rows_of) for standing, rows_of in found.items() if rows_of]
+
+
+def _with_baselines(ranked: list[BoardRow], baselines: Iterable[BoardRow]) -> list[BoardRow]:
+    """Each baseline below the entries that score more, without a rank; below a tie group if it scores within it."""
+    placed = list(ranked)
+    for row in baselines:
+        score = row.ratios.miou if row.ratios.miou is not None else -1.0
+        above = sum(other.ratios.miou is not None and other.ratios.miou >= score for other in placed)
+        while 0 < above < len(placed) and _are_tied(placed[above - 1], placed[above]):
+            above += 1
+        placed.insert(above, row)
+    return placed
+
+
+def _are_tied(one: BoardRow, other: BoardRow) -> bool:
+    return one.tie_group is not None and one.tie_group == other.tie_group
 
 
 def _group(standing: EntryStatus, rows: Sequence[BoardRow], scale: _BoardScale) -> Group:
