@@ -5,8 +5,9 @@ from typing import Any
 import pytest
 from sqlalchemy import delete
 
+from services.domain.exports.requests import follow_labels
 from services.domain.viewer.playback import INDEX, PLAYBACK, PlaybackChannels, index_record
-from services.runtime.orm import Preview, Recording
+from services.runtime.orm import LabelSet, Preview, Recording, SequenceRow
 from services.runtime.platform import Platform
 from testing.api.serving import Person
 from testing.web.browsing import Site
@@ -80,3 +81,19 @@ def test_labels_whose_run_wrote_no_overlay_are_not_promised_one(
     shown = whole_sequence(platform, curator)
     without_overlays(platform, shown["id"])
     assert "No overlay yet" not in reading.html(f"/sequences/{shown['id']}/calibration", curator)
+
+
+def test_images_for_the_viewer_that_nobody_asked_for_are_no_export(
+    reading: Reading, platform: Platform, curator: Person
+) -> None:
+    shown = whole_sequence(platform, curator)
+    with platform.database.transaction() as session:
+        sequence = session.get_one(SequenceRow, shown["id"])
+        follow_labels(session, sequence, session.get_one(LabelSet, shown["label_set_id"]), PLAYBACK)
+    for finished in (False, True):
+        if finished:
+            made.export(platform, shown["id"], {"mesh.ply": b"ply"})
+        html = reading.html(f"/sequences/{shown['id']}/exports", curator)
+        assert "playback" not in html
+        assert html.count('<li class="card">') == int(finished)
+        assert "Write the export" not in reading.html(f"/sequences/{shown['id']}", curator)

@@ -19,7 +19,7 @@ from api.views.jobs import job_items
 from api.views.scenes import artefact_file
 from api.visible import exports_shown_to, labels_of, shown_sequence
 from services.domain.sequences.label_choices import DEFAULT_PROFILE
-from services.domain.viewer.playback import Playback, playback_of, shown_by
+from services.domain.viewer.playback import PLAYBACK, Playback, playback_of, shown_by
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Export, Job
 from web.sequence.again import choices_of
@@ -125,7 +125,8 @@ def exports(at: AtSequence, caller: Looker) -> HTMLResponse:
     """The labels in formats that others open; those of a public sequence for every reader."""
     with at.platform.database.reading() as session:
         status = sequence_status_of(session, caller, at.sequence_id)
-        newest = exports_shown_to(session, caller, at.sequence_id).order_by(Export.id.desc())
+        asked_for = exports_shown_to(session, caller, at.sequence_id).where(Export.format != PLAYBACK)
+        newest = asked_for.order_by(Export.id.desc())
         items = export_items(session, at.sequence_id, session.scalars(newest.limit(MOST_EXPORTS)).all())
         alive = select(Job).where(Job.id.in_([one.job_id for one in items]), Job.state.not_in(TERMINAL))
         progress = {job.id: job.progress for job in job_items(session, session.scalars(alive).all())}

@@ -24,7 +24,7 @@ OFFERS: tuple[Offer, ...] = (
     Offer("rrd", "Rerun", "A recording for the Rerun viewer."),
     Offer("previews", "Previews", "Images of every frame and a video of the run."),
 )
-TITLES = {offer.format: offer.title for offer in OFFERS} | {"playback": "Viewer images"}
+TITLES = {offer.format: offer.title for offer in OFFERS}
 
 
 def offers_beside(exports: Iterable[ExportItem]) -> tuple[Offer, ...]:

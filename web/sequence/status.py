@@ -16,6 +16,7 @@ from api.schemas.sequences.sequences import SequenceDetail
 from api.views.jobs import job_detail, job_items
 from api.views.sequences import sequence_detail
 from api.visible import labels_of, shown_sequence
+from services.domain.exports.requests import LAST
 from services.domain.sequences.processing import PROCESS
 from services.runtime.access import roles
 from services.runtime.jobs.specs import TERMINAL
@@ -101,8 +102,9 @@ class SequenceStatus:
 
     @property
     def beside(self) -> tuple[JobItem, ...]:
-        """The runs that are alive and are no labellings."""
-        return tuple(run for run in self.runs if run.kind != PROCESS and run.state not in TERMINAL)
+        """The runs that are alive, that somebody asked for, and that are no labellings."""
+        alive = (run for run in self.runs if run.kind != PROCESS and run.state not in TERMINAL)
+        return tuple(run for run in alive if run.priority != LAST)
 
     @property
     def processing_step(self) -> str:
