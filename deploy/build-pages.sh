@@ -27,6 +27,8 @@ if [ ! -e "$installed" ] || [ package-lock.json -nt "$installed" ]; then
 fi
 rm -rf built.partial
 node node_modules/typescript/bin/tsc -p . --outDir built.partial
+find built.partial -name '*.js' -exec node node_modules/esbuild/bin/esbuild --minify --log-level=warning \
+    --outdir=built.partial --outbase=built.partial --allow-overwrite {} +
 node node_modules/esbuild/bin/esbuild libraries/three.js --bundle --minify --format=esm --legal-comments=inline \
     --log-level=warning --outfile=built.partial/libraries/three.js
 rm -rf built
