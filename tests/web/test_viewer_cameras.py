@@ -17,7 +17,7 @@ from testing.stone_serve import until
 from testing.web.browsing import DESKTOP, PHONE, Site
 from testing.worlds.viewer_cameras import CHANNELS, camera_files, lens_of, played, shutter_pose
 from testing.worlds.viewer_world import BLOCK_M, SENSORS, Run, viewed
-from tests.web.looking import keep
+from tests.web.looking import keep, look
 from tests.web.test_viewer import VIEWER, canvas, host, readout
 from tests.web.test_viewer_data import IMPORTS
 
@@ -107,7 +107,7 @@ def test_sensors_stand_where_they_are_mounted_and_cameras_where_they_were_at_the
     wanted[:3, 3] -= told["origin"]
     np.testing.assert_allclose(np.array(told["matrix"]).reshape(4, 4).T, wanted, atol=1e-9)
     assert set(told["names"]) == {*CHANNELS, "LIDAR_TOP", "RADAR_LEFT"}
-    keep(page, "viewer-sensors")
+    look(page, "viewer-sensors")
     page.get_by_label("Sensors and camera views").uncheck()
     expect(page.locator(".viewer-names")).to_be_hidden()
     page.goto(f"{page.url.partition('?')[0]}?layers=labels,sensors")  # frusta come once cameras are known
