@@ -34,7 +34,7 @@ from services.labeler.exports.source import LabelledSequence
 from services.labeler.previews.picture_opening import opened
 from services.labeler.run import Step
 from stone.geometry.se3 import SE3
-from stone.sensors.calibration import Calibration, CameraIntrinsics
+from stone.sensors.calibration import CameraIntrinsics
 from stone.sensors.projection import rays_through
 from stone.sensors.samples import CameraSample, LidarSample, RadarSample, egos_at
 from stone.sensors.sequence import Sequence
@@ -75,15 +75,18 @@ def write_playback(source: LabelledSequence, out: Path, step: Step) -> None:
     cameras = tuple(taken[place] for place in np.flatnonzero(is_shown))
     if cameras:
         (out / CAMERAS).write_bytes(cameras_bytes(playback_cameras(sequence, cameras, has_picture[is_shown])))
-    shown = PlaybackChannels(cameras, has_clouds, bool(cameras), placed_sensors(sequence.calibration), has_radars)
+    shown = PlaybackChannels(cameras, has_clouds, bool(cameras), placed_sensors(sequence), has_radars)
     (out / INDEX).write_bytes(index_record(shown))
 
 
-def placed_sensors(calibration: Calibration) -> tuple[PlacedSensor, ...]:
-    """The LiDAR and every mount of the rig, in its order."""
-    lidar = PlacedSensor(LIDAR, "lidar", pose_of(calibration.ego_from_lidar))
+def placed_sensors(sequence: Sequence) -> tuple[PlacedSensor, ...]:
+    """The LiDAR, unless the sequence has no sweeps, and every mount of the rig, in its order."""
+    calibration = sequence.calibration
+    lidar = (
+        [] if sequence.frames.sweeps is None else [PlacedSensor(LIDAR, "lidar", pose_of(calibration.ego_from_lidar))]
+    )
     placed = ((one.name, one.kind, calibration.ego_from_lidar @ one.lidar_from_sensor) for one in calibration.mounts)
-    return (lidar, *(PlacedSensor(name, kind, pose_of(pose)) for name, kind, pose in placed))
+    return (*lidar, *(PlacedSensor(name, kind, pose_of(pose)) for name, kind, pose in placed))
 
 
 def pose_of(transform: SE3) -> tuple[float, ...]:

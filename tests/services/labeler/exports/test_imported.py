@@ -113,6 +113,13 @@ def test_playback_has_the_same_clouds_and_pictures(pair: Pair, tmp_path: Path) -
     for mine, its in zip(ours, theirs, strict=True):
         np.testing.assert_allclose(mine, its[order], atol=2e-4)  # stamps of a dataset are microseconds
     assert recorded == again
+    placed, again_placed = (
+        {one["channel"]: one["ego_from_sensor"] for one in record.pop("sensors") if one["kind"] not in ("ins", "imu")}
+        for record in (before, after)
+    )
+    assert set(placed) == set(again_placed)
+    for channel, pose in placed.items():
+        np.testing.assert_allclose(pose, again_placed[channel], atol=1e-9)
     assert {**before, "cameras": sorted(before["cameras"])} == {**after, "cameras": sorted(after["cameras"])}
 
 
@@ -217,7 +224,9 @@ def test_a_dataset_without_a_lidar_has_inputs_of_its_cameras_and_no_clouds(
     rows = json.loads((tmp_path / "inputs" / "v1.0-trainval" / "sensor.json").read_bytes())
     assert [row["channel"] for row in rows] == ["CAM_FRONT"]
     assert len(list((tmp_path / "inputs" / "samples" / "CAM_FRONT").iterdir())) == 3
-    assert json.loads((tmp_path / "playback" / "playback.json").read_bytes())["has_clouds"] is False
+    shown = json.loads((tmp_path / "playback" / "playback.json").read_bytes())
+    assert (shown["has_clouds"], shown["has_radars"]) == (False, False)
+    assert [one["channel"] for one in shown["sensors"]] == ["CAM_FRONT"]
     assert without_lidar.labelled.samples.radar("RADAR_FRONT", 0) is None
     assert without_lidar.labelled.samples.camera("CAM_BACK", 0) is None
 
