@@ -38,7 +38,7 @@ def test_every_command_calls_its_output_alike(words: str, place: CommandPlace) -
     assert ("-o" in options_of(place)) == ("--output" in options_of(place))
 
 
-@pytest.mark.parametrize("words", ["", *GROUPS, *(words for words, _ in LEAVES)])
+@pytest.mark.parametrize("words", ["", *sorted(GROUPS), *(words for words, _ in LEAVES)])
 def test_help_is_words_and_not_the_types_of_a_language(words: str) -> None:
     short, long = stone(*words.split(), "-h"), stone(*words.split(), "--help")
     assert (short.exit_code, short.stdout) == (0, long.stdout)
