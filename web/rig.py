@@ -7,13 +7,18 @@ is up. Cameras are optical (z forward), everything else looks along its x.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
+from api.errors import CalibrationRefusedError
+from api.views import calibration_reading
+from services.runtime.store.protocol import Store
 from stone.sensors.calibration import Calibration, Mount, Vehicle
 from stone_recordings.report.rig.record import PlacedSensor, fields_of_view_deg, placed_sensors
 
 Flat = Callable[[tuple[float, float, float]], tuple[float, float]]
 """A point or direction of the ego frame as it is drawn: right and down."""
 CM = 100.0
+HELD = 64
 MARGIN_CM = (62.0, 20.0)
 """Room beside and above what is drawn, for names."""
 LETTER_CM, LINE_CM = 6.0, 11.0
@@ -62,7 +67,7 @@ class RigDrawing:
     """`left_out` are sensors that lie too far away to be drawn; `vehicle` are the limits of the robot."""
 
     views: tuple[RigView, ...]
-    places: tuple[tuple[str, str, tuple[float, float, float]], ...]
+    sensors: tuple[PlacedSensor, ...]
     left_out: tuple[str, ...]
     vehicle: Vehicle
 
@@ -76,14 +81,23 @@ class _PlacedMount:
 
 def rig_of(calibration: Calibration) -> RigDrawing:
     """The drawing. The LiDAR is the sensor that all the others are placed by."""
-    placed = [_placed(sensor) for sensor in placed_sensors(calibration)]
+    sensors = placed_sensors(calibration)
+    placed = [_placed(sensor) for sensor in sensors]
     near = [one for one in placed if max(map(abs, one.at_m)) <= FARTHEST_M]
     half_m = (calibration.footprint.length_m / 2, calibration.footprint.width_m / 2)
     top = _view("From above", near, lambda p: (-p[1], -p[0]), (half_m[1], half_m[0]))
     side = _view("From the right", near, lambda p: (p[0], -p[2]), (half_m[0], 0.0))
     left_out = tuple(one.mount.name for one in placed if one not in near)
-    places = tuple((one.mount.name, one.mount.kind, one.at_m) for one in placed)
-    return RigDrawing((top, side), places, left_out, calibration.vehicle)
+    return RigDrawing((top, side), tuple(sensors), left_out, calibration.vehicle)
+
+
+@lru_cache(HELD)
+def stored_rig(store: Store, object_key: str, filename: str) -> tuple[RigDrawing | None, str]:
+    """The drawing of a kept file, which never changes, or why this version of the platform reads it no longer."""
+    try:
+        return rig_of(calibration_reading.stored(store, object_key, filename)), ""
+    except CalibrationRefusedError as refused:
+        return None, str(refused)
 
 
 def _placed(sensor: PlacedSensor) -> _PlacedMount:

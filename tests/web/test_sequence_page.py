@@ -428,3 +428,18 @@ def test_a_finding_names_its_subject_and_has_the_width_of_its_card(
         )
         assert ratio > 0.85
         look(page, "sequence-findings")
+
+
+def test_a_visitor_of_a_public_sequence_sees_its_rig_with_extrinsics(
+    site: Site, platform: Platform, curator: Person, shown: dict[str, Any]
+) -> None:
+    calibrated(site, curator, shown["id"])
+    with platform.database.transaction() as session:
+        session.get_one(SequenceRow, shown["id"]).is_public = True
+    with site.visit() as page:
+        to(page, shown, "/calibration")
+        rig = page.get_by_role("region", name="Sensor rig")
+        expect(rig.get_by_role("img", name="From above")).to_be_visible()
+        rig.get_by_text("Positions and orientations").click()
+        expect(rig.get_by_role("region", name="Sensor positions").get_by_role("row").nth(1)).to_contain_text("LIDAR")
+        look(page, "sequence-rig")

@@ -114,7 +114,7 @@ def test_a_sensor_that_is_said_to_be_far_away_is_named_and_not_drawn() -> None:
     drawn = rig_of(rig(camera((FARTHEST_M + 1, 0.0, 0.0)), camera((0.1, 0.0, 0.0), "CAM_BACK")))
     assert drawn.left_out == ("CAM_FRONT",)
     assert [mark.name for mark in drawn.views[0].marks] == ["LIDAR", "CAM_BACK"]
-    assert len(drawn.places) == 3
+    assert len(drawn.sensors) == 3
 
 
 def test_of_names_in_one_place_one_is_written() -> None:

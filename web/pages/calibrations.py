@@ -11,19 +11,16 @@ from fastapi.responses import HTMLResponse
 from sqlalchemy import func, select
 
 from api.deps import PlatformDep, Reader
-from api.errors import CalibrationRefusedError
 from api.paging import PageQuery
 from api.paging import page as paged
 from api.routes.sequences.calibrations import AgainstQuery, NameQuery
 from api.schemas.base import IdPath
 from api.schemas.sequences.calibrations import CalibrationItem
-from api.views import calibration_reading
 from api.views.calibration_changes import changes, version_before
 from api.visible import calibration_of, sequences_of, theirs
 from services.runtime.orm import Blob, CalibrationRow, SequenceRow
-from services.runtime.platform import Platform
 from web.rendering import page
-from web.rig import RigDrawing, rig_of
+from web.rig import stored_rig
 
 router = APIRouter(prefix="/calibrations")
 SHOWN = 50
@@ -63,7 +60,7 @@ def show_calibration(
         pins = select(SequenceRow).where(SequenceRow.id.in_(sequences_of(caller).with_only_columns(SequenceRow.id)))
         named = pins.order_by(SequenceRow.name).limit(MOST_NAMED)
         sequences = [(one.id, one.name, one.calibration_id == row.id) for one in session.scalars(named)]
-    rig, unread = _drawn(platform, key, item.filename)
+    rig, unread = stored_rig(platform.store, key, item.filename)
     other = against or (before.id if before is not None else None)
     return page(
         request,
@@ -77,11 +74,3 @@ def show_calibration(
         changes=changes(platform, caller, calibration_id, other) if other and rig else None,
         against=other,
     )
-
-
-def _drawn(platform: Platform, key: str, filename: str) -> tuple[RigDrawing | None, str]:
-    """The drawing of the kept file, or why this version of the platform reads it no longer."""
-    try:
-        return rig_of(calibration_reading.stored(platform.store, key, filename)), ""
-    except CalibrationRefusedError as refused:
-        return None, str(refused)

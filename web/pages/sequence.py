@@ -21,7 +21,8 @@ from api.visible import exports_shown_to, labels_of, shown_sequence
 from services.domain.sequences.label_choices import DEFAULT_PROFILE
 from services.domain.viewer.playback import PLAYBACK, Playback, playback_of, shown_by
 from services.runtime.jobs.specs import TERMINAL
-from services.runtime.orm import Export, Job
+from services.runtime.orm import Blob, CalibrationRow, Export, Job
+from web.rig import stored_rig
 from web.sequence.again import choices_of
 from web.sequence.cameras import has_cameras
 from web.sequence.export_formats import TITLES, offers_beside
@@ -112,11 +113,21 @@ def calibration(at: AtSequence, caller: Looker) -> HTMLResponse:
     with at.platform.database.reading() as session:
         calibrations = choosable(session, caller, status)
         is_blind = has_cameras(session, at.sequence_id, table) is False
+        pinned = session.get(CalibrationRow, status.sequence.calibration_id or "")
+        key = session.get_one(Blob, pinned.blob_sha256).object_key if pinned else ""
+    rig, unread = stored_rig(at.platform.store, key, pinned.filename) if pinned else (None, "")
     overlays = [one.name for one in status.sequence.previews if one.name.startswith(OVERLAY)]
     channels = sorted((name.removeprefix(OVERLAY).rpartition(".")[0] for name in overlays), key=rig_place)
     named = [(f"{OVERLAY}{channel}.jpg", _spoken(channel)) for channel in channels]
     return shown_section(
-        at, (caller, status), "calibration", overlays=named, calibrations=calibrations, is_blind=is_blind
+        at,
+        (caller, status),
+        "calibration",
+        overlays=named,
+        calibrations=calibrations,
+        is_blind=is_blind,
+        rig=rig,
+        unread=unread,
     )
 
 
