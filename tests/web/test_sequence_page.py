@@ -443,3 +443,18 @@ def test_a_visitor_of_a_public_sequence_sees_its_rig_with_extrinsics(
         rig.get_by_text("Positions and orientations").click()
         expect(rig.get_by_role("region", name="Sensor positions").get_by_role("row").nth(1)).to_contain_text("LIDAR")
         look(page, "sequence-rig")
+
+
+def test_a_calibration_at_fault_is_marked_so_and_its_code_explained(
+    reading: Reading, platform: Platform, curator: Person
+) -> None:
+    """The step had a green tick, and the code alone was no link."""
+    shown = new_sequence(platform, curator)
+    run_id = made.run(platform, curator, "ingest.synchronise", sequence_id=shown["id"])
+    with platform.database.transaction() as session:
+        for row in session.scalars(select(Job).where(Job.root_id == run_id)):
+            row.state, row.failure_code, row.failure = "failed", "CAL-412", "the sizes of CAM_FRONT differ"
+    html = reading.html(f"/sequences/{shown['id']}", curator)
+    steps = re.findall(r'<li data-state="(\w+)"><a href="#(\w+)">', html)
+    assert dict((at, state) for state, at in steps)["calibration"] == "failed"
+    assert '<a class="code" href="/codes/CAL-412">' in html
