@@ -110,6 +110,10 @@ def test_every_list_comes_in_one_envelope(document: dict[str, Any]) -> None:
     assert {tuple(schemas[name]["properties"]) for name in pages} == {("items", "next")}
 
 
+def test_no_two_schemas_have_one_name(document: dict[str, Any]) -> None:
+    assert [name for name in document["components"]["schemas"] if "__" in name] == []
+
+
 def test_every_property_and_parameter_is_described_by_a_sentence(document: dict[str, Any]) -> None:
     schemas = document["components"]["schemas"]
     said = {f"{name}.{field}": value for name, schema in schemas.items()

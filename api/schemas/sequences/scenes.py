@@ -59,7 +59,7 @@ class MeshItem(Answer):
     bytes: int
 
 
-class SensorItem(Answer):
+class MountedSensorItem(Answer):
     """A sensor of the rig by its channel; its pose in the ego frame is (tx, ty, tz, qw, qx, qy, qz)."""
 
     model_config = example(channel="RADAR_LEFT", kind="radar", ego_from_sensor=[0.1, 0.4, 0.6, 0.71, 0.0, 0.0, 0.71])
@@ -85,7 +85,7 @@ class PlaybackItem(Answer):
     cameras: list[str]
     has_clouds: bool
     has_rays: bool
-    sensors: list[SensorItem]
+    sensors: list[MountedSensorItem]
     has_radars: bool
 
 
