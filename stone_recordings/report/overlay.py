@@ -28,6 +28,8 @@ WIDEST_PX = 1280
 JPEG_QUALITY = 85
 NEAREST_M, FARTHEST_M = 1.0, 60.0
 PIXELS_PER_DOT = 30
+READABLE = 20
+"""The picture is this many lines of its text high: it is looked at in a third of its size."""
 TICKS_M = (1, 3, 10, 30, 60)
 # Google's Turbo as polynomials of degree 5 in [0, 1] (A. Mikhailov and R. du Bois, 2019), constant term first.
 TURBO = np.array(
@@ -106,7 +108,7 @@ def _scale(image: Image.Image, name: str) -> None:
     ranges_m = np.geomspace(NEAREST_M, FARTHEST_M, max(wide_px, 2))
     bar = np.broadcast_to(range_colours(ranges_m), (high_px, len(ranges_m), 3))
     image.paste(Image.fromarray(np.ascontiguousarray(bar)), (left_px, top_px))
-    pen, size_px = ImageDraw.Draw(image), max(9, height_px // 40)
+    pen, size_px = ImageDraw.Draw(image), max(9, height_px // READABLE)
     outlined = {"fill": "white", "stroke_width": 1, "stroke_fill": "black", "font_size": size_px}
     for range_m in TICKS_M:
         x_px = left_px + float(np.log(range_m / NEAREST_M) / np.log(FARTHEST_M / NEAREST_M)) * wide_px

@@ -11,6 +11,7 @@ from stone.geometry.se3 import SE3
 from stone.sensors.calibration import CameraIntrinsics, Mount
 from stone.sensors.sequence import Sequence
 from stone_recordings.bags.bag import open_bag
+from stone_recordings.report import overlay
 from stone_recordings.report.overlay import drawn, overlays_of, range_colours
 from stone_recordings.sync.camera_sweeps import CameraSweepPair
 from tests.stone_recordings.calibrations.conftest import Drive
@@ -92,3 +93,11 @@ def test_names_that_become_the_same_stay_apart(drive: Drive) -> None:
     frames = replace(sequence.frames, associations=associations)
     changed = replace(sequence, calibration=replace(sequence.calibration, mounts=mounts), frames=frames)
     assert len(overlays(drive, changed)) == 6
+
+
+def test_the_channels_name_can_be_read_in_a_third_of_the_size() -> None:
+    """Pages show pictures of 1280 × 800 at 390 × 244: the capitals of the name are 8 px high there, not 4."""
+    image = Image.new("RGB", (1280, 800))
+    overlay._scale(image, "CAM_FRONT")
+    rows = np.flatnonzero((np.asarray(image)[:200].min(axis=2) > 200).any(axis=1))
+    assert np.ptp(rows) * 244 / 800 >= 8
