@@ -98,7 +98,7 @@ def test_how_much_of_the_whole_run_is_drawn_is_said_until_all_of_it_is(at_viewer
     said = page.locator(".viewer-loading")
     expect(said).to_have_text("Whole run: 0 of 1 tiles")
     expect(page.get_by_role("progressbar", name="Tiles of the whole run")).to_be_visible()
-    until(lambda: held)
+    until(lambda: len(held) > 0)
     held[0].continue_()
     expect(said).to_be_hidden()
     assert page.evaluate(f"async () => {{ {IMPORTS} {VIEWER} return viewer.world.map.voxels.children.length; }}") == 1
