@@ -2,7 +2,7 @@
 
 **Conventions.** Tensors `model.<name>`, `optimizer.<parameter>.<state>`, `rng.cpu`, `rng.cuda`; metadata is JSON:
 config, step, where in the epoch, data hash. Nothing is pickled. A file appears by atomic rename, so a kill leaves the
-one before. Weights alone (`write_weights`) are what `stone predict` reads.
+one before. Weights alone (`write_weights`) are what `stone model predict` reads.
 """
 
 import json

@@ -52,7 +52,9 @@ def read_run_row(folder: Path) -> RowConfig:
     try:
         said = json.loads((folder / ROW_FILE).read_text("utf-8"))
     except (OSError, ValueError) as error:
-        raise Refused("bad_run", f"{folder}: it is not a run of `stone train`: {ROW_FILE} cannot be read") from error
+        raise Refused(
+            "bad_run", f"{folder}: it is not a run of `stone model train`: {ROW_FILE} cannot be read"
+        ) from error
     return row_of(str(folder), said)
 
 

@@ -32,7 +32,9 @@ class ClientFailedError(Exception):
     """The command that was run again did not do it."""
 
     def __init__(self, exit_code: int, said: bytes) -> None:
-        super().__init__(f"`stone upload`, run again, ended with {exit_code}: {said.decode(errors='replace')[-2000:]}")
+        super().__init__(
+            f"`stone sequence upload`, run again, ended with {exit_code}: {said.decode(errors='replace')[-2000:]}"
+        )
 
 
 def kill_api(turn: OwnerRound) -> OwnerRun:
@@ -50,7 +52,7 @@ def kill_api(turn: OwnerRound) -> OwnerRun:
 
 
 def kill_client(turn: OwnerRound) -> OwnerRun:
-    """kill −9 `stone upload`, then run the same command again."""
+    """kill −9 `stone sequence upload`, then run the same command again."""
     with turn.connected() as api, _detour(turn) as url:
         first = subprocess.Popen(_command(turn, url), env=_environment(turn), stdout=DEVNULL, stderr=DEVNULL)
         try:

@@ -1,7 +1,7 @@
 """Rows trained on some worlds, scored on others that they have not seen: `python -m benchmarks.models.unseen`.
 
 Each row is trained with each seed on worlds 1, 2 and 3, with no look at another, and predicts every tenth frame of
-worlds 4, 6, 7 and 8 through `stone predict`'s own code. (World 5 has chosen between variants of ColumnNet.) It is
+worlds 4, 6, 7 and 8 through `stone model predict`'s own code. (World 5 has chosen between variants of ColumnNet.) It is
 scored on the voxels of its lattice, the 25.6 m around the robot, all of them, as a benchmark that masks nothing scores,
 and so is `stone baseline` on the same voxels. Cameras, LiDAR and radar are simulated. CPU-seconds are of training
 alone, one thread. Worlds, runs and figures are kept in `--folder`, and what is there is not made again. Intervals are

@@ -23,5 +23,5 @@ for role in api ingest labeler eval beat redis postgres proxy; do
     echo "$role is well"
 done
 echo "store is not asked: its probe is SeaweedFS's /healthz, which rclone does not have"
-.venv/bin/stone login "$url" --name admin --admin --password-stdin <deploy/compose/secrets/stone_api__first_password
+.venv/bin/stone auth login "$url" --name admin --admin --password-stdin <deploy/compose/secrets/stone_api__first_password
 time .venv/bin/stone demo --server "$url" --output "$demo"

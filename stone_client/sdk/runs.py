@@ -18,7 +18,7 @@ class Run:
 
     @property
     def id(self) -> str:
-        """Its id, by which `stone status` and `stone watch` find it."""
+        """Its id, by which `stone sequence status` and `stone sequence watch` find it."""
         return str(self._item["id"])
 
     @property

@@ -61,7 +61,7 @@ class Sequence:
         recordings: tuple[str, ...] = (),
         **options: Any,
     ) -> Run:
-        """Label every frame, as `stone process` does; a repeated request returns the same run.
+        """Label every frame, as `stone sequence process` does; a repeated request returns the same run.
 
         `profile` is field, local or paper; `grid` a name or a file. `options` are further fields of the request, such
         as `odometry_topic`.
@@ -75,7 +75,7 @@ class Sequence:
     def labels(self, folder: str | Path | None = None) -> Labels:
         """Download the labels of every frame. Raises `no_labels`, `output_exists`.
 
-        They go into `folder`, in the layout of `stone download`; without one, into a temporary folder.
+        They go into `folder`, in the layout of `stone sequence download`; without one, into a temporary folder.
         """
         output = Path(folder) if folder is not None else Path(mkdtemp(prefix="stone-labels-"))
         try:

@@ -18,7 +18,7 @@ class Submission:
 
     @property
     def id(self) -> str:
-        """Its id, which `stone results` takes."""
+        """Its id, which `stone benchmark results` takes."""
         return str(self._item["id"])
 
     @property

@@ -1,4 +1,4 @@
-"""`stone train` as processes: killed at any moment it ends as if it never was; of several only the first writes.
+"""`stone model train` as processes: killed at any moment it ends as if it never was; of several only the first writes.
 
 Catches alone what a kill leaves half written, two writers of one run, and shares of frames that overlap.
 """
@@ -79,7 +79,7 @@ def free_port() -> int:
 
 
 def run_twice(meadow: Path, run: Path) -> list[str]:
-    """What `stone train` says in each of two processes, as torchrun starts them."""
+    """What `stone model train` says in each of two processes, as torchrun starts them."""
     (run.parent / "row.yaml").write_text(json.dumps(row_record(batch=1)))
     command = [sys.executable, "-m", "stone_client.main", "train", str(run.parent / "row.yaml"), str(meadow)]
     command += ["-o", str(run), "--json"]

@@ -190,7 +190,7 @@ def test_a_picture_that_is_not_as_large_as_its_message_says_is_refused(driven: D
 
 def test_the_command_writes_a_folder_of_frames_and_says_how_fast(driven: Driven, tmp_path: Path) -> None:
     of_bag = ("--bag", driven.bag, "--calibration", driven.calibration)
-    result = stone("predict", driven.run, *of_bag, "-o", tmp_path / "frames", "--json")
+    result = stone("model", "predict", driven.run, *of_bag, "-o", tmp_path / "frames", "--json")
     assert result.exit_code == 0, (result.stderr, result.exception)
     said = json.loads(result.stdout)
     assert said["sequence"] == "drive"
@@ -202,9 +202,9 @@ def test_the_command_writes_a_folder_of_frames_and_says_how_fast(driven: Driven,
 
 def test_with_a_manifest_the_command_writes_the_submission(driven: Driven, manifest: Path, tmp_path: Path) -> None:
     of_bag = ("--bag", driven.bag, "--calibration", driven.calibration, "--manifest", manifest)
-    assert stone("predict", driven.run, *of_bag, "-o", tmp_path / "sub.zip").exit_code == 0
+    assert stone("model", "predict", driven.run, *of_bag, "-o", tmp_path / "sub.zip").exit_code == 0
     assert stone("validate", tmp_path / "sub.zip", "--manifest", manifest).stdout == "valid\n"
-    other = stone("predict", driven.run, *of_bag, "-o", tmp_path / "other.zip", "--sequence", "another")
+    other = stone("model", "predict", driven.run, *of_bag, "-o", tmp_path / "other.zip", "--sequence", "another")
     assert other.exit_code == 1
     assert other.stderr.splitlines()[-1].startswith("not_of_recording: ")
 
@@ -219,7 +219,7 @@ def test_options_that_exclude_each_other_are_refused(driven: Driven, manifest: P
         (driven.export,),
         (*bag, *calibration, "--submit", "--benchmark", "b", "--phase", "p", "--team", "t"),
     ):
-        assert stone("predict", driven.run, *arguments, "-o", tmp_path / "out").exit_code == 2, arguments
+        assert stone("model", "predict", driven.run, *arguments, "-o", tmp_path / "out").exit_code == 2, arguments
 
 
 BOXES_ROW = replace(

@@ -1,4 +1,4 @@
-"""The whole way of a model: `stone train`, `stone predict --submit` to a real server, a row of its board.
+"""The whole way of a model: `stone model train`, `stone model predict --submit` to a real server, a row of its board.
 
 Catches alone commands, exports and server that no longer fit together.
 """
@@ -34,22 +34,24 @@ def test_a_trained_row_reaches_the_board(served: Served, meadow: Path, tmp_path:
     torch.set_num_threads(1)
     (tmp_path / "row.yaml").write_text(json.dumps(row_record()))
     run, manifest = tmp_path / "run", tmp_path / "M.json"
-    trained = answered("train", tmp_path / "row.yaml", meadow, "-o", run, "--epochs", "1", "--watch", meadow)
+    trained = answered("model", "train", tmp_path / "row.yaml", meadow, "-o", run, "--epochs", "1", "--watch", meadow)
     assert (trained["steps"], trained["frames"]) == (4, 9)
-    again = stone("train", tmp_path / "row.yaml", meadow, "-o", run, "--epochs", "1", "--watch", meadow, "--resume")
+    again = stone(
+        "model", "train", tmp_path / "row.yaml", meadow, "-o", run, "--epochs", "1", "--watch", meadow, "--resume"
+    )
     assert again.exit_code == 0, again.stderr
     assert logged_steps(run) == [1, 2, 3, 4]
 
-    stone("manifest", served.world.benchmark, "val", "-o", manifest)
+    stone("benchmark", "manifest", served.world.benchmark, "val", "-o", manifest)
     exports = [
         write_small_export(tmp_path / name, SmallExport(name, len(tokens), is_labelled=False, named=tokens))
         for name, tokens in read_manifest(manifest).sequences.items()
     ]
     said = ("--manifest", manifest, "-o", tmp_path / "sub.zip", "--submit", *served.at("val"), "--team", served.team)
     with scoring(served.platform):
-        sent = answered("predict", run, *exports, *said)
+        sent = answered("model", "predict", run, *exports, *said)
     assert sent["state"] == "scored"
-    board = answered("leaderboard", served.world.benchmark, "val")
+    board = answered("benchmark", "leaderboard", served.world.benchmark, "val")
     (entry,) = [row for row in board["rows"] if row["team"] == served.team]
     assert (entry["method"], entry["modality"]) == ("Small", "L")
 
@@ -62,6 +64,6 @@ def test_refusals_are_one_line(meadow: Path, tmp_path: Path, options: tuple[str,
     (tmp_path / "row.yaml").write_text(json.dumps(row_record()))
     (tmp_path / "weights.pth").write_bytes(b"")
     said = [str(tmp_path / "weights.pth") if word == "BACKBONE" else word for word in options]
-    result = stone("train", tmp_path / "row.yaml", meadow, "-o", tmp_path / "run", *said)
+    result = stone("model", "train", tmp_path / "row.yaml", meadow, "-o", tmp_path / "run", *said)
     assert result.exit_code == 1, result.exception
     assert result.stderr.splitlines()[-1].startswith(f"{code}: ")

@@ -106,7 +106,7 @@ def test_the_administrators_guide_works_line_by_line(
         _drive_of_the_guide(tmp_path)
         assert shell.paste("administrator.md", elsewhere=_elsewhere("administrator.md")) > 30
         said = json.loads(shell.printed[-1])
-        (ours,) = answered("benchmarks", "stone")["benchmarks"]
+        (ours,) = answered("benchmark", "list", "stone")["benchmarks"]
     assert said["scorings"] == 2
     assert {phase["name"] for phase in ours["phases"]} == {"val", "test", "test-single", "val-lidar"}
     assert json.loads((tmp_path / "manifest.json").read_text())["sequences"]
@@ -131,7 +131,7 @@ def test_the_participants_guide_works_with_the_wheel_of_the_server_alone(
     _benchmark(field)
     typed = {
         "python3 -m venv": f"{sys.executable} -m venv",
-        ".venv/bin/stone login": f"printf '%s\\n' '{PASSWORD}' | .venv/bin/stone login",
+        ".venv/bin/stone auth login": f"printf '%s\\n' '{PASSWORD}' | .venv/bin/stone auth login",
         "--name ada": "--name ada --password-stdin",
     }
     with _pasted(field, tmp_path, monkeypatch, typed=typed) as shell:
@@ -191,12 +191,12 @@ def check_what_was_printed(shell: Shell) -> None:
     assert said.splitlines().count("valid") == 2
     assert "Sweep (L) in stone / val" in said
     assert Path("board.tex").read_text().count("Sweep") == 1
-    listed = answered("results")["submissions"]
+    listed = answered("benchmark", "results")["submissions"]
     assert [one["method"] for one in listed] == ["Sweep", "Sweep", "Flat"], "the SDK's was the same, not another"
-    on_server = answered("results", "latest~1")["total"]
+    on_server = answered("benchmark", "results", "latest~1")["total"]
     here = answered("score", "sweep.zip", "--ground-truth", "labels")["total"]
     assert on_server == here
-    ranked = answered("leaderboard", "stone", "val", "--all")["rows"]
+    ranked = answered("benchmark", "leaderboard", "stone", "val", "--all")["rows"]
     assert [row["method"] for row in ranked] == ["Sweep", "Flat"], "geometry beats a plane"
     assert json.loads(Path("val.json").read_text())["sequences"].keys() == {"n-val"}
     fetched = sorted(Path("dataset/inputs").rglob("*.tar"))

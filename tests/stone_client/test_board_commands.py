@@ -38,7 +38,7 @@ def entries(served_world: tuple[World, str], tmp_path_factory: pytest.TempPathFa
         for method, part, errors in (("Good", "val", 0.05), ("Bad", "val", 0.6), ("Hidden", "test", 0.1)):
             path = zipped(captain, folder / f"{method}.zip", part, errors)
             said = (*captain.at(part), "--team", captain.team, "--method", method, "--modality", "C+L")
-            made[method] = answered("submit", path, *said)["id"]
+            made[method] = answered("benchmark", "submit", path, *said)["id"]
     return made | {"team": captain.team, "secret": captain.captain.secret}
 
 
@@ -49,25 +49,28 @@ def as_team(served: Served, entries: dict[str, str], monkeypatch: pytest.MonkeyP
 
 
 def test_benchmarks_are_listed_with_what_their_phases_allow(served: Served) -> None:
-    shown = stone("benchmarks").stdout
+    shown = stone("benchmark", "list").stdout
     assert all(word in shown for word in (served.world.benchmark, "val", "test", "hidden", "open"))
-    one = stone("benchmarks", served.world.benchmark).stdout
+    one = stone("benchmark", "list", served.world.benchmark).stdout
     assert "test: " in one, "what is shown to whom"
-    (record,) = answered("benchmarks")["benchmarks"]
+    (record,) = answered("benchmark", "list")["benchmarks"]
     assert {phase["name"] for phase in record["phases"]} == {"val", "test"}
-    assert refused(stone("benchmarks", "nothing")) == "not_found"
+    assert refused(stone("benchmark", "list", "nothing")) == "not_found"
 
 
 def test_a_manifest_is_written_and_names_the_frames(served: Served, tmp_path: Path) -> None:
-    record = answered("manifest", served.world.benchmark, "test", "-o", tmp_path / "M.json")
+    record = answered("benchmark", "manifest", served.world.benchmark, "test", "-o", tmp_path / "M.json")
     assert set(read_manifest(tmp_path / "M.json").tokens) == set(served.world.truth("test"))
     assert record["sha256"] == sha256((tmp_path / "M.json").read_bytes()).hexdigest()
-    assert refused(stone("manifest", served.world.benchmark, "nothing", "-o", tmp_path / "no.json")) == "not_found"
+    assert (
+        refused(stone("benchmark", "manifest", served.world.benchmark, "nothing", "-o", tmp_path / "no.json"))
+        == "not_found"
+    )
     assert not (tmp_path / "no.json").exists()
 
 
 def test_validating_against_the_server_is_validating_against_its_manifest(served: Served, tmp_path: Path) -> None:
-    stone("manifest", served.world.benchmark, "test", "-o", tmp_path / "M.json")
+    stone("benchmark", "manifest", served.world.benchmark, "test", "-o", tmp_path / "M.json")
     for part, code in (("test", 0), ("val", 1)):
         path = zipped(served, tmp_path / f"{part}.zip", part)
         local, by_server = (
@@ -82,100 +85,100 @@ def test_validating_against_the_server_is_validating_against_its_manifest(served
 
 
 def test_inputs_are_downloaded_once(served: Served, tmp_path: Path) -> None:
-    assert answered("inputs", served.world.benchmark, "val", "-o", tmp_path / "none") == {"inputs": []}
+    assert answered("benchmark", "inputs", served.world.benchmark, "val", "-o", tmp_path / "none") == {"inputs": []}
     made = made_input(served.platform, served.world.test, "drive", SWEEPS)
     output = tmp_path / "inputs" / "drive.tar"
-    (first,) = answered("inputs", served.world.benchmark, "test", "-o", output.parent)["inputs"]
+    (first,) = answered("benchmark", "inputs", served.world.benchmark, "test", "-o", output.parent)["inputs"]
     content = output.read_bytes()
     assert (len(content), sha256(content).hexdigest()) == made.tar
     assert (first["resumed_at_bytes"], first["output"]) == (0, str(output))
-    (again,) = answered("inputs", served.world.benchmark, "test", "-o", output.parent)["inputs"]
+    (again,) = answered("benchmark", "inputs", served.world.benchmark, "test", "-o", output.parent)["inputs"]
     assert again["resumed_at_bytes"] == len(content), "nothing is fetched twice"
 
 
 def test_a_team_is_founded_invited_into_and_joined(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert stone("teams", "create", "Terrain Gang").stdout.startswith("created: Terrain Gang (participant-")
-    assert refused(stone("teams", "create", "terrain  gang")) == "name_taken"
-    invited = stone("teams", "invite", "terrain gang")
+    assert stone("team", "create", "Terrain Gang").stdout.startswith("created: Terrain Gang (participant-")
+    assert refused(stone("team", "create", "terrain  gang")) == "name_taken"
+    invited = stone("team", "invite", "terrain gang")
     assert "stone team join" in invited.stderr
     newcomer = person(served.platform, "participant", "grace")
     monkeypatch.setenv("STONE_TOKEN", newcomer.secret)
-    assert stone("teams", "join", invited.stdout.strip()).exit_code == 0
-    (team,) = answered("teams", "list")["teams"]
+    assert stone("team", "join", invited.stdout.strip()).exit_code == 0
+    (team,) = answered("team", "list")["teams"]
     assert team["name"] == "Terrain Gang"
     assert "grace" in team["members"]
-    assert "Terrain Gang" in stone("teams", "list").stdout
-    assert refused(stone("teams", "join", invited.stdout.strip())) != "internal_error", "it lets one in"
-    assert refused(stone("teams", "invite", "nobody's")) == "unknown_team"
+    assert "Terrain Gang" in stone("team", "list").stdout
+    assert refused(stone("team", "join", invited.stdout.strip())) != "internal_error", "it lets one in"
+    assert refused(stone("team", "invite", "nobody's")) == "unknown_team"
 
 
 def test_results_are_shown_whole_and_in_parts(as_team: dict[str, str]) -> None:
-    shown = stone("results", as_team["Good"]).stdout
+    shown = stone("benchmark", "results", as_team["Good"]).stdout
     assert all(word in shown for word in ("Good (C+L)", "mIoU", "IoU T", "95 % here", "ground truth in rows"))
     for by, name in (("sequence", "val-forest"), ("environment", "lake"), ("illumination", "night"), ("distance", "m")):
-        result = stone("results", as_team["Good"], "--by", by)
+        result = stone("benchmark", "results", as_team["Good"], "--by", by)
         assert result.exit_code == 0, result.stderr
         assert name in result.stdout
-    assert len(answered("results", as_team["Good"], "--by", "sequence")["parts"]) == 2
+    assert len(answered("benchmark", "results", as_team["Good"], "--by", "sequence")["parts"]) == 2
 
 
 def test_submissions_are_listed_newest_first_and_named_by_how_late_they_are(as_team: dict[str, str]) -> None:
-    listed = answered("results")["submissions"]
+    listed = answered("benchmark", "results")["submissions"]
     assert [one["method"] for one in listed] == ["Hidden", "Bad", "Good"]
-    assert "Hidden" in stone("results").stdout
-    assert answered("results", "latest")["submission_id"] == as_team["Hidden"]
-    assert answered("results", "latest~2")["submission_id"] == as_team["Good"]
-    assert answered("results", as_team["Good"][-8:])["submission_id"] == as_team["Good"]
-    assert refused(stone("results", as_team["Good"][:6])) == "ambiguous_id"
-    same = stone("compare", "latest", as_team["Hidden"])
+    assert "Hidden" in stone("benchmark", "results").stdout
+    assert answered("benchmark", "results", "latest")["submission_id"] == as_team["Hidden"]
+    assert answered("benchmark", "results", "latest~2")["submission_id"] == as_team["Good"]
+    assert answered("benchmark", "results", as_team["Good"][-8:])["submission_id"] == as_team["Good"]
+    assert refused(stone("benchmark", "results", as_team["Good"][:6])) == "ambiguous_id"
+    same = stone("benchmark", "compare", "latest", as_team["Hidden"])
     assert (same.exit_code, "A and B are one submission" in " ".join(same.stderr.split())) == (2, True)
     for named in ("latest~3", "nope"):
-        result = stone("results", named)
+        result = stone("benchmark", "results", named)
         assert refused(result) == "no_submission"
         assert "of the 3 of your teams" in result.stderr
-    assert stone("results", "--by", "sequence").exit_code == 2
+    assert stone("benchmark", "results", "--by", "sequence").exit_code == 2
 
 
 def test_what_is_no_submission_is_not_found(served: Served) -> None:
-    assert refused(stone("results", "0" * 32)) == "not_found"
-    assert refused(stone("results", "../phases")) == "no_submission"
-    assert refused(stone("results", "latest")) == "no_submission"
+    assert refused(stone("benchmark", "results", "0" * 32)) == "not_found"
+    assert refused(stone("benchmark", "results", "../phases")) == "no_submission"
+    assert refused(stone("benchmark", "results", "latest")) == "no_submission"
 
 
 def test_a_board_is_a_table_and_every_file_the_server_makes(
     served: Served, as_team: dict[str, str], tmp_path: Path
 ) -> None:
     at = (served.world.benchmark, "val")
-    shown = stone("leaderboard", *at)
+    shown = stone("benchmark", "leaderboard", *at)
     assert all(word in shown.stdout for word in ("Good", "C+L", f"{as_team['team']} *", "mIoU", "danger"))
     assert "Bad" not in shown.stdout
-    assert "Bad" in stone("leaderboard", *at, "--all").stdout
-    rows = answered("leaderboard", *at)["rows"]
+    assert "Bad" in stone("benchmark", "leaderboard", *at, "--all").stdout
+    rows = answered("benchmark", "leaderboard", *at)["rows"]
     assert rows[0]["submission_id"] == as_team["Good"]
-    assert json.loads(stone("leaderboard", *at, "--format", "json").stdout)["rows"] == rows
+    assert json.loads(stone("benchmark", "leaderboard", *at, "--format", "json").stdout)["rows"] == rows
     for form, sign in (("csv", "miou"), ("md", "| Good |"), ("tex", "\\begin{tabular}")):
-        text = stone("leaderboard", *at, "--format", form).stdout
+        text = stone("benchmark", "leaderboard", *at, "--format", form).stdout
         assert "Good" in text, form
         assert sign in text, form
     parquet = tmp_path / "board.parquet"
-    assert stone("leaderboard", *at, "--format", "parquet", "-o", parquet).exit_code == 0
+    assert stone("benchmark", "leaderboard", *at, "--format", "parquet", "-o", parquet).exit_code == 0
     assert parquet.read_bytes()[:4] == b"PAR1"
-    assert stone("leaderboard", *at, "--format", "parquet").exit_code == 2
+    assert stone("benchmark", "leaderboard", *at, "--format", "parquet").exit_code == 2
 
 
 def test_two_entries_are_compared_by_paired_draws(as_team: dict[str, str]) -> None:
-    record = answered("compare", as_team["Good"], as_team["Bad"])
+    record = answered("benchmark", "compare", as_team["Good"], as_team["Bad"])
     assert record["ratios"]["miou"]["difference"] > 0
-    shown = stone("compare", "latest~2", "latest~1").stdout
+    shown = stone("benchmark", "compare", "latest~2", "latest~1").stdout
     assert all(word in shown for word in ("A − B", "mIoU", as_team["Good"], as_team["Bad"]))
-    assert refused(stone("compare", as_team["Good"], as_team["Hidden"])) not in ("internal_error",)
+    assert refused(stone("benchmark", "compare", as_team["Good"], as_team["Hidden"])) not in ("internal_error",)
 
 
 def test_names_of_others_are_text_and_nothing_else(
     served: Served, as_team: dict[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """What a server says is shown, not obeyed: neither markup nor escapes reach the terminal."""
-    record: dict[str, Any] = answered("leaderboard", served.world.benchmark, "val")
+    record: dict[str, Any] = answered("benchmark", "leaderboard", served.world.benchmark, "val")
     record["rows"][0] |= {"method": "[red]x[/red]\x1b[2J", "team": "[link=file:///]y"}
     show(board_table(record))
     printed = capsys.readouterr().out

@@ -62,5 +62,8 @@ def test_a_file_that_is_no_ceiling_is_refused(tmp_path: Path) -> None:
         with refused_as("no_such_table"):
             table_named(str(tmp_path / "ceiling.json"))
     assert (
-        stone("reported", "table9", "--benchmark", "b", "--phase", "p", "--server", "http://localhost:1").exit_code != 0
+        stone(
+            "benchmark", "reported", "table9", "--benchmark", "b", "--phase", "p", "--server", "http://localhost:1"
+        ).exit_code
+        != 0
     )

@@ -29,13 +29,22 @@ def submission(served: Served, tmp_path: Path) -> str:
     path = zipped(served, tmp_path / "sub.zip")
     with scoring(served.platform):
         sent = answered(
-            "submit", path, *served.at("val"), "--team", served.team, "--method", "Sweep", "--modality", "L"
+            "benchmark",
+            "submit",
+            path,
+            *served.at("val"),
+            "--team",
+            served.team,
+            "--method",
+            "Sweep",
+            "--modality",
+            "L",
         )
     return str(sent["id"])
 
 
 def is_withdrawn(submission: str) -> bool:
-    (one,) = answered("results")["submissions"]
+    (one,) = answered("benchmark", "results")["submissions"]
     assert one["id"] == submission
     return one["withdrawn_at"] is not None
 
@@ -47,21 +56,21 @@ def test_withdraw_needs_yes_without_a_terminal(submission: str) -> None:
         assert result.stderr.startswith("not_confirmed: withdraw submission")
         assert submission in result.stderr
         assert "--yes" in result.stderr
-    shown = answered("withdraw", submission, "--dry-run")
+    shown = answered("benchmark", "withdraw", submission, "--dry-run")
     assert (shown["dry_run"], shown["id"]) == (True, submission)
     assert not is_withdrawn(submission)
-    assert stone("withdraw", submission, "--yes").exit_code == 0
+    assert stone("benchmark", "withdraw", submission, "--yes").exit_code == 0
     assert is_withdrawn(submission)
 
 
 def test_withdraw_reads_the_answer_on_a_terminal(submission: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(confirmation, "is_at_terminal", lambda: True)
-    assert stone("withdraw", submission, stdin="n\n").exit_code == 1
-    assert stone("withdraw", submission, stdin="").exit_code == 1, "an end of input is no consent"
-    moving = stone("withdraw", "latest", stdin="y\n")
+    assert stone("benchmark", "withdraw", submission, stdin="n\n").exit_code == 1
+    assert stone("benchmark", "withdraw", submission, stdin="").exit_code == 1, "an end of input is no consent"
+    moving = stone("benchmark", "withdraw", "latest", stdin="y\n")
     assert (moving.exit_code, submission in moving.stderr) == (2, True)
     assert not is_withdrawn(submission)
-    accepted = stone("withdraw", submission, stdin="y\n")
+    accepted = stone("benchmark", "withdraw", submission, stdin="y\n")
     assert accepted.exit_code == 0
     assert "permanently" in accepted.stderr
     assert is_withdrawn(submission)
@@ -75,34 +84,38 @@ def names(platform: Platform, url: str, monkeypatch: pytest.MonkeyPatch) -> list
     owner: Person = person(platform, "curator")
     for region in "ABC":
         published_sequence(platform, owner.user_id, environment="lake", illumination="day", region=region)
-    return sorted(one["name"] for one in answered("splits")["unassigned"])
+    return sorted(one["name"] for one in answered("dataset", "splits", "show")["unassigned"])
 
 
 def test_splits_are_saved_and_published_only_with_consent(tmp_path: Path, names: list[str]) -> None:
     path = tmp_path / "splits.json"
     path.write_text(json.dumps({"train": names[:1], "val": names[1:2], "test": names[2:]}))
-    shown = answered("splits", "--put", path, "--dry-run")
+    shown = answered("dataset", "splits", "put", path, "--dry-run")
     assert shown["can_be_put"]
     assert [(one["sequence"], one["from"], one["to"]) for one in shown["changes"]] == [
         (names[0], None, "train"),
         (names[1], None, "val"),
         (names[2], None, "test"),
     ]
-    assert stone("splits", "--put", path).exit_code == 2
-    assert answered("splits")["sizes"] == {"train": 0, "val": 0, "test": 0}
-    assert stone("splits", "--put", path, "--yes").exit_code == 0
-    assert answered("splits", "--put", path, "--dry-run")["changes"] == []
-    plan = answered("datasets", "stone-1.0", "--create", "--dry-run")
-    frames = {entry["name"]: entry["frames"] for part in ("train", "val", "test") for entry in answered("splits")[part]}
+    assert stone("dataset", "splits", "put", path).exit_code == 2
+    assert answered("dataset", "splits", "show")["sizes"] == {"train": 0, "val": 0, "test": 0}
+    assert stone("dataset", "splits", "put", path, "--yes").exit_code == 0
+    assert answered("dataset", "splits", "put", path, "--dry-run")["changes"] == []
+    plan = answered("dataset", "publish", "stone-1.0", "--dry-run")
+    frames = {
+        entry["name"]: entry["frames"]
+        for part in ("train", "val", "test")
+        for entry in answered("dataset", "splits", "show")[part]
+    }
     assert plan["parts"] == {
         part: {"sequences": [name], "frames": frames[name]}
         for part, name in zip(("train", "val", "test"), names, strict=True)
     }
-    refused = stone("datasets", "stone-1.0", "--create")
+    refused = stone("dataset", "publish", "stone-1.0")
     assert refused.exit_code == 2
     assert "stone-1.0" in refused.stderr
-    assert answered("datasets")["datasets"] == []
-    assert stone("datasets", "stone-1.0", "--create", "--yes").exit_code == 0
+    assert answered("dataset", "list")["datasets"] == []
+    assert stone("dataset", "publish", "stone-1.0", "--yes").exit_code == 0
 
 
 def test_a_draft_that_changes_during_the_question_is_not_published(
@@ -112,7 +125,7 @@ def test_a_draft_that_changes_during_the_question_is_not_published(
 
     def put(**parts: list[str]) -> None:
         path.write_text(json.dumps(parts))
-        assert stone("splits", "--put", path, "--yes").exit_code == 0
+        assert stone("dataset", "splits", "put", path, "--yes").exit_code == 0
 
     def answer_after_another_put() -> bool:
         put(train=names[1:2], val=names[:1], test=names[2:])
@@ -122,13 +135,13 @@ def test_a_draft_that_changes_during_the_question_is_not_published(
     monkeypatch.setattr(confirmation, "is_at_terminal", answer_after_another_put)
     result = stone("dataset", "publish", "stone-1.0", stdin="y\n")
     assert (result.exit_code, "precondition_failed" in result.stderr) == (1, True)
-    assert answered("datasets")["datasets"] == []
+    assert answered("dataset", "list")["datasets"] == []
 
 
 def test_a_dry_run_of_splits_that_break_a_rule_is_a_refusal(tmp_path: Path, names: list[str]) -> None:
     path = tmp_path / "splits.json"
     path.write_text(json.dumps({"train": names[:1], "val": names[:1], "test": []}))
-    shown = stone("splits", "--put", path, "--dry-run")
+    shown = stone("dataset", "splits", "put", path, "--dry-run")
     assert shown.exit_code == 1
     assert "whole_sequences" in shown.stderr
 

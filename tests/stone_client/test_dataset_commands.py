@@ -1,4 +1,4 @@
-"""`stone splits`, `stone statistics` and `stone datasets` against the real API on a real socket."""
+"""`stone dataset`: splits, statistics and versions against the real API on a real socket."""
 
 import hashlib
 import io
@@ -46,18 +46,18 @@ def as_administrator(platform: Platform, url: str, monkeypatch: pytest.MonkeyPat
 def put(tmp_path: Path, **parts: Any) -> Result:
     path = tmp_path / "splits.json"
     path.write_text(json.dumps(parts))
-    return stone("splits", "--put", path, "--reason", "test", "--yes")
+    return stone("dataset", "splits", "put", path, "--reason", "test", "--yes")
 
 
 def test_a_proposal_is_printed_and_put_as_it_was_printed(tmp_path: Path, names: list[str]) -> None:
-    printed = stone("splits", "--propose", "1,1,1", "--json")
+    printed = stone("dataset", "splits", "propose", "1,1,1", "--json")
     assert printed.exit_code == 0
     path = tmp_path / "splits.json"
     path.write_text(printed.stdout)
-    shown = stone("splits", "--put", path, "--yes")
+    shown = stone("dataset", "splits", "put", path, "--yes")
     assert shown.exit_code == 0, shown.stderr
     assert "train: 1" in shown.stdout
-    record = answered("splits")
+    record = answered("dataset", "splits", "show")
     assert record["revision"] == 1
     assert sorted(one["name"] for part in ("train", "val", "test") for one in record[part]) == sorted(names)
 
@@ -84,7 +84,7 @@ def test_a_file_without_splits_is_refused(tmp_path: Path) -> None:
     ]:
         path = tmp_path / "splits.json"
         path.write_text(text)
-        assert refused(stone("splits", "--put", path, "--yes")) == code
+        assert refused(stone("dataset", "splits", "put", path, "--yes")) == code
 
 
 def test_a_name_that_two_owners_gave_is_not_guessed(tmp_path: Path, platform: Platform, owner: Person) -> None:
@@ -99,26 +99,26 @@ def test_a_name_that_two_owners_gave_is_not_guessed(tmp_path: Path, platform: Pl
 
 
 def test_statistics_are_shown_and_drawn(tmp_path: Path, names: list[str]) -> None:
-    result = stone("statistics", "--figure", tmp_path / "composition.png")
+    result = stone("dataset", "statistics", "--figure", tmp_path / "composition.png")
     assert result.exit_code == 0, result.stderr
     for word in ("lake", "dusk", "night", "by region", "all"):
         assert word in result.stdout
     with Image.open(tmp_path / "composition.png") as picture:
         assert picture.format == "PNG"
-    assert answered("statistics")["total"]["sequences"] == 3
-    assert refused(stone("statistics", "--dataset", "nothing")) == "not_found"
+    assert answered("dataset", "statistics")["total"]["sequences"] == 3
+    assert refused(stone("dataset", "statistics", "--dataset", "nothing")) == "not_found"
 
 
 def test_a_version_is_published_and_downloaded_by_a_participant(
     tmp_path: Path, platform: Platform, names: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert put(tmp_path, train=names[:1], val=names[1:2], test=names[2:]).exit_code == 0
-    made = answered("datasets", "stone-1.0", "--create", "--licence", "CC0", "--yes")
+    made = answered("dataset", "publish", "stone-1.0", "--licence", "CC0", "--yes")
     assert made["sizes"] == {"train": 1, "val": 1, "test": 1}
     monkeypatch.setenv("STONE_TOKEN", person(platform, "participant").secret)
-    assert "stone-1.0" in stone("datasets").stdout
+    assert "stone-1.0" in stone("dataset", "list").stdout
     folder = tmp_path / "dataset"
-    files = answered("datasets", "stone-1.0", "--download", folder)["files"]
+    files = answered("dataset", "download", "stone-1.0", "--output", folder)["files"]
     called = ["stone-1.0-train.tar", "stone-1.0-val.tar", "stone-1.0.manifest.json"]
     assert sorted(path.name for path in folder.iterdir()) == called
     for file in files:
@@ -128,7 +128,7 @@ def test_a_version_is_published_and_downloaded_by_a_participant(
         for line in sums:
             digest, _, name = line.partition("  ")
             assert hashlib.sha256(tar.extractfile(name).read()).hexdigest() == digest  # type: ignore[union-attr]
-    again = answered("datasets", "stone-1.0", "--download", folder)["files"]
+    again = answered("dataset", "download", "stone-1.0", "--output", folder)["files"]
     assert [file["resumed_at_bytes"] for file in again] == [file["size_bytes"] for file in again]
 
 
@@ -136,7 +136,7 @@ def test_inputs_of_a_version_are_downloaded_beside_its_labels(
     tmp_path: Path, platform: Platform, names: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert put(tmp_path, train=names[:1], val=names[1:2], test=names[2:]).exit_code == 0
-    assert stone("datasets", "stone-1.0", "--create", "--yes").exit_code == 0
+    assert stone("dataset", "publish", "stone-1.0", "--yes").exit_code == 0
     with platform.database.reading() as session:
         version = dataset_named(session, "stone-1.0")
         assert version is not None
@@ -144,11 +144,14 @@ def test_inputs_of_a_version_are_downloaded_beside_its_labels(
         made_version_input(platform, version.id, name, {"samples/LIDAR_TOP/sweep.pcd.bin": bytes(200_000)})
     monkeypatch.setenv("STONE_TOKEN", person(platform, "participant").secret)
     folder = tmp_path / "dataset"
-    found = {one["name"]: one for one in answered("datasets", "stone-1.0", "--download", folder, "--inputs")["inputs"]}
+    found = {
+        one["name"]: one
+        for one in answered("dataset", "download", "stone-1.0", "--output", folder, "--inputs")["inputs"]
+    }
     assert {name: one["state"] for name, one in found.items()} == {names[0]: "ready", names[1]: "lost"}
     (output,) = (folder / "inputs").rglob("*.tar")
     assert output == folder / "inputs" / "train" / f"{names[0]}.tar"
     content = output.read_bytes()
     assert hashlib.sha256(content).hexdigest() == found[names[0]]["sha256"]
-    said = stone("datasets", "stone-1.0", "--download", folder, "--inputs")
+    said = stone("dataset", "download", "stone-1.0", "--output", folder, "--inputs")
     assert (str(output) in said.stdout, names[1] in said.stderr) == (True, True)

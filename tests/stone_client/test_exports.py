@@ -42,13 +42,13 @@ def test_an_export_is_listed_and_downloaded(
     platform: Platform, forest: dict[str, Any], tmp_path: Path, kind: str
 ) -> None:
     made.export(platform, forest["id"], {NAME: CONTENT})
-    listed = stone("exports", "forest", "--json")
+    listed = stone("sequence", "exports", "forest", "--json")
     assert [one["state"] for one in json.loads(listed.stdout)["exports"]] == ["succeeded"]
-    assert "mesh" in stone("exports", "forest").stdout
-    again = stone("exports", "forest", "--format", "mesh", "--json")
+    assert "mesh" in stone("sequence", "exports", "forest").stdout
+    again = stone("sequence", "exports", "forest", "--format", "mesh", "--json")
     assert json.loads(again.stdout) == json.loads(listed.stdout), "what stands is not made again"
     output = tmp_path / f"forest.{kind}"
-    outcome = stone("download", "forest", "--format", "mesh", "-o", output, "--json")
+    outcome = stone("sequence", "download", "forest", "--format", "mesh", "-o", output, "--json")
     assert outcome.exit_code == 0, outcome.stderr
     record = json.loads(outcome.stdout)
     assert sha256(output.read_bytes()).hexdigest() == record["sha256"]
@@ -60,14 +60,14 @@ def test_a_download_that_was_killed_goes_on_where_it_was(
 ) -> None:
     made.export(platform, forest["id"], {NAME: CONTENT})
     output = tmp_path / "forest.tar"
-    whole = json.loads(stone("download", "forest", "--format", "mesh", "-o", output, "--json").stdout)
+    whole = json.loads(stone("sequence", "download", "forest", "--format", "mesh", "-o", output, "--json").stdout)
     content = output.read_bytes()
     output.unlink()
     partial = output.with_name(f".forest.tar.{whole['sha256'][:32]}.partial")
     partial.write_bytes(content[:700_000])
     foreign = output.with_name(f".forest.tar.{'0' * 32}.partial")
     foreign.write_bytes(b"of an export that is no more")
-    record = json.loads(stone("download", "forest", "--format", "mesh", "-o", output, "--json").stdout)
+    record = json.loads(stone("sequence", "download", "forest", "--format", "mesh", "-o", output, "--json").stdout)
     assert (record["resumed_at_bytes"], output.read_bytes() == content) == (700_000, True)
     assert not partial.exists()
     assert not foreign.exists()
@@ -80,13 +80,13 @@ def test_a_half_that_is_not_of_this_file_is_dropped(
     """It is found out at the end, or by the server at once; then nothing of it is kept."""
     made.export(platform, forest["id"], {NAME: CONTENT})
     output = tmp_path / "forest.tar"
-    tar = json.loads(stone("exports", "forest", "--json").stdout)["exports"][0]["archives"][0]
+    tar = json.loads(stone("sequence", "exports", "forest", "--json").stdout)["exports"][0]["archives"][0]
     output.with_name(f".forest.tar.{tar['sha256'][:32]}.partial").write_bytes(left)
-    first = stone("download", "forest", "--format", "mesh", "-o", output)
+    first = stone("sequence", "download", "forest", "--format", "mesh", "-o", output)
     if first.exit_code:
         assert "damaged_download" in first.stderr
         assert not output.exists()
-        assert stone("download", "forest", "--format", "mesh", "-o", output).exit_code == 0
+        assert stone("sequence", "download", "forest", "--format", "mesh", "-o", output).exit_code == 0
     assert sha256(output.read_bytes()).hexdigest() == tar["sha256"]
 
 
@@ -95,12 +95,14 @@ def test_two_downloads_to_one_place_do_not_meet_and_what_is_not_there_is_refused
 ) -> None:
     made.export(platform, forest["id"], {NAME: CONTENT})
     output = tmp_path / "forest.tar"
-    record = json.loads(stone("download", "forest", "--format", "mesh", "-o", output, "--json").stdout)
+    record = json.loads(stone("sequence", "download", "forest", "--format", "mesh", "-o", output, "--json").stdout)
     partial = output.with_name(f".forest.tar.{record['sha256'][:32]}.partial")
     with partial.open("wb") as other:
         fcntl.flock(other, fcntl.LOCK_EX)
-        assert refused(stone("download", "forest", "--format", "mesh", "-o", output)) == "download_under_way"
-    assert refused(stone("download", "forest", "--format", "kitti", "-o", output)) == "no_export"
+        assert (
+            refused(stone("sequence", "download", "forest", "--format", "mesh", "-o", output)) == "download_under_way"
+        )
+    assert refused(stone("sequence", "download", "forest", "--format", "kitti", "-o", output)) == "no_export"
 
 
 class Breaking(httpx.BaseTransport):

@@ -1,4 +1,4 @@
-"""`stone import` against a real server and its workers: a dataset in, its labels out again, what is wrong by code."""
+"""`stone dataset import` against a real server and its workers: a dataset in, its labels out, and faults by code."""
 
 import json
 import os
@@ -59,7 +59,7 @@ def importing(platform: Platform) -> Iterator[None]:
 
 def imported(platform: Platform, *arguments: str | Path) -> dict[str, Any]:
     with importing(platform):
-        result = stone("import", *arguments, "--json")
+        result = stone("dataset", "import", *arguments, "--json")
     assert result.exit_code == 0, result.stderr
     said: dict[str, Any] = json.loads(result.stdout)
     return said
@@ -89,7 +89,7 @@ def test_a_folder_becomes_sequences_whose_labels_are_the_datasets_own(
             assert kept == (dataset / "gts" / name / token / "labels.npz").read_bytes()
     again = imported(platform, dataset)
     assert (again["id"], uploads(api)) == (made["id"], ["consumed"]), "it is neither sent nor imported twice"
-    assert stone("download", "field-0000", "-o", tmp_path / "labels").exit_code == 0
+    assert stone("sequence", "download", "field-0000", "-o", tmp_path / "labels").exit_code == 0
     _exported_again(platform, dataset, tmp_path / "field.tar")
     _added_beside(platform, api, tmp_path)
 
@@ -97,8 +97,8 @@ def test_a_folder_becomes_sequences_whose_labels_are_the_datasets_own(
 def _exported_again(platform: Platform, dataset: Path, path: Path) -> None:
     """The nuScenes export has the samples and labels of the dataset, byte for byte."""
     with importing(platform):
-        assert stone("exports", "field-0000", "--format", "nuscenes").exit_code == 0
-    assert stone("download", "field-0000", "--format", "nuscenes", "-o", path).exit_code == 0
+        assert stone("sequence", "exports", "field-0000", "--format", "nuscenes").exit_code == 0
+    assert stone("sequence", "download", "field-0000", "--format", "nuscenes", "-o", path).exit_code == 0
     with tarfile.open(path) as tar:
         held = {one.name.split("/", 1)[1] if "v1.0" in one.name.split("/")[0] else one.name: one for one in tar}
         found = {
@@ -118,13 +118,13 @@ def _added_beside(platform: Platform, api: httpx.Client, tmp_path: Path) -> None
     (tmp_path / "classes.yaml").write_text("name: swapped\nclasses: {0: free, 1: N, 2: P, 3: T, 255: unobserved}\n")
     asked = (tar, "--name", "theirs", "--classes", tmp_path / "classes.yaml")
     with importing(platform):
-        assert refused(stone("import", *asked)) == "sequences_exist"
+        assert refused(stone("dataset", "import", *asked)) == "sequences_exist"
     made = imported(platform, *asked, "--add-to-existing")
     assert (made["classes"], made["existing"]) == ("swapped", "add")
     sequence_id = made["scenes"][0]["sequence_id"]
     sets = api.get(f"/api/v1/sequences/{sequence_id}/label-sets").json()["items"]
     assert [one["frames"] for one in sets] == [2, 2]
-    shown = stone("import", "--list")
+    shown = stone("dataset", "import", "--list")
     assert shown.exit_code == 0
     assert "succeeded" in shown.stdout
     assert "failed" in shown.stdout
@@ -137,7 +137,7 @@ def test_what_is_wrong_is_refused_by_its_code_with_table_and_row(
     folder, (code, place) = write_published(tmp_path / "wrong", GOOD), ("DST-018", "sample.json row 3")
     row("sample", 2, token=GOOD.tokens(0)[0])(folder)
     with importing(platform):
-        result = stone("import", folder)
+        result = stone("dataset", "import", folder)
     assert refused(result) == code
     assert place in result.stderr.replace("\n", "")
     (shown,) = api.get("/api/v1/dataset-imports").json()["items"]
@@ -148,7 +148,7 @@ def test_what_is_wrong_is_refused_by_its_code_with_table_and_row(
 
 def test_a_dataset_that_the_layout_gives_away_costs_no_upload(api: httpx.Client, tmp_path: Path) -> None:
     (tmp_path / "photos").mkdir()
-    assert refused(stone("import", tmp_path / "photos")) == "DST-001"
+    assert refused(stone("dataset", "import", tmp_path / "photos")) == "DST-001"
     assert uploads(api) == []
 
 
@@ -156,9 +156,9 @@ def test_a_class_map_that_is_none_is_told_by_the_server_and_the_upload_stays(
     api: httpx.Client, dataset: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "classes.yaml").write_text("name: theirs\nclasses: {0: grass}\n")
-    assert refused(stone("import", dataset, "--classes", tmp_path / "classes.yaml")) == "DST-070"
+    assert refused(stone("dataset", "import", dataset, "--classes", tmp_path / "classes.yaml")) == "DST-070"
     assert uploads(api) == ["complete"]
-    result: Result = stone("import", dataset, "--no-wait")
+    result: Result = stone("dataset", "import", dataset, "--no-wait")
     assert (result.exit_code, uploads(api)) == (0, ["consumed"])
     assert "Next: stone sequence watch" in result.stderr
 
@@ -169,23 +169,27 @@ def test_only_ones_own_import_of_the_same_wishes_is_gone_on_with(
     classes = tmp_path / "classes.yaml"
     classes.write_text("name: theirs\nclasses: {0: free, 1: T, 2: P, 3: N, 255: unobserved}\n")
     lines = ([], ["--add-to-existing"], ["--name", "other"], ["--classes", classes])
-    begun = [json.loads(stone("import", dataset, "--no-wait", "--json", *line).stdout)["id"] for line in lines]
+    begun = [
+        json.loads(stone("dataset", "import", dataset, "--no-wait", "--json", *line).stdout)["id"] for line in lines
+    ]
     assert len(set(begun)) == len(lines)
-    assert [json.loads(stone("import", dataset, "--no-wait", "--json", *line).stdout)["id"] for line in lines] == begun
+    assert [
+        json.loads(stone("dataset", "import", dataset, "--no-wait", "--json", *line).stdout)["id"] for line in lines
+    ] == begun
     monkeypatch.setenv("STONE_TOKEN", person(platform, "administrator").secret)
-    assert json.loads(stone("import", "--list", "--json").stdout) == {"imports": []}
-    assert json.loads(stone("import", dataset, "--no-wait", "--json").stdout)["id"] not in begun
+    assert json.loads(stone("dataset", "import", "--list", "--json").stdout) == {"imports": []}
+    assert json.loads(stone("dataset", "import", dataset, "--no-wait", "--json").stdout)["id"] not in begun
     assert len(api.get("/api/v1/dataset-imports").json()["items"]) == len(lines)
 
 
 def test_who_may_not_set_the_draft_splits_is_refused_before_anything_is_sent(
     platform: Platform, api: httpx.Client, dataset: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    result = stone("import", dataset, "--set-splits")
+    result = stone("dataset", "import", dataset, "--set-splits")
     assert (refused(result), uploads(api)) == ("splits_forbidden", [])
     assert "stone auth login" in result.stderr.replace("\n", " ")
     monkeypatch.setenv("STONE_TOKEN", person(platform, "administrator").secret)
-    assert stone("import", dataset, "--set-splits", "--no-wait").exit_code == 0
+    assert stone("dataset", "import", dataset, "--set-splits", "--no-wait").exit_code == 0
 
 
 @pytest.mark.whole
@@ -203,10 +207,10 @@ def test_a_zip_in_place_is_imported_once_with_the_layout_that_is_stated_and_noth
         first, again = stone(*line, "--json"), stone(*line)
         other = stone(*line[:3], "--name", "other", "--layout", "occ3d", "--add-to-existing")
         refusals = [
-            stone("import", "nas:nothing.zip", "--in-place"),
-            stone("import", "disk:STONE.zip", "--in-place"),
-            stone("import", "nas:STONE", "--in-place"),
-            stone("import", "STONE.zip", "--in-place"),
+            stone("dataset", "import", "nas:nothing.zip", "--in-place"),
+            stone("dataset", "import", "disk:STONE.zip", "--in-place"),
+            stone("dataset", "import", "nas:STONE", "--in-place"),
+            stone("dataset", "import", "STONE.zip", "--in-place"),
         ]
         os.utime(tmp_path / "STONE.zip", ns=(0, 10**18))
         changed = stone(*line[:3], "--name", "changed", "--add-to-existing")

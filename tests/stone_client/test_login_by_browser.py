@@ -1,4 +1,4 @@
-"""`stone login` with a browser's help: the real command against a real server, approved by a person meanwhile."""
+"""`stone auth login` with a browser's help: the real command against a real server, approved by a person meanwhile."""
 
 import json
 import re
@@ -84,6 +84,6 @@ def test_where_people_have_a_provider_the_command_asks_for_no_password(
 
 @pytest.mark.parametrize("other", [["--name", "ada"], ["--password-stdin"], ["--token-stdin"]])
 def test_a_browser_says_who_one_is_and_nothing_else(other: list[str]) -> None:
-    ended = stone("login", "http://127.0.0.1:1", "--browser", *other)
+    ended = stone("auth", "login", "http://127.0.0.1:1", "--browser", *other)
     assert ended.exit_code == 2
     assert "--browser" in ended.stderr

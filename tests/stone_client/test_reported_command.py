@@ -1,4 +1,4 @@
-"""`stone reported`: a published table onto a board, by administrators only, whole or not at all, and never twice."""
+"""`stone benchmark reported`: a published table onto a board, by administrators, whole or not at all."""
 
 import json
 from decimal import Decimal
@@ -48,19 +48,21 @@ def standing(served: Served) -> dict[tuple[str, str], tuple[str, float | None]]:
 
 
 def put(served: Served, *more: str) -> dict[str, Any]:
-    return answered("reported", "table2", *served.at("val"), *more)
+    return answered("benchmark", "reported", "table2", *served.at("val"), *more)
 
 
 def test_who_is_no_administrator_puts_nothing(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STONE_TOKEN", served.captain.secret)
     before = standing(served)
-    assert refused(stone("reported", "table2", *served.at("val"))) == "forbidden"
+    assert refused(stone("benchmark", "reported", "table2", *served.at("val"))) == "forbidden"
     assert standing(served) == before
     unscoped = person(served.platform, "administrator", scopes=("read", "submit"))
     monkeypatch.setenv("STONE_TOKEN", unscoped.secret)
-    assert refused(stone("reported", "table2", *served.at("val"))) == "forbidden", "a token without the scope"
+    assert refused(stone("benchmark", "reported", "table2", *served.at("val"))) == "forbidden", (
+        "a token without the scope"
+    )
     monkeypatch.setenv("STONE_TOKEN", "nobody's")
-    assert refused(stone("reported", "table2", *served.at("val"))) == "unauthenticated"
+    assert refused(stone("benchmark", "reported", "table2", *served.at("val"))) == "unauthenticated"
 
 
 def test_the_ten_rows_stand_as_printed_beside_others_and_are_put_once(served: Served) -> None:
@@ -71,7 +73,7 @@ def test_the_ten_rows_stand_as_printed_beside_others_and_are_put_once(served: Se
     assert before["Another", "L+R"][1] == OTHER.miou
     assert [row["done"] for row in put(served)["rows"]] == ["left"] * 10
     assert standing(served) == before, "the very same rows"
-    shown = stone("reported", "table2", *served.at("val"))
+    shown = stone("benchmark", "reported", "table2", *served.at("val"))
     assert shown.stdout.count("stood already") == 10
     assert NOT_COMPARABLE in shown.stdout
 
@@ -81,15 +83,15 @@ def test_a_ceiling_stands_beside_the_other_rows(served: Served, tmp_path: Path) 
     record = {"frames": 7, "signature": "s", "total": ratios, "tolerant": ratios, "columns": {**ratios, "miou": None}}
     record["extras"] = {"n_predicted_drivable_ratio": 0.0662}
     (tmp_path / "ceiling.json").write_text(json.dumps(row_of(record, "run", "sweeps")))
-    answered("reported", tmp_path / "ceiling.json", *served.at("val"))
+    answered("benchmark", "reported", tmp_path / "ceiling.json", *served.at("val"))
     rows = standing(served)
     assert rows.keys() == {("Another", "L+R"), ("Ceiling by sweeps: run", "L")}
     assert rows["Ceiling by sweeps: run", "L"][1] == 0.412
-    first, *_ = answered("leaderboard", served.world.benchmark, "val")["rows"]
+    first, *_ = answered("benchmark", "leaderboard", served.world.benchmark, "val")["rows"]
     assert (first["standing"], first["rank"], first["method"]) == ("ceiling", None, "Ceiling by sweeps: run")
     assert "danger 6.6." in first["note"]
-    assert "ceiling" in stone("leaderboard", served.world.benchmark, "val").stdout
-    again = answered("reported", tmp_path / "ceiling.json", *served.at("val"))
+    assert "ceiling" in stone("benchmark", "leaderboard", served.world.benchmark, "val").stdout
+    again = answered("benchmark", "reported", tmp_path / "ceiling.json", *served.at("val"))
     assert [row["done"] for row in again["rows"]] == ["left"]
 
 
@@ -97,7 +99,7 @@ def test_a_row_that_stands_otherwise_is_named_and_replaced_only_when_asked(serve
     typed = ReportedRow("OccFusion", "C+L", TABLE2.source, 0.661, 0.191, 0.369, 0.628, None, NOT_COMPARABLE, 1)
     lay(served, OTHER, typed)
     before = standing(served)
-    result = stone("reported", "table2", *served.at("val"))
+    result = stone("benchmark", "reported", "table2", *served.at("val"))
     assert refused(result) == "reported_differs"
     assert (
         "OccFusion (C+L): mIoU is –, in the table 39.6, IoU T is 19.1, in the table 19.0, another note" in result.stderr

@@ -45,7 +45,7 @@ class MuddyError(StoneError):
 
 def uploaded(platform: Platform, bag: Path, *options: str) -> Result:
     with ingesting(platform):
-        return stone("upload", bag, "--calibration", bag.with_suffix(".calibration.yaml"), *options)
+        return stone("sequence", "upload", bag, "--calibration", bag.with_suffix(".calibration.yaml"), *options)
 
 
 def job_of(platform: Platform, owner: Person, kind: str) -> str:
@@ -60,12 +60,14 @@ def test_without_a_login_nothing_is_asked(bag: Path) -> None:
 
 def test_a_token_that_is_not_known_is_refused(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STONE_TOKEN", "stone_" + "x" * 43)
-    assert refused(stone("status", "--server", url)) == "unauthenticated"
+    assert refused(stone("sequence", "list", "--server", url)) == "unauthenticated"
 
 
 def test_a_wrong_password_is_refused_and_nothing_is_kept(url: str, owner: Person, tmp_path: Path) -> None:
-    assert refused(stone("login", url, "--name", "ada", "--password-stdin", stdin="guess\n")) == "wrong_password"
-    without = stone("login", url, "--name", "ada", stdin="")
+    assert (
+        refused(stone("auth", "login", url, "--name", "ada", "--password-stdin", stdin="guess\n")) == "wrong_password"
+    )
+    without = stone("auth", "login", url, "--name", "ada", stdin="")
     assert (without.exit_code, "no terminal for a prompt" in without.stderr) == (2, True)
     assert not (tmp_path / "configuration").exists()
 
@@ -84,11 +86,15 @@ def test_a_recording_that_cannot_be_read_is_refused_with_its_own_code(
 def test_a_sequence_that_lacks_something_is_not_processed(platform: Platform, as_owner: str, owner: Person) -> None:
     with client_of(platform) as api:
         made.sequence(api, owner, "bare")
-    assert refused(stone("process", "bare")) == "no_calibration"
-    assert refused(stone("process", "bare", "--parameter", "reference.outlier_ratio=0.25")) == "no_calibration"
-    assert refused(stone("process", "bare", "--parameter", "reference.outlier_ratio=0.6")) == "bad_parameter"
-    assert refused(stone("watch", "bare")) == "not_found"
-    assert refused(stone("download", "bare", "-o", "absent")) == "no_labels"
+    assert refused(stone("sequence", "process", "bare")) == "no_calibration"
+    assert (
+        refused(stone("sequence", "process", "bare", "--parameter", "reference.outlier_ratio=0.25")) == "no_calibration"
+    )
+    assert (
+        refused(stone("sequence", "process", "bare", "--parameter", "reference.outlier_ratio=0.6")) == "bad_parameter"
+    )
+    assert refused(stone("sequence", "watch", "bare")) == "not_found"
+    assert refused(stone("sequence", "download", "bare", "-o", "absent")) == "no_labels"
 
 
 def test_a_job_that_fails_is_exit_code_1_with_its_code_and_reason(
@@ -99,7 +105,7 @@ def test_a_job_that_fails_is_exit_code_1_with_its_code_and_reason(
 
     job_id = job_of(platform, owner, "eval.drive")
     said: list[Result] = []
-    watching = threading.Thread(target=lambda: said.append(stone("watch", job_id)))
+    watching = threading.Thread(target=lambda: said.append(stone("sequence", "watch", job_id)))
     watching.start()
     run_next(platform, "eval", {"eval.drive": fail})
     watching.join()
@@ -110,11 +116,13 @@ def test_a_job_that_fails_is_exit_code_1_with_its_code_and_reason(
 def test_a_password_becomes_a_token_that_the_other_commands_use(platform: Platform, url: str, owner: Person) -> None:
     with platform.database.transaction() as session:
         session.get_one(User, owner.user_id).password_hash = hash_password(PASSWORD)
-    assert stone("login", url, "--name", "ada", stdin=PASSWORD + "\n").exit_code == 0, "without a terminal as well"
-    signed_in = stone("login", url, "--name", "ada", "--password-stdin", "--json", stdin=PASSWORD + "\n")
+    assert stone("auth", "login", url, "--name", "ada", stdin=PASSWORD + "\n").exit_code == 0, (
+        "without a terminal as well"
+    )
+    signed_in = stone("auth", "login", url, "--name", "ada", "--password-stdin", "--json", stdin=PASSWORD + "\n")
     assert signed_in.exit_code == 0, signed_in.stderr
     assert json.loads(signed_in.stdout)["scopes"] == ["read", "submit", "upload"]
-    assert json.loads(stone("status", "--json").stdout) == {"sequences": []}
+    assert json.loads(stone("sequence", "list", "--json").stdout) == {"sequences": []}
 
 
 def done_of(platform: Platform, job_id: str) -> int:
@@ -133,7 +141,7 @@ def test_watching_ends_with_the_job_and_shows_its_stages(platform: Platform, as_
 
     job_id = job_of(platform, owner, "eval.drive")
     said: list[Result] = []
-    watching = threading.Thread(target=lambda: said.append(stone("watch", job_id, "--json")))
+    watching = threading.Thread(target=lambda: said.append(stone("sequence", "watch", job_id, "--json")))
     watching.start()
     worker = threading.Thread(target=lambda: run_next(platform, "eval", {"eval.drive": drive}))
     worker.start()
@@ -144,7 +152,7 @@ def test_watching_ends_with_the_job_and_shows_its_stages(platform: Platform, as_
     assert said[0].exit_code == 0, said[0].stderr
     assert "eval.drive 7 of 7" in said[0].stderr
     assert json.loads(said[0].stdout)["result"] == {"metres": 7}
-    assert "arrived" in stone("status", job_id).stdout
+    assert "arrived" in stone("sequence", "status", job_id).stdout
 
 
 def test_labels_arrive_as_they_are_on_the_server(
@@ -153,15 +161,17 @@ def test_labels_arrive_as_they_are_on_the_server(
     with client_of(platform) as api:
         sequence = made.sequence(api, owner, "forest")
     labels = made.labels(platform, sequence, frames=3)
-    outcome = stone("download", "forest", "-o", tmp_path / "labels", "--json")
+    outcome = stone("sequence", "download", "forest", "-o", tmp_path / "labels", "--json")
     assert outcome.exit_code == 0, outcome.stderr
     assert json.loads(outcome.stdout)["frames"] == 3
     for name in ("report.json", "bev.png", "mesh.ply", "frames.parquet"):
         assert (tmp_path / "labels" / name).read_bytes() == labels.files[name]
     for token, content in labels.frames.items():
         assert (tmp_path / "labels" / "gts" / "forest" / token / "labels.npz").read_bytes() == content
-    assert stone("download", "forest", "-o", tmp_path / "labels").exit_code == 0, "an earlier label set is replaced"
-    assert refused(stone("download", "forest", "-o", tmp_path)) == "output_exists"
+    assert stone("sequence", "download", "forest", "-o", tmp_path / "labels").exit_code == 0, (
+        "an earlier label set is replaced"
+    )
+    assert refused(stone("sequence", "download", "forest", "-o", tmp_path)) == "output_exists"
 
 
 @pytest.mark.usefixtures("as_owner")
@@ -191,11 +201,11 @@ def test_a_label_set_is_deleted_once_it_is_agreed_to(platform: Platform, owner: 
     with client_of(platform) as api:
         sequence = made.sequence(api, owner, "forest")
     earlier, later = (made.labels(platform, sequence, seed=seed).id for seed in (b"1", b"2"))
-    assert stone("label-sets", "delete", "forest", "latest").exit_code == 2
-    assert answered("label-sets", "delete", "forest", "latest~1", "--yes") == {"deleted": earlier}
-    listed = answered("label-sets", "list", "forest")
+    assert stone("label-set", "delete", "forest", "latest").exit_code == 2
+    assert answered("label-set", "delete", "forest", "latest~1", "--yes") == {"deleted": earlier}
+    listed = answered("label-set", "list", "forest")
     assert [one["id"] for one in listed["label_sets"]] == [later]
-    assert refused(stone("label-sets", "delete", "forest", earlier, "--yes")) == "not_found"
+    assert refused(stone("label-set", "delete", "forest", earlier, "--yes")) == "not_found"
 
 
 def test_label_sets_are_named_by_id_or_by_age_and_any_other_name_is_refused(platform: Platform) -> None:

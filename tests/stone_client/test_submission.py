@@ -1,4 +1,4 @@
-"""`stone submit` against the real API: sent, scored, printed; interrupted anywhere it goes on with what stands."""
+"""`stone benchmark submit` against the real API: sent, scored, printed; it resumes after an interruption."""
 
 import hashlib
 import json
@@ -31,7 +31,7 @@ def options(served: Served, part: str = "val") -> tuple[str, ...]:
 
 def sent(served: Served, path: Path, *more: str, part: str = "val") -> Result:
     with scoring(served.platform):
-        return stone("submit", path, *options(served, part), *more)
+        return stone("benchmark", "submit", path, *options(served, part), *more)
 
 
 def test_predictions_are_scored_and_the_table_is_printed(served: Served, tmp_path: Path) -> None:
@@ -52,7 +52,7 @@ def test_under_json_the_result_is_the_servers_own_and_1_for_the_truth_itself(ser
     path = submission_zip(tmp_path / "sub.zip", served.world.truth("val"))
     record = json.loads(sent(served, path, "--json").stdout)
     assert record["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
-    assert record["results"] == answered("results", record["id"])
+    assert record["results"] == answered("benchmark", "results", record["id"])
     assert set(record["results"]["total"].values()) == {1.0}
 
 
@@ -76,7 +76,7 @@ def test_a_file_that_is_only_checked_costs_nothing(served: Served, tmp_path: Pat
     with served.platform.database.reading() as session:
         kind = select(SubmissionRow.kind).where(SubmissionRow.team_id == served.team_id)
         assert session.scalars(kind).one() == "validation"
-    entered = answered("submit", path, *options(served, "test"), "--no-wait")
+    entered = answered("benchmark", "submit", path, *options(served, "test"), "--no-wait")
     assert (entered["kind"], served.count(SubmissionRow)) == ("entry", 2), "the same file is an entry besides"
 
 
@@ -102,8 +102,8 @@ def test_interrupted_and_run_again_it_goes_on_with_the_same_draft(
     path = zipped(served, tmp_path / "sub.zip")
     with monkeypatch.context() as patched:
         patched.setattr(*CUTS[moment], cut)
-        assert isinstance(stone("submit", path, *options(served)).exception, PowerCutError)
-    assert stone("submit", path, *options(served), "--no-wait").exit_code == 0
+        assert isinstance(stone("benchmark", "submit", path, *options(served)).exception, PowerCutError)
+    assert stone("benchmark", "submit", path, *options(served), "--no-wait").exit_code == 0
     assert (served.count(SubmissionRow), served.count(Upload)) == (1, 1)
 
 
@@ -122,29 +122,29 @@ def test_bytes_that_arrived_are_not_sent_again(served: Served, tmp_path: Path, m
         return send_piece(api, address, piece, offset)
 
     monkeypatch.setattr(tus, "_send_piece", counted)
-    assert isinstance(stone("submit", path, *options(served)).exception, PowerCutError)
-    assert stone("submit", path, *options(served), "--no-wait").exit_code == 0
+    assert isinstance(stone("benchmark", "submit", path, *options(served)).exception, PowerCutError)
+    assert stone("benchmark", "submit", path, *options(served), "--no-wait").exit_code == 0
     assert sum(pieces) == path.stat().st_size
 
 
 @pytest.mark.whole
 def test_interrupted_while_it_waits_nothing_is_scored_twice(served: Served, tmp_path: Path) -> None:
     path = zipped(served, tmp_path / "sub.zip")
-    first = stone("submit", path, *options(served), "--no-wait").stdout.split()[1]
+    first = stone("benchmark", "submit", path, *options(served), "--no-wait").stdout.split()[1]
     for _ in range(2):  # while it is queued, and when it has been scored
         assert json.loads(sent(served, path, "--json").stdout)["id"] == first
     assert served.count(SubmissionRow) == 1
-    assert stone("submit", path, *options(served), "--again", "--no-wait").stdout.split()[1] != first
+    assert stone("benchmark", "submit", path, *options(served), "--again", "--no-wait").stdout.split()[1] != first
 
 
 def test_another_name_is_another_entry_and_a_new_page_is_not(served: Served, tmp_path: Path) -> None:
     path = zipped(served, tmp_path / "sub.zip")
-    first = answered("submit", path, *options(served), "--no-wait")["id"]
+    first = answered("benchmark", "submit", path, *options(served), "--no-wait")["id"]
     (tmp_path / "page.txt").write_text("Now with a page.")
-    told = answered("submit", path, *options(served), "--no-wait", "--description", tmp_path / "page.txt")
+    told = answered("benchmark", "submit", path, *options(served), "--no-wait", "--description", tmp_path / "page.txt")
     assert (told["id"], told["description"]) == (first, "Now with a page.")
     renamed = (*options(served)[:-3], "OtherNet", *options(served)[-2:])
-    assert answered("submit", path, *renamed, "--no-wait")["id"] != first
+    assert answered("benchmark", "submit", path, *renamed, "--no-wait")["id"] != first
 
 
 @pytest.mark.whole
@@ -152,30 +152,30 @@ def test_a_team_mate_goes_on_where_the_captain_left(
     served: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = zipped(served, tmp_path / "sub.zip")
-    first = stone("submit", path, *options(served), "--no-wait").stdout.split()[1]
-    secret = answered("teams", "invite", served.team)["secret"]
+    first = stone("benchmark", "submit", path, *options(served), "--no-wait").stdout.split()[1]
+    secret = answered("team", "invite", served.team)["secret"]
     monkeypatch.setenv("STONE_TOKEN", person(served.platform, "participant").secret)
-    assert stone("teams", "join", secret).exit_code == 0
+    assert stone("team", "join", secret).exit_code == 0
     assert json.loads(sent(served, path, "--json").stdout)["id"] == first
 
 
 def test_what_is_not_there_or_not_yours_is_refused_before_a_byte_is_sent(served: Served, tmp_path: Path) -> None:
     path = zipped(served, tmp_path / "sub.zip")
     method = ("--method", "GroundNet", "--modality", "L")
-    other = stone("submit", path, *served.at("val"), "--team", served.world.teams[0], *method)
+    other = stone("benchmark", "submit", path, *served.at("val"), "--team", served.world.teams[0], *method)
     assert refused(other) == "unknown_team"
     assert f"yours are {served.team}" in other.stderr
     nowhere = ("--benchmark", "nothing", "--phase", "val", "--team", served.team)
-    assert refused(stone("submit", path, *nowhere, *method)) == "not_found"
+    assert refused(stone("benchmark", "submit", path, *nowhere, *method)) == "not_found"
     assert served.count(SubmissionRow) == 0
 
 
 def test_what_cannot_be_said_is_a_usage_error(served: Served, tmp_path: Path) -> None:
     path = zipped(served, tmp_path / "sub.zip")
-    assert stone("submit", path, *options(served)[:-1], "X").exit_code == 2
-    assert stone("submit", path, *options(served), "--validate-only", "--baseline").exit_code == 2
+    assert stone("benchmark", "submit", path, *options(served)[:-1], "X").exit_code == 2
+    assert stone("benchmark", "submit", path, *options(served), "--validate-only", "--baseline").exit_code == 2
     (tmp_path / "page.txt").write_bytes(b"\xff\xfe")
-    assert stone("submit", path, *options(served), "--description", tmp_path / "page.txt").exit_code == 2
+    assert stone("benchmark", "submit", path, *options(served), "--description", tmp_path / "page.txt").exit_code == 2
     (tmp_path / "page.txt").write_text("a" * 20_001)
-    assert stone("submit", path, *options(served), "--description", tmp_path / "page.txt").exit_code == 2
-    assert stone("submit", tmp_path / "none.zip", *options(served)).exit_code == 2
+    assert stone("benchmark", "submit", path, *options(served), "--description", tmp_path / "page.txt").exit_code == 2
+    assert stone("benchmark", "submit", tmp_path / "none.zip", *options(served)).exit_code == 2

@@ -64,8 +64,8 @@ def test_a_folder_is_one_recording_of_its_files(
     platform: Platform, as_owner: str, folder: Path, calibration: Path
 ) -> None:
     with ingesting(platform):
-        sent = stone("upload", folder, "--calibration", calibration, "--name", "forest", "--json")
-        again = stone("upload", folder, "--calibration", calibration, "--name", "forest", "--json")
+        sent = stone("sequence", "upload", folder, "--calibration", calibration, "--name", "forest", "--json")
+        again = stone("sequence", "upload", folder, "--calibration", calibration, "--name", "forest", "--json")
     assert (sent.exit_code, again.exit_code) == (0, 0), sent.stderr + again.stderr
     assert json.loads(sent.stdout)["recording"] == json.loads(again.stdout)["recording"]
     assert uploads(platform) == [(f"run_{number}.mcap", "consumed") for number in range(3)]
@@ -106,10 +106,14 @@ def test_a_folder_without_a_bag_is_refused_before_anything_is_asked(
     (tmp_path / "empty").mkdir()
     with refused_as("bad_recording_files"):
         hashed_bag(tmp_path / "empty", quiet)
-    assert refused(stone("upload", tmp_path / "empty", "--calibration", calibration)) == "bad_recording_files"
+    assert (
+        refused(stone("sequence", "upload", tmp_path / "empty", "--calibration", calibration)) == "bad_recording_files"
+    )
     for name in ("a.mcap", "b.db3"):
         (tmp_path / "empty" / name).write_text(name)
-    assert refused(stone("upload", tmp_path / "empty", "--calibration", calibration)) == "bad_recording_files"
+    assert (
+        refused(stone("sequence", "upload", tmp_path / "empty", "--calibration", calibration)) == "bad_recording_files"
+    )
 
 
 def test_a_bag_is_called_after_its_folder_or_its_one_file(folder: Path, tmp_path: Path) -> None:
@@ -173,8 +177,8 @@ def test_several_recordings_of_a_run_go_to_one_sequence_and_are_processed_togeth
 ) -> None:
     calibration = files[0].with_name("whole.calibration.yaml")
     with ingesting(platform):
-        sent = stone("upload", *files, "--calibration", calibration)
-        again = stone("upload", *files, "--calibration", calibration, "--json")
+        sent = stone("sequence", "upload", *files, "--calibration", calibration)
+        again = stone("sequence", "upload", *files, "--calibration", calibration, "--json")
     assert (sent.exit_code, again.exit_code) == (0, 0), sent.stderr + again.stderr
     assert "run: run (2 files of one bag) is on" in sent.stdout
     assert "run: ins.mcap is on" in sent.stdout
@@ -187,9 +191,9 @@ def test_several_recordings_of_a_run_go_to_one_sequence_and_are_processed_togeth
         ("run", "registered", 2),
         ("ins.mcap", "registered", 1),
     ]
-    assert refused(stone("process", "run", "--recording", "radar.mcap")) == "not_found"
-    assert refused(stone("process", "run", "--clock-offset", "radar.mcap=0.1")) == "bad_clock_offset"
-    asked = stone("process", "run", "--clock-offset", "ins.mcap=-0.08", "--json")
+    assert refused(stone("sequence", "process", "run", "--recording", "radar.mcap")) == "not_found"
+    assert refused(stone("sequence", "process", "run", "--clock-offset", "radar.mcap=0.1")) == "bad_clock_offset"
+    asked = stone("sequence", "process", "run", "--clock-offset", "ins.mcap=-0.08", "--json")
     assert asked.exit_code == 0, asked.stderr
     with platform.database.reading() as session:
         run = session.get_one(Job, json.loads(asked.stdout)["id"])
@@ -301,11 +305,11 @@ def test_a_recording_in_place_is_registered_once_and_nothing_is_sent(
     with serving(placed) as url, ingesting(placed):
         monkeypatch.setenv("STONE_URL", url)
         monkeypatch.setenv("STONE_TOKEN", owner.secret)
-        first = stone("register", place, "--calibration", calibration, "--name", "forest", "--json")
-        again = stone("register", place, "--calibration", calibration, "--name", "forest", "--json")
-        gone = stone("register", "nas:nothing.mcap", "--calibration", calibration, "--name", "gone")
-        other = stone("register", "disk:run.mcap", "--calibration", calibration, "--name", "gone")
-        unnamed = stone("register", "run.mcap", "--calibration", calibration, "--name", "gone")
+        first = stone("sequence", "register", place, "--calibration", calibration, "--name", "forest", "--json")
+        again = stone("sequence", "register", place, "--calibration", calibration, "--name", "forest", "--json")
+        gone = stone("sequence", "register", "nas:nothing.mcap", "--calibration", calibration, "--name", "gone")
+        other = stone("sequence", "register", "disk:run.mcap", "--calibration", calibration, "--name", "gone")
+        unnamed = stone("sequence", "register", "run.mcap", "--calibration", calibration, "--name", "gone")
     assert (first.exit_code, again.exit_code) == (0, 0), first.stderr + again.stderr
     assert json.loads(first.stdout)["recordings"] == json.loads(again.stdout)["recordings"]
     assert [refused(one) for one in (gone, other, unnamed)] == ["recording_vanished", "unknown_root", "bad_place"]

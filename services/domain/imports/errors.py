@@ -11,7 +11,7 @@ def existing_sequences(names: Sequence[str]) -> Refused:
     return Refused(
         "sequences_exist",
         f"{len(names)} scenes are called as sequences that are there: {_shown(names)}; delete or rename those, or "
-        "import with existing: add (`stone import --add-to-existing`), and each gets the labels of its scene beside "
+        "import with existing: add (`stone dataset import --add-to-existing`): each gets its labels beside "
         "its own",
     )
 

@@ -27,7 +27,7 @@ def requested_dataset(settings: InPlaceSettings, place: RecordingPlace) -> Recor
         raise Refused(
             "no_archive",
             f"{place.name[:200]!r} is no {ZIP} or {TAR}, and a folder is not imported in place; put it into a tar, or "
-            "upload it by `stone import FOLDER`",
+            "upload it by `stone dataset import FOLDER`",
         )
     if is_by_ranges(settings, place) and not place.path.endswith(ZIP):
         raise Refused(
