@@ -89,7 +89,7 @@ def known(world: World) -> dict[str, list[str]]:
         }
         sets = ids(LabelSet)[-1:]
         known |= {"upload_id": ids(Upload), "export_id": ids(Export), "user_id": ids(User), "a": scored, "b": scored}
-        known |= {"comparison_id": ids(LabelComparison)}
+        known |= {"comparison_id": ids(LabelComparison), "label_set_id": sets}
     known |= {"phase_id": [world.val, world.test], "phase_name": ["val", "test"], "benchmark_name": [world.benchmark]}
     known |= {"dataset_name": datasets, "dataset": datasets, "part": ["train", "val", "test"]}
     known |= {"token": [*world.truth("val"), *world.truth("test")], "metric": list(METRICS), "code": ["not_found"]}
