@@ -51,7 +51,16 @@ from tests.api.hidden_stage import (
 pytestmark = pytest.mark.whole
 
 UNBOUND = ApiSettings(requests_per_minute=10**7)
-OTHERS = ("recording_id", "export_id", "calibration_id", "comparison_id", "sequence_id", "token", "submission_id")
+OTHERS = (
+    "recording_id",
+    "export_id",
+    "calibration_id",
+    "comparison_id",
+    "label_set_id",
+    "sequence_id",
+    "token",
+    "submission_id",
+)
 NOBODYS = "e" * 32
 TELLING_THE_TIME = ("/readyz", "/quota", "/tokens")
 VOLATILE = {"date", "x-request-id", "ratelimit-remaining", "ratelimit-reset"}
