@@ -145,11 +145,11 @@ def test_a_client_of_another_release_is_understood_or_told_what_to_install(empty
     ours = metadata.read_text("utf-8")
     with serving_process(tmp_path / "data") as running:
         known = {"token": running.token, "url": running.url}
-        understood = stone(empty, tmp_path, "benchmarks", **known)
+        understood = stone(empty, tmp_path, "benchmark", "list", **known)
         before = httpx.get(f"{running.url}/api/v1/me", headers={"Authorization": f"Bearer {running.token}"})
         try:
             metadata.write_text(re.sub(r"(?m)^Version: .*$", "Version: 0.0.9", ours), "utf-8")
-            refused = stone(empty, tmp_path, "benchmarks", **known)
+            refused = stone(empty, tmp_path, "benchmark", "list", **known)
         finally:
             metadata.write_text(ours, "utf-8")
     assert understood.returncode == 0, understood.stderr
