@@ -1,6 +1,6 @@
-# make install | develop | platform | baselines | demo | serve | test | test-all | test-kernels | test-baselines | stress | static | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-datasets | bench-platform | bench-time-left | bench-pages | bench-truth | bench-outside | bench-confidence | bench-movers | bench-mounts | bench-real | bench-release | bench-faults | bench-decisions | bench-models | season | wheels | images
+# make install | develop | platform | baselines | demo | serve | test | test-all | test-kernels | test-baselines | stress | static | check | audit | docs | pictures | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-datasets | bench-platform | bench-time-left | bench-pages | bench-truth | bench-outside | bench-confidence | bench-movers | bench-mounts | bench-real | bench-release | bench-faults | bench-decisions | bench-models | season | wheels | images
 # Each installs first, which costs nothing when nothing changed.
-.PHONY: install develop platform baselines test-baselines test-clients demo serve test test-all test-kernels stress style static check check-tests check-beside audit docs chaos fuzz bench bench-eval bench-label bench-read bench-datasets bench-platform bench-time-left bench-pages bench-truth bench-outside bench-confidence bench-movers bench-mounts bench-real bench-release bench-faults bench-decisions bench-models season wheels images
+.PHONY: install develop platform baselines test-baselines test-clients demo serve test test-all test-kernels stress style static check check-tests check-beside audit docs pictures chaos fuzz bench bench-eval bench-label bench-read bench-datasets bench-platform bench-time-left bench-pages bench-truth bench-outside bench-confidence bench-movers bench-mounts bench-real bench-release bench-faults bench-decisions bench-models season wheels images
 .DELETE_ON_ERROR:
 # Hundreds of processes are started: what one has compiled serves the others.
 unexport PYTHONDONTWRITEBYTECODE
@@ -132,6 +132,10 @@ static: style
 
 docs: install $(DOCS_INSTALLED)
 	deploy/build-docs.sh
+
+# The manual's pictures, from the folders of `make demo`; to be looked at before they are committed.
+pictures: test-clients
+	$(BIN)/python -m docsite.pictures demo stone-data
 
 chaos: develop
 	$(BIN)/python -m chaos
