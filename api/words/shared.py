@@ -44,7 +44,7 @@ SHARED: Mapping[str, str] = {
     "files": "Number of files.",
     "bytes": "Size of the file in bytes.",
     "is_public": "Whether visitors can read it without an account.",
-    "environment": "Environment of the drive, one of the fixed words; empty if unspecified.",
+    "environment": "Environment of the drive, a plain word in lower case; empty if unspecified.",
     "illumination": "Light of the drive, one of the fixed words; empty if unspecified.",
     "region": "Region of the drive, a plain name; empty if unspecified.",
     "platform": "Name of the robot platform; empty if unspecified.",
