@@ -357,6 +357,8 @@ def test_the_owner_compares_two_label_sets(
         oldest = page.get_by_role("region", name="Label sets").get_by_role("row").last
         expect(newest).to_contain_text("active")
         expect(oldest).not_to_contain_text("open in 3D")
+        over = oldest.get_by_role("link", name="open over the active one in 3D")
+        expect(over).to_have_attribute("href", re.compile(r"/view\?second=[0-9a-f]{32}$"))
         look(page, "sequence-label-sets")
         with page.expect_navigation():
             oldest.get_by_role("button", name="Make active").click()
