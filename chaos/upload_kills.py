@@ -103,7 +103,7 @@ def _command(turn: OwnerRound, url: str) -> list[str]:
     inputs = turn.target.inputs
     stone = Path(sys.executable).with_name("stone")
     options = ["--calibration", inputs.calibration, "--name", SEQUENCE, "--server", url, "--json"]
-    return [str(word) for word in (stone, "upload", inputs.bag, *options)]
+    return [str(word) for word in (stone, "sequence", "upload", inputs.bag, *options)]
 
 
 def _environment(turn: OwnerRound) -> Mapping[str, str]:

@@ -25,7 +25,18 @@ STEPS = 4 * EPOCHS
 
 
 def start(row: Path, meadow: Path, run: Path, *more: str) -> "subprocess.Popen[bytes]":
-    command = [sys.executable, "-m", "stone_client.main", "train", str(row), str(meadow), "-o", str(run), *more]
+    command = [
+        sys.executable,
+        "-m",
+        "stone_client.main",
+        "model",
+        "train",
+        str(row),
+        str(meadow),
+        "-o",
+        str(run),
+        *more,
+    ]
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     return subprocess.Popen(command, cwd=ROOT, env=environment, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
 
@@ -81,7 +92,7 @@ def free_port() -> int:
 def run_twice(meadow: Path, run: Path) -> list[str]:
     """What `stone model train` says in each of two processes, as torchrun starts them."""
     (run.parent / "row.yaml").write_text(json.dumps(row_record(batch=1)))
-    command = [sys.executable, "-m", "stone_client.main", "train", str(run.parent / "row.yaml"), str(meadow)]
+    command = [sys.executable, "-m", "stone_client.main", "model", "train", str(run.parent / "row.yaml"), str(meadow)]
     command += ["-o", str(run), "--json"]
     port = str(free_port())
     started = []

@@ -245,7 +245,7 @@ def boxes_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def written(boxes_run: Path) -> tuple[Path, dict[str, Any]]:
     """The file, and what the command says of it."""
     path = boxes_run.with_name("model.onnx")
-    result = CliRunner().invoke(app, ["onnx", str(boxes_run), "-o", str(path), "--json"])
+    result = CliRunner().invoke(app, ["model", "onnx", str(boxes_run), "-o", str(path), "--json"])
     assert result.exit_code == 0, (result.stderr, result.exception)
     return path, json.loads(result.stdout)
 
@@ -318,7 +318,7 @@ def test_other_architectures_are_refused_in_a_line(tmp_path: Path) -> None:
     row = RowConfig("other", "OccFusion", "a test", replace(ROW.inputs, modality="C+L"), other)
     say_row(tmp_path, row)
     write_weights(tmp_path, build_model(other), WeightsProvenance(row.as_json(), "0" * 64, "all", 1))
-    result = CliRunner().invoke(app, ["onnx", str(tmp_path), "-o", str(tmp_path / "model.onnx")])
+    result = CliRunner().invoke(app, ["model", "onnx", str(tmp_path), "-o", str(tmp_path / "model.onnx")])
     assert (result.exit_code, len(result.stderr.splitlines())) == (1, 1)
     assert result.stderr.startswith("not_deployable: ")
 

@@ -287,7 +287,7 @@ def test_every_line_is_a_command_with_options_that_exist(
     lines = [step.line for step in submission_steps(StepsPlace("https://stone.test", None, "stone", "val", team))]
     ours = [shlex.split(line) for line in lines if line.startswith("stone ")]
     assert len(ours) == (5 if team else 6), "a team that exists is not created"
-    assert [words for words in ours if (team or "My team") in words][-1][:2] == ["stone", "submit"]
+    assert [words for words in ours if (team or "My team") in words][-1][:3] == ["stone", "benchmark", "submit"]
     for words in ours:
         parsed(typer.main.get_command(app), words[1:])
 

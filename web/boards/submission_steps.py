@@ -49,14 +49,16 @@ def _steps(at: StepsPlace) -> Iterator[SubmissionStep]:
     said = ("--team", at.team or TEAM, "--method", METHOD, "--modality", "L")
     if at.wheel is not None:
         line = f"{IN_ITS_OWN_PLACE}{install_line(at.url, at.wheel)}"
-        yield SubmissionStep("Install the client", line, "Python 3.11 or newer.")
-    yield SubmissionStep("Sign in", join(("stone", "login", at.url)))
+        yield SubmissionStep("Install the client", line, "Python 3.10 or newer.")
+    yield SubmissionStep("Sign in", join(("stone", "auth", "login", at.url)))
     if at.team is None:
-        yield SubmissionStep("Create a team", join(("stone", "teams", "create", TEAM)), "Skip it if you have one.")
+        yield SubmissionStep("Create a team", join(("stone", "team", "create", TEAM)), "Skip it if you have one.")
     yield SubmissionStep(
-        "Get the manifest", join(("stone", "manifest", *of_phase, "-o", manifest)), "The frames to predict."
+        "Get the manifest",
+        join(("stone", "benchmark", "manifest", *of_phase, "-o", manifest)),
+        "The frames to predict.",
     )
-    inputs = join(("stone", "inputs", *of_phase, "-o", f"inputs/{at.phase}"))
+    inputs = join(("stone", "benchmark", "inputs", *of_phase, "-o", f"inputs/{at.phase}"))
     yield SubmissionStep("Get the inputs", inputs, "Sensor data, a tar per sequence.")
     starter = "It predicts flat ground; put your method in its place."
     fetch = join(("curl", "-fsSO", f"{at.url}/downloads/{FILENAME}"))
@@ -64,5 +66,7 @@ def _steps(at: StepsPlace) -> Iterator[SubmissionStep]:
     yield SubmissionStep("Predict", predict_line(at.benchmark, at.phase))
     yield SubmissionStep("Validate", join(("stone", "validate", ZIP, "--manifest", manifest)))
     yield SubmissionStep(
-        "Submit", join(("stone", "submit", ZIP, *wanted, *said)), "L is LiDAR; C camera, R radar, C+L both."
+        "Submit",
+        join(("stone", "benchmark", "submit", ZIP, *wanted, *said)),
+        "L is LiDAR; C camera, R radar, C+L both.",
     )
