@@ -82,7 +82,9 @@ def test_a_team_sends_predictions_once_and_finds_them_on_the_board(site: Site, w
         for _ in range(2):
             page.goto(form_of(world))
             fill(page, archive)
-            expect(page.get_by_text(f"All {FRAMES} frames are present.")).to_be_visible()
+            expect(
+                page.get_by_text(f"All {FRAMES} frames are present, with the right shape, type and values.")
+            ).to_be_visible()
             page.get_by_role("button", name="Submit for scoring").dblclick()
             page.wait_for_url("**/submissions/*")
         expect(page.get_by_text("This file was already submitted")).to_be_visible()

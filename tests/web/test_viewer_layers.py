@@ -33,8 +33,8 @@ CUTS = f"""async given => {{ {IMPORTS} {VIEWER}
   const pick = scope => asking.ask({{ kind: "pick", ray, scope, token, look }});
   return {{ frame: direct(frame), tile: direct(tile), picked: [await pick("frame"), await pick("map")] }}; }}"""
 RADAR = f"""async () => {{ {IMPORTS} {VIEWER}
-  const {{ geometry }} = viewer.world.radar.group.children.find(one => one.visible);
-  return ["position", "strength"].map(name => [...geometry.getAttribute(name).array]); }}"""
+  const drawn = viewer.world.radar.group.children.find(one => one.visible);
+  return ["position", "strength"].map(name => [...(drawn?.geometry.getAttribute(name).array ?? [])]); }}"""
 
 
 @pytest.fixture
