@@ -116,7 +116,7 @@ def test_the_owner_has_pictures_and_an_export_made_edits_shares_and_deletes_it(
         expect(page.locator(".sequence-head")).to_contain_text("rice-paddy")
         page.get_by_role("button", name="Make public").click()
         page.get_by_role("dialog", name="Make it public").get_by_role("button", name="Make public").click()
-        expect(page.locator(".sequence-head")).to_contain_text("public")
+        expect(page.get_by_role("button", name="Make private")).to_be_visible()
         with site.visit() as visitor:
             to(visitor, shown, "/frames")
         page.get_by_role("button", name="Delete").click()
