@@ -24,7 +24,7 @@ def summary_lines(record: Mapping[str, Any], folders: tuple[Path, ...], spent_s:
     output, labels = folders[0], record["labels"]
     shares = labels["class_share_of_occupied"]
     classes = ", ".join(f"{100 * shares[name]:.1f} % {meaning}" for name, meaning in MEANINGS)
-    sizes = ", ".join(f"{folder} ({bytes_of(_size_bytes(folder))})" for folder in folders)
+    sizes = ", ".join(f"{_from_here(folder)} ({bytes_of(_size_bytes(folder))})" for folder in folders)
     again = "" if stays else f" (first start the server: {own_command()} serve)"
     return [
         f"3D view  {record['url']}{record['view']}{again}",
@@ -42,7 +42,12 @@ def own_command() -> str:
     run_as = Path(sys.argv[0])
     if shutil.which("stone") == str(run_as.resolve()) or run_as.name != "stone":
         return "stone"
-    return str(run_as.relative_to(Path.cwd()) if run_as.is_relative_to(Path.cwd()) else run_as)
+    return str(_from_here(run_as))
+
+
+def _from_here(path: Path) -> Path:
+    """Return the path as a person in this folder types it."""
+    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
 def _board_line(record: Mapping[str, Any]) -> str:
