@@ -1,6 +1,7 @@
 """The cameras beside the 3D view: what they see of the labels, held to numpy; pictures and 3D move together."""
 
 from collections.abc import Iterator
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -77,7 +78,8 @@ def views(page: Page, token: str, size: tuple[int, int]) -> list[Any]:
 SENSED = f"""async () => {{ {IMPORTS} {VIEWER}
   const {{ sensors }} = viewer.world, listed = lines => [...lines.geometry.getAttribute("position").array];
   return {{ axes: listed(sensors.axes), edges: listed(sensors.edges), matrix: sensors.group.matrix.elements,
-    names: [...sensors.names.children].filter(one => !one.hidden).map(one => one.textContent),
+    names: [...sensors.names.children].map(one => one.textContent),
+    boxes: [...sensors.names.children].filter(one => !one.hidden).map(one => one.getBoundingClientRect()),
     origin: viewer.world.origin }}; }}"""
 
 
@@ -107,6 +109,14 @@ def test_sensors_stand_where_they_are_mounted_and_cameras_where_they_were_at_the
     wanted[:3, 3] -= told["origin"]
     np.testing.assert_allclose(np.array(told["matrix"]).reshape(4, 4).T, wanted, atol=1e-9)
     assert set(told["names"]) == {*CHANNELS, "LIDAR_TOP", "RADAR_LEFT"}
+    page.locator(".viewer-canvas").hover()
+    for _ in range(6):
+        page.mouse.wheel(0, -600)
+        page.wait_for_timeout(100)
+    until(lambda: len(page.evaluate(SENSED)["boxes"]) > len(told["boxes"]))  # nearer, more of them stand apart
+    for one, other in combinations(page.evaluate(SENSED)["boxes"], 2):
+        is_beside = one["right"] <= other["left"] or other["right"] <= one["left"]
+        assert is_beside or one["bottom"] <= other["top"] or other["bottom"] <= one["top"], (one, other)
     look(page, "viewer-sensors")
     page.get_by_label("Sensors and camera views").uncheck()
     expect(page.locator(".viewer-names")).to_be_hidden()

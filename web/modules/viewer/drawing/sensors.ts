@@ -12,6 +12,8 @@ import type { Theme } from "./theme.js";
 const AXIS_M = 0.35;
 /** So far from its camera the picture's edge is drawn. */
 const EDGE_M = 1.2;
+/** A name that would lie over an earlier one is left out: height, and width of a letter. */
+const [NAME_PX, LETTER_PX] = [18, 8];
 const AXES: [Vector, Vector][] = [[[1, 0, 0], [0.85, 0.16, 0.16]], [[0, 1, 0], [0.1, 0.6, 0.2]], [[0, 0, 1], [0.2, 0.4, 0.95]]];
 
 interface Name {
@@ -70,10 +72,14 @@ export class SensorLayer implements Prop {
   drawing(camera: PerspectiveCamera): void {
     if (!this.group.visible) return;
     const { clientWidth: width, clientHeight: height } = this.canvas;
+    const taken: [number, number, number][] = [];
     for (const { element, place } of this.shown) {
       const at = place.clone().project(camera);
-      element.hidden = Math.abs(at.z) > 1;
-      element.style.setProperty("transform", `translate(${((at.x + 1) / 2) * width}px, ${((1 - at.y) / 2) * height}px)`);
+      const [x, y, wide] = [((at.x + 1) / 2) * width, ((1 - at.y) / 2) * height, LETTER_PX * (element.textContent ?? "").length];
+      const isOver = taken.some(([left, top, other]) => Math.abs(top - y) < NAME_PX && x < left + other && left < x + wide);
+      element.hidden = Math.abs(at.z) > 1 || isOver;
+      if (!element.hidden) taken.push([x, y, wide]);
+      element.style.setProperty("transform", `translate(${x}px, ${y}px)`);
     }
   }
 }
