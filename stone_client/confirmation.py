@@ -56,6 +56,22 @@ def require_confirmation(act: PermanentAct, *, is_given: bool, named: str = "") 
         raise typer.Exit(1)
 
 
+def confirm(
+    act: PermanentAct,
+    details: Mapping[str, Any],
+    *,
+    is_given: bool,
+    is_dry_run: bool,
+    as_json: bool,
+    named: str = "",
+) -> None:
+    """Return if `act` shall happen: after a dry run the command ends, else `require_confirmation` decides."""
+    if is_dry_run:
+        show_dry_run(act, details, as_json=as_json)
+        raise typer.Exit
+    require_confirmation(act, is_given=is_given, named=named)
+
+
 def show_dry_run(act: PermanentAct, details: Mapping[str, Any], *, as_json: bool) -> None:
     """Print the act that did not happen; `details` stand beside it under `--json`."""
     if as_json:

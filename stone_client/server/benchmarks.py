@@ -30,6 +30,11 @@ def read_benchmark(api: Api, name: str) -> Item:
     return api.read(f"/benchmarks/{quote(name, safe='')}")
 
 
+def administered_phase(api: Api, benchmark: str, phase: str) -> str:
+    """Return the path of a phase for administrators."""
+    return f"/admin/phases/{read_phase(api, benchmark, phase)['id']}"
+
+
 def read_phase(api: Api, benchmark: str, phase: str) -> Item:
     """A phase: its rules, whether it runs, by what it is scored."""
     return api.read(phase_path(benchmark, phase))

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from stone_base.errors import Refused
 from stone_client.api import Api
-from stone_client.server.benchmarks import read_phase
+from stone_client.server.benchmarks import administered_phase
 from stone_client.server.published_tables import PublishedTable
 from stone_client.server.scores import RATIOS, percent
 from stone_client.server.sequences import Item
@@ -43,7 +43,7 @@ class Putting:
 
 def put_table(api: Api, table: PublishedTable, how: Putting) -> dict[str, Any]:
     """Put the rows that do not stand there yet; what became of each. Raises `reported_differs`."""
-    path = f"/admin/phases/{read_phase(api, how.benchmark, how.phase)['id']}/reported"
+    path = f"{administered_phase(api, how.benchmark, how.phase)}/reported"
     answer = api.send("GET", path)
     standing: dict[tuple[str, str], Item] = {_key(row): row for row in answer.json()["items"]}
     rows = table.reported()

@@ -7,7 +7,6 @@ import typer
 from stone_client.commands.admin import RequiredReason
 from stone_client.commands.admin.phases import WaitOption
 from stone_client.options import ServerOption
-from stone_client.progress import reported
 from stone_client.record_tables import echo_records
 from stone_client.streams import JsonOption, echo_json
 
@@ -25,17 +24,13 @@ def inputs(
     from urllib.parse import quote
 
     from stone_client.connection import administering
-    from stone_client.server.job_following import follow
+    from stone_client.server.admin.inputs import create_inputs
 
     named = quote(version, safe="")
     with administering(server) as api:
-        job = api.create(f"/admin/datasets/{named}/inputs", {"reason": reason})
-        if is_awaited:
-            with reported() as progress:
-                job = dict(follow(api, job["id"], progress))
-        made = list(api.pages(f"/datasets/{named}/inputs"))
+        made = create_inputs(api, f"/datasets/{named}", reason, is_awaited=is_awaited)
     if as_json:
-        echo_json({"job": job, "inputs": made})
+        echo_json(made)
         return
     columns = {"sequence": "name", "split": "split", "state": "state", "bytes": "tar_bytes"}
-    echo_records("inputs", made, columns, as_json=False)
+    echo_records("inputs", made["inputs"], columns, as_json=False)

@@ -8,9 +8,8 @@ import typer
 from stone_base.counts import counted
 from stone_base.errors import one_line
 from stone_client.commands.admin import RequiredReason
-from stone_client.confirmation import DryRunOption, PermanentAct, YesOption, require_confirmation, show_dry_run
+from stone_client.confirmation import DryRunOption, PermanentAct, YesOption, confirm, require_confirmation
 from stone_client.options import BenchmarkArgument, PhaseArgument, ServerOption
-from stone_client.progress import reported
 from stone_client.record_tables import echo_records, items_of
 from stone_client.streams import JsonOption, echo_json
 from stone_client.tables import DASH
@@ -27,10 +26,10 @@ def show(
 ) -> None:
     """Show the rules of a phase, and findings such as labels that became public."""
     from stone_client.connection import administering
-    from stone_client.server.benchmarks import read_phase
+    from stone_client.server.benchmarks import administered_phase
 
     with administering(server) as api:
-        record = api.read(f"/admin/phases/{read_phase(api, benchmark, phase)['id']}")
+        record = api.read(administered_phase(api, benchmark, phase))
     if as_json:
         echo_json(record)
         return
@@ -50,21 +49,17 @@ def inputs(
 ) -> None:
     """Create the missing inputs of a phase: what participants predict from."""
     from stone_client.connection import administering
+    from stone_client.server.admin.inputs import create_inputs
     from stone_client.server.benchmarks import read_phase
-    from stone_client.server.job_following import follow
 
     with administering(server) as api:
-        own = read_phase(api, benchmark, phase)["id"]
-        job = api.create(f"/admin/phases/{own}/inputs", {"reason": reason})
-        if is_awaited:
-            with reported() as progress:
-                job = dict(follow(api, job["id"], progress))
-        made = list(api.pages(f"/phases/{own}/inputs"))
+        own = f"/phases/{read_phase(api, benchmark, phase)['id']}"
+        made = create_inputs(api, own, reason, is_awaited=is_awaited)
     if as_json:
-        echo_json({"job": job, "inputs": made})
+        echo_json(made)
         return
     columns = {"sequence": "name", "files": "files", "bytes": "tar_bytes", "created": "created_at"}
-    echo_records("inputs", made, columns, as_json=False)
+    echo_records("inputs", made["inputs"], columns, as_json=False)
 
 
 def alarms(
@@ -76,10 +71,10 @@ def alarms(
 ) -> None:
     """List the open alarms of a phase: entries that are too much alike, or too good."""
     from stone_client.connection import administering
-    from stone_client.server.benchmarks import read_phase
+    from stone_client.server.benchmarks import administered_phase
 
     with administering(server) as api:
-        path = f"/admin/phases/{read_phase(api, benchmark, phase)['id']}/alarms"
+        path = f"{administered_phase(api, benchmark, phase)}/alarms"
         found = list(api.pages(path, **({"dismissed": "true"} if has_dismissed else {})))
     columns = {"kind": "kind", "subject": "subject", "raised": "created_at", "dismissed": "dismissed_at", "id": "id"}
     echo_records("alarms", found, columns, as_json=as_json)
@@ -109,10 +104,10 @@ def reported_rows(
 ) -> None:
     """List the reported rows of a phase: results that others published, never ranked."""
     from stone_client.connection import administering
-    from stone_client.server.benchmarks import read_phase
+    from stone_client.server.benchmarks import administered_phase
 
     with administering(server) as api:
-        found = items_of(api.send("GET", f"/admin/phases/{read_phase(api, benchmark, phase)['id']}/reported").json())
+        found = items_of(api.send("GET", f"{administered_phase(api, benchmark, phase)}/reported").json())
     columns = {"method": "method", "track": "modality", "kind": "kind", "mIoU": "miou", "source": "source"}
     echo_records("reported", found, columns, as_json=as_json)
 
@@ -132,20 +127,17 @@ def report(
     """Replace all reported rows of a phase by those of a file."""
     from stone_client.connection import administering
     from stone_client.files.yaml_file import read_yaml
-    from stone_client.server.benchmarks import read_phase
+    from stone_client.server.benchmarks import administered_phase
 
     rows = read_yaml(file)
     if not isinstance(rows, list):
         raise typer.BadParameter("it holds no list of rows", param_hint="FILE")
     with administering(server) as api:
-        path = f"/admin/phases/{read_phase(api, benchmark, phase)['id']}/reported"
+        path = f"{administered_phase(api, benchmark, phase)}/reported"
         answer = api.send("GET", path)
         clause = f"replace the {len(items_of(answer.json()))} reported rows of {benchmark} / {phase} by {len(rows)}"
         act = PermanentAct(clause, "the rows of before are lost")
-        if is_dry_run:
-            show_dry_run(act, {"rows": rows}, as_json=as_json)
-            return
-        require_confirmation(act, is_given=is_confirmed)
+        confirm(act, {"rows": rows}, is_given=is_confirmed, is_dry_run=is_dry_run, as_json=as_json)
         body, match = {"rows": rows, "reason": reason}, {"If-Match": answer.headers["ETag"]}
         done = items_of(api.send("PUT", path, json=body, headers=match).json())
     if as_json:

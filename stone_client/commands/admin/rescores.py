@@ -6,7 +6,7 @@ import typer
 
 from stone_client.commands.admin import RequiredReason
 from stone_client.commands.admin.phases import WaitOption
-from stone_client.confirmation import DryRunOption, PermanentAct, YesOption, require_confirmation, show_dry_run
+from stone_client.confirmation import DryRunOption, PermanentAct, YesOption, confirm, require_confirmation
 from stone_client.options import BenchmarkArgument, PhaseArgument, ServerOption
 from stone_client.progress import reported
 from stone_client.record_tables import echo_records
@@ -105,10 +105,7 @@ def activate(
         path = rescore_path(api, benchmark, phase, rescore)
         read = api.send("GET", f"{path}/diff")
         act = _switch(f"{benchmark} / {phase}", read.json())
-        if is_dry_run:
-            show_dry_run(act, {"diff": read.json()}, as_json=as_json)
-            return
-        require_confirmation(act, is_given=is_confirmed)
+        confirm(act, {"diff": read.json()}, is_given=is_confirmed, is_dry_run=is_dry_run, as_json=as_json)
         match = {"If-Match": read.headers["ETag"]}
         record = api.send("POST", f"{path}/activate", json={"reason": reason}, headers=match).json()
     if as_json:

@@ -27,10 +27,10 @@ def listed(
 ) -> None:
     """List the ground truths of a phase, newest first."""
     from stone_client.connection import administering
-    from stone_client.server.benchmarks import read_phase
+    from stone_client.server.benchmarks import administered_phase
 
     with administering(server) as api:
-        found = list(api.pages(f"/admin/phases/{read_phase(api, benchmark, phase)['id']}/ground-truths"))
+        found = list(api.pages(f"{administered_phase(api, benchmark, phase)}/ground-truths"))
     echo_records("ground truths", found, COLUMNS, as_json=as_json)
 
 
@@ -47,12 +47,12 @@ def build(
 ) -> None:
     """Build a ground truth; the first of a phase is in force when it is ready, a later one after a re-score."""
     from stone_client.connection import administering
-    from stone_client.server.benchmarks import read_phase
+    from stone_client.server.benchmarks import administered_phase
     from stone_client.server.job_following import follow
 
     body = {"reason": reason, **({} if dataset is None else {"dataset": dataset})}
     with administering(server) as api:
-        own = f"/admin/phases/{read_phase(api, benchmark, phase)['id']}/ground-truths"
+        own = f"{administered_phase(api, benchmark, phase)}/ground-truths"
         accepted = api.create(own, body)
         if is_awaited:
             with reported() as progress:

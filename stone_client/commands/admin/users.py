@@ -8,7 +8,7 @@ import typer
 from stone_base.errors import one_line
 from stone_base.newer_python import StrEnum
 from stone_client.commands.admin import RequiredReason
-from stone_client.confirmation import DryRunOption, PermanentAct, YesOption, require_confirmation, show_dry_run
+from stone_client.confirmation import DryRunOption, PermanentAct, YesOption, confirm
 from stone_client.options import ServerOption
 from stone_client.record_tables import echo_records
 from stone_client.streams import JsonOption, echo_json
@@ -107,10 +107,7 @@ def deactivate(
     with administering(server) as api:
         found = user_named(api, user)
         act = PermanentAct(f"deactivate {found['name']} ({found['id']})", "all tokens and sessions of the user end")
-        if is_dry_run:
-            show_dry_run(act, {"user": dict(found)}, as_json=as_json)
-            return
-        require_confirmation(act, is_given=is_confirmed)
+        confirm(act, {"user": dict(found)}, is_given=is_confirmed, is_dry_run=is_dry_run, as_json=as_json)
         answer = api.send("PATCH", f"/admin/users/{found['id']}", json={"is_active": False, "reason": reason})
         _echo(answer.json(), "deactivated", as_json=as_json)
 
@@ -131,10 +128,7 @@ def delete(
         found = user_named(api, user)
         effect = "name, password, tokens and sessions are lost; what the user made stays, under no name"
         act = PermanentAct(f"delete {found['name']} ({found['id']})", effect)
-        if is_dry_run:
-            show_dry_run(act, {"user": dict(found)}, as_json=as_json)
-            return
-        require_confirmation(act, is_given=is_confirmed)
+        confirm(act, {"user": dict(found)}, is_given=is_confirmed, is_dry_run=is_dry_run, as_json=as_json)
         _echo(api.create(f"/admin/users/{found['id']}/erase", {"reason": reason}), "deleted", as_json=as_json)
 
 

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from stone_client.confirmation import DryRunOption, YesOption, require_confirmation, show_dry_run
+from stone_client.confirmation import DryRunOption, YesOption, confirm
 from stone_client.options import ServerOption
 from stone_client.streams import JsonOption, echo_json
 
@@ -31,10 +31,7 @@ def withdraw(
     with connected(server) as api:
         found = submission_id(api, submission)
         act = withdrawal(api, found)
-        if is_dry_run:
-            show_dry_run(act, {"id": found}, as_json=as_json)
-            return
-        require_confirmation(act, is_given=is_confirmed, named=submission)
+        confirm(act, {"id": found}, is_given=is_confirmed, is_dry_run=is_dry_run, as_json=as_json, named=submission)
         taken = take_off(api, found, reason)
     if as_json:
         echo_json(dict(taken))

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from stone_client.confirmation import DryRunOption, YesOption, require_confirmation, show_dry_run
+from stone_client.confirmation import DryRunOption, YesOption, confirm
 from stone_client.options import SequenceArgument, ServerOption
 from stone_client.streams import JsonOption, echo_json
 
@@ -30,10 +30,9 @@ def delete(
         found = find_sequence(api, sequence)
         deleted = label_set_named(api, found, label_set)
         act = deletion(found, deleted)
-        if is_dry_run:
-            show_dry_run(act, {"label_set": deleted}, as_json=as_json)
-            return
-        require_confirmation(act, is_given=is_confirmed, named=label_set)
+        confirm(
+            act, {"label_set": deleted}, is_given=is_confirmed, is_dry_run=is_dry_run, as_json=as_json, named=label_set
+        )
         delete_label_set(api, found, deleted)
     if as_json:
         echo_json({"deleted": deleted})

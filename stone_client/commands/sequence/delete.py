@@ -2,7 +2,7 @@
 
 import typer
 
-from stone_client.confirmation import DryRunOption, PermanentAct, YesOption, require_confirmation, show_dry_run
+from stone_client.confirmation import DryRunOption, PermanentAct, YesOption, confirm
 from stone_client.options import SequenceArgument, ServerOption
 from stone_client.streams import JsonOption, echo_json
 
@@ -24,11 +24,8 @@ def delete(
         labels = len(list(api.pages(f"/sequences/{found['id']}/label-sets")))
         held = f"{recordings} recordings and {labels} label sets"
         act = PermanentAct(f"delete sequence {found['name']} ({found['id']})", f"its {held} cannot be restored")
-        if is_dry_run:
-            details = {"id": found["id"], "recordings": recordings, "label_sets": labels}
-            show_dry_run(act, details, as_json=as_json)
-            return
-        require_confirmation(act, is_given=is_confirmed)
+        details = {"id": found["id"], "recordings": recordings, "label_sets": labels}
+        confirm(act, details, is_given=is_confirmed, is_dry_run=is_dry_run, as_json=as_json)
         api.send("DELETE", f"/sequences/{found['id']}", headers={"If-Match": f'"{found["revision"]}"'})
     if as_json:
         echo_json({"deleted": found["id"]})

@@ -2,12 +2,12 @@
 
 from stone_base.errors import Refused
 from stone_client.api import Api
-from stone_client.server.benchmarks import read_phase
+from stone_client.server.benchmarks import administered_phase
 from stone_client.server.ids import chosen_id
 
 
 def rescores_path(api: Api, benchmark: str, phase: str) -> str:
-    return f"/admin/phases/{read_phase(api, benchmark, phase)['id']}/rescores"
+    return f"{administered_phase(api, benchmark, phase)}/rescores"
 
 
 def rescore_path(api: Api, benchmark: str, phase: str, named: str) -> str:
