@@ -1,4 +1,4 @@
-"""What is wrong with a field of a request, from an error of pydantic.
+"""Findings about a field of a request, from an error of pydantic.
 
 **Conventions.** `expected` holds what the field takes, `actual` the kind and size of what was sent, `detail` both in a
 sentence. Text that was sent is never repeated, since it may be a secret: only numbers of numeric fields are.

@@ -1,4 +1,4 @@
-"""What Python 3.11 brought, for the client on Python 3.10.
+"""Names of Python 3.11, for the client on Python 3.10.
 
 **Conventions.** The client's packages take these names from here; on 3.11 and newer they are the standard library's.
 """

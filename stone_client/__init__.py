@@ -22,7 +22,7 @@ if _VENDOR.is_dir() and str(_VENDOR) not in sys.path:
 
 
 def __getattr__(name: str) -> Any:
-    """The SDK, loaded when it is asked for: a command that does without it starts faster. Raises AttributeError."""
+    """Return a name of the SDK, loaded at its first use: commands without it start faster. Raises AttributeError."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from stone_client import sdk

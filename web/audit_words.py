@@ -105,7 +105,7 @@ VERBS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Thing:
-    """What an entry is about: its name, and its page, empty if it has none."""
+    """The subject of an entry: its name, and its page, empty if it has none."""
 
     name: str
     path: str = ""

@@ -65,7 +65,7 @@ class ColumnCounts:
 
 @dataclass(frozen=True, eq=False)
 class FrameCounts:
-    """What is kept of a frame: `confusion` (3, 4, 4) [ring, truth, prediction] in voxels, `bev` (3, 3) in columns."""
+    """The counts of a frame: `confusion` (3, 4, 4) [ring, truth, prediction] in voxels, `bev` (3, 3) in columns."""
 
     confusion: Confusion
     bev: Drivable

@@ -7,10 +7,10 @@ from stone.scoring.frame_counts import TruthPlanes
 
 
 def truth_hash(truth: TruthPlanes) -> bytes:
-    """Of all that a score depends on in one frame: the labels where they are evaluated, and where that is."""
+    """Return the hash of all that a score depends on in one frame: the evaluated voxels and their labels."""
     return sha256(truth.planes.data).digest()
 
 
 def whole_hash(hashes: Mapping[str, bytes]) -> str:
-    """Of a whole ground truth, from `truth_hash` by token; the order of frames makes no difference."""
+    """Return the hash of a whole ground truth, from `truth_hash` by token; the order of frames makes no difference."""
     return sha256(b"".join(token.encode() + hashes[token] for token in sorted(hashes))).hexdigest()

@@ -34,7 +34,7 @@ class Labels(Mapping[str, "NDArray[np.uint8]"]):
         self._dataset = open_dataset(folder)
         by_token = {frame.token: frame for frame in self._dataset}
         self.frames: Sequence[Frame] = [by_token[token] for token in stamps_ns]
-        """The frames, whose arrays are read when they are asked for."""
+        """The frames; their arrays are read at their first use."""
         self.stamps_ns = np.array(list(stamps_ns.values()), np.int64)
         """The LiDAR stamp of each frame, in nanoseconds."""
 

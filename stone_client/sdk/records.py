@@ -119,7 +119,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Results:
-    """What a submission scored: `total` ratios, their `intervals` by scope, and the `confusion` [truth, prediction]."""
+    """The scores of a submission: `total` ratios, their `intervals` by scope, `confusion` [truth, prediction]."""
 
     submission_id: str
     benchmark: str

@@ -16,7 +16,7 @@ def read_notifications(api: Api) -> Item:
 
 
 def choose_events(api: Api, channel: str, kinds: Sequence[str], *, is_wanted: bool) -> Item:
-    """Be told of these events by the channel, or no more; other choices stay. Raises `unknown_event`, `email_off`."""
+    """Enable or disable these events on a channel; other choices stay. Raises `unknown_event`, `email_off`."""
     now = read_notifications(api)
     known = [str(event["kind"]) for event in now["events"]]
     if unknown := [kind for kind in kinds if kind not in known]:

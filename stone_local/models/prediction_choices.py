@@ -1,4 +1,4 @@
-"""What `stone model predict` looks at: exports and a manifest, or a recording and its calibration, never both."""
+"""The inputs of `stone model predict`: exports and a manifest, or a recording and its calibration, never both."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

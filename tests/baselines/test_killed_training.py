@@ -90,7 +90,7 @@ def free_port() -> int:
 
 
 def run_twice(meadow: Path, run: Path) -> list[str]:
-    """What `stone model train` says in each of two processes, as torchrun starts them."""
+    """Return the output of `stone model train` in each of two processes, as torchrun starts them."""
     (run.parent / "row.yaml").write_text(json.dumps(row_record(batch=1)))
     command = [sys.executable, "-m", "stone_client.main", "model", "train", str(run.parent / "row.yaml"), str(meadow)]
     command += ["-o", str(run), "--json"]

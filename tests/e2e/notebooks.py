@@ -30,7 +30,7 @@ def _run(source: str, namespace: dict[str, Any]) -> dict[str, str]:
 
 
 def _data_of(value: Any) -> dict[str, str]:
-    """What a notebook stores of a value that a cell shows."""
+    """Return the stored form of a value that a cell shows."""
     data = {"text/plain": repr(value)}
     for kind, name in SHOWN.items():
         if (made := getattr(value, name, lambda: None)()) is not None:
@@ -39,7 +39,7 @@ def _data_of(value: Any) -> dict[str, str]:
 
 
 def kinds(notebook: dict[str, Any]) -> list[list[str]]:
-    """What each code cell shows, by media type."""
+    """Return the outputs of each code cell, by media type."""
     cells = (cell for cell in notebook["cells"] if cell["cell_type"] == "code")
     return [sorted(kind for output in cell["outputs"] for kind in output["data"]) for cell in cells]
 

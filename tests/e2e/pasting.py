@@ -51,7 +51,7 @@ def statements(block: str) -> Iterator[str]:
 
 @dataclass
 class Shell:
-    """Where a guide is pasted. `said` is what the page says and a test has elsewhere: an address, a size;
+    """The shell that a guide is pasted into. `said` is what the page says and a test has elsewhere: an address, a size;
     `answers` is what is typed at every prompt."""
 
     said: Mapping[str, str]

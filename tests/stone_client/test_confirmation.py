@@ -78,7 +78,7 @@ def test_withdraw_reads_the_answer_on_a_terminal(submission: str, monkeypatch: p
 
 @pytest.fixture
 def names(platform: Platform, url: str, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Of three sequences of a platform whose administrator gives the commands."""
+    """Three sequences on a platform whose administrator gives the commands."""
     monkeypatch.setenv("STONE_URL", url)
     monkeypatch.setenv("STONE_TOKEN", person(platform, "administrator").secret)
     owner: Person = person(platform, "curator")

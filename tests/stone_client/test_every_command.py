@@ -1,4 +1,4 @@
-"""What holds for every command of the tree: `--json`, `-h`, help in words, and completion that imports nothing."""
+"""Rules for every command of the tree: `--json`, `-h`, help in words, and completion that imports nothing."""
 
 import os
 import subprocess

@@ -25,7 +25,7 @@ BOX = re.compile(r"^│ (.*?) *│$", re.MULTILINE)
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where the lines are typed, as wide as any sentence."""
+    """The folder of the commands, on a terminal as wide as any sentence."""
     folder = tmp_path / "here"
     (folder / "folder").mkdir(parents=True)
     for name, content in USELESS.items():

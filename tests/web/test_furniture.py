@@ -1,4 +1,4 @@
-"""What all pages share: the menu's place, crumbs, drawn icons, and a page for an address that is none."""
+"""Parts of all pages: the menu's place, crumbs, drawn icons, and the page of an address that does not exist."""
 
 import re
 from pathlib import Path

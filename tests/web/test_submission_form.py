@@ -235,7 +235,7 @@ ATTACKED = """async ({at, grid, tokens, zips}) => {
 
 @pytest.mark.parametrize("grid", [*GRIDS.values(), OWN], ids=lambda grid: grid.name)
 def test_a_hostile_submission_has_the_platforms_code_on_the_page_at_every_grid(site: Site, grid: LabelGrid) -> None:
-    """What follows a whole array only the platform reads."""
+    """Only the platform reads the bytes after a whole array."""
     archives = [submission(grid, honest(grid)), *(attack.made(grid) for attack in GRID_ATTACKS.values())]
     given = {
         "grid": grid.as_record(),

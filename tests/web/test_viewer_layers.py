@@ -112,7 +112,7 @@ def found(page: Page, given: dict[str, Any]) -> Any:
 
 
 def test_points_are_coloured_between_the_values_of_the_legend(at_viewer: Page, seen: dict[str, Any]) -> None:
-    """Of a frame's intensities, but for two in a hundred at either end, or as the reader says; in both the legend."""
+    """The range is a frame's intensities without 2 % at either end, or the reader's; the legend shows both."""
     page = at_viewer
     with page.expect_response(lambda answer: "/cloud" in answer.url):
         page.get_by_label("Point cloud").check()

@@ -24,7 +24,7 @@ class SubmissionStep:
 
 @dataclass(frozen=True)
 class StepsPlace:
-    """Where the steps lead: the platform's address, the wheel it serves, the phase, and the team if there is one."""
+    """The target of the steps: the platform's address, the wheel it serves, the phase, and the team if there is one."""
 
     url: str
     wheel: ClientWheel | None

@@ -1,4 +1,4 @@
-"""The page where somebody approves a program that signs in with a browser's help (`stone auth login --browser`).
+"""The page on which a user approves a program that signs in by a browser (`stone auth login --browser`).
 
 **Conventions.** A code in the address fills the field and no more: who asks and for what is shown, and nothing is
 approved without a press of the button (RFC 8628, 5.4).

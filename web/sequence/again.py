@@ -44,7 +44,7 @@ class RunChoices:
 
 
 def choices_of(session: Session, labels: LabelSet | None, profile: str = "") -> RunChoices | None:
-    """What the run of these labels was asked for, with this profile or its own; None for labels that no run made."""
+    """Return the request of the run of these labels, with this profile or its own; None for labels without a run."""
     run = None if labels is None or labels.job_id is None else session.get(Job, labels.job_id)
     if run is None or run.kind != PROCESS or "profile" not in run.arguments:
         return None

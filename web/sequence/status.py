@@ -102,7 +102,7 @@ class SequenceStatus:
 
     @property
     def beside(self) -> tuple[JobItem, ...]:
-        """The runs that are alive, that somebody asked for, and that are no labellings."""
+        """Return the requested runs that are not over and label nothing."""
         alive = (run for run in self.runs if run.kind != PROCESS and run.state not in TERMINAL)
         return tuple(run for run in alive if run.priority != LAST)
 

@@ -84,6 +84,6 @@ def download_point_cloud(
 def download_radar(
     token: TokenPath, caller: Looker, platform: PlatformDep, request: Request, version: VersionQuery = None
 ) -> Response:
-    """What all radars detect, in the ego frame at the frame's stamp, with its speed over ground (`STE1`)."""
+    """Return the detections of all radars, in the ego frame at the frame's stamp, with speeds over ground (`STE1`)."""
     served = played_file(platform, (caller, token, version), radar_file)
     return answer_bytes(request, replace(served, media_type=RADAR))

@@ -120,7 +120,7 @@ def small_cloud(sample: LidarSample, ego_from_lidar: SE3) -> bytes:
 
 
 def detections(scans: Listing[RadarSample], ego_from_lidar: SE3) -> bytes:
-    """What all radars of a frame detect as `STE1`, moved to its stamp."""
+    """Return the detections of all radars of a frame as `STE1`, moved to its stamp."""
     points_lidar = np.concatenate([np.empty((0, 3)), *(scan.points_lidar for scan in scans)])
     rates_m_s = np.concatenate([np.empty(0), *(scan.ground_rate_m_s for scan in scans)])
     return detections_bytes(ego_from_lidar @ points_lidar, rates_m_s)

@@ -230,7 +230,7 @@ AHEAD = 3
 
 
 def sha256_of_parts(store: Store, parts: Sequence[UploadPart]) -> str:
-    """Of their bytes one after the other. Raises `ObjectMissingError`, `store_unavailable`."""
+    """Return the digest of their bytes in this order. Raises `ObjectMissingError`, `store_unavailable`."""
     state = hashlib.sha256()
     for content in _contents(store, parts):
         state.update(content)

@@ -90,7 +90,7 @@ main()
 
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the wheel holds, as pip lays it out."""
+    """The content of the wheel, as pip lays it out."""
     wheel = tmp_path_factory.mktemp("alone") / "wheel"
     shutil.copytree(ROOT / "stone_client", wheel / "stone_client")
     below = wheel / "stone_client" / "_vendor"

@@ -1,4 +1,4 @@
-"""What NumPy counts is what the kernels count, and what the slow metric counts."""
+"""The counts by NumPy equal those of the kernels and of the slow metric."""
 
 import numpy as np
 import pytest

@@ -26,7 +26,7 @@ ENDS = ("succeeded", "failed")
 
 @dataclass(frozen=True)
 class KindDurations:
-    """Of the jobs of a kind that ended: how many, how many failed, and the durations of those that succeeded.
+    """The ended jobs of a kind: their number, the failed ones, and the durations of those that succeeded.
 
     `daily` is the median of each day with its number of jobs, oldest first; days without any are left out.
     """
