@@ -50,7 +50,7 @@ class SimulateOptions:
     measured; zstd is smaller still, but costs more to write and twice as much to read.
 
     `camera_detail` is `coarse`, 80 × 50 rays a picture, enlarged; `half`, a ray for every 2 × 2 pixels and the noise of
-    a sensor; or `full`, a ray for each pixel: pictures worth learning from, at a cost (docs/benchmarks.md).
+    a sensor; or `full`, a ray for each pixel: pictures worth learning from, at a cost (docs/research/benchmarks.md).
     `illumination` is a word of the platform's.
 
     `noise_ratio` scales what the sensors add to the truth: 0 measures exactly, 1 is the paper's rig. `range_noise` adds

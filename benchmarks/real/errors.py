@@ -25,5 +25,5 @@ class NothingDescribedError(StoneError):
             return
         super().__init__(
             f"{folder} holds no file *.real.yaml, and none of the recordings of the {known} descriptions that come "
-            "with the project (is it the folder meant? docs/method/real-ground.md says what a description holds)"
+            "with the project (is it the folder meant? docs/research/real-ground.md says what a description holds)"
         )

@@ -2,7 +2,7 @@
 
 FOLDER holds the released ZIP, or the unpacked dataset, and one or more of its bags. Frames of a bag are matched to the
 dataset's by stamps, and the bag is labelled at the dataset's grid and ego origin with every profile, k, α and share of
-voxels kept (docs/method/released-labels.md). Printed is a row for each setting, the closest first; of the closest the
+voxels kept (docs/research/released-labels.md). Printed is a row for each setting, the closest first; of the closest the
 confusion, the ratios by distance and the command to label with it. A picture of a frame of each bag, ours beside
 theirs, is left in `--out`. Nothing of the dataset is unpacked. Without FOLDER a twin is compared: a simulated bag of
 the release, and labels that our labeler made of it.

@@ -2,7 +2,7 @@
 
 **Conventions.** Bit n of a word stands for lane n: for voxel n of an upright column, or for frame n of a batch.
 Addresses are counted in elements of a C-contiguous array. Like those that numba makes itself they are checked with
-`NUMBA_BOUNDSCHECK=1` alone: why each is in range is in docs/security/kernels.md.
+`NUMBA_BOUNDSCHECK=1` alone: why each is in range is in docs/developers/kernels.md.
 """
 
 from typing import Any

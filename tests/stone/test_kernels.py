@@ -1,4 +1,4 @@
-"""Kernels and their indices: docs/security/kernels.md names each, and checks of indices find one that is wrong."""
+"""Kernels and their indices: docs/developers/kernels.md names each, and checks of indices find one that is wrong."""
 
 import ast
 import os
@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs" / "security" / "kernels.md"
+PAGE = ROOT / "docs" / "developers" / "kernels.md"
 ROW = re.compile(r"^\| (?:`([^`]+)`)? ?\| `(\w+)` \| (.*) \| ?(.*) ?\|$", re.MULTILINE)
 OF_TESTS = ("tests", ".venv", "build", "web")
 

@@ -29,7 +29,7 @@ class Precision(StrEnum):
 THE_ROWS = "the row's"
 
 RowArgument = Annotated[
-    str, typer.Argument(metavar="ROW", help="A row's name (docs/models.md), or a YAML file of one.")
+    str, typer.Argument(metavar="ROW", help="A row's name (docs/train.md), or a YAML file of one.")
 ]
 ExportsArgument = Annotated[
     list[Path],
