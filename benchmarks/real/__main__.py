@@ -2,8 +2,8 @@
 
 Labels every recording of the folder that has a description (docs/research/real-ground.md says what one holds) with
 every profile and with one option at a time, and prints what can be told without a truth: ground that faces down, T
-under the track, N where the ground is known to be flat and on known walls, points whose class is known, how labels made from a
-part of the way hold on the rest of it, and how far two passes differ. Without FOLDER it is the one that
+under the track, N where the ground is known to be flat and on known walls, points whose class is known, how labels made
+from a part of the way hold on the rest of it, and how far two passes differ. Without FOLDER it is the one that
 STONE_FIELD_DATA names, else the tests' usual one; where that is missing, this is said and nothing fails. A folder that
 was named and holds nothing fails. `--names` chooses recordings, `--options` and `--profiles` rows; two passes are tried
 of the rows of `--passes-of`, since each labels everything twice more.
