@@ -29,7 +29,7 @@ OUT_OF_REACH_M = 1.0  # of the vote: no point is as near, so nothing is voted ou
 PAPER, LOCAL = parameters_for("paper"), parameters_for("local")
 UNFLOORED = replace(LOCAL, reference=replace(LOCAL.reference, floor_voxels=0))
 DECISIONS: Mapping[str, LabelParameters] = {
-    "as it is (paper)": PAPER,
+    "default (paper)": PAPER,
     "h above local ground (local)": LOCAL,
     "local, no floor": UNFLOORED,
     "footprint band ± 0.10 m": replace(PAPER, footprint_band_m=0.10),

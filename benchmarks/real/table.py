@@ -11,14 +11,14 @@ from benchmarks.real.labelled_map import Figures
 
 COLUMNS = (
     ("ground_down", "ground upside down", ".2%"),
-    ("flat_down", "of it, known flat", ".2%"),
+    ("flat_down", "flat ground upside down", ".2%"),
     ("covered", "T under the track", ".1%"),
-    ("flat_n", "N where flat", ".2%"),
+    ("flat_n", "N on flat ground", ".2%"),
     ("wall_n", "N on walls", ".1%"),
     ("ground_tp", "T ∪ P on ground", ".1%"),
     ("obstacle_n", "N on obstacles", ".1%"),
     ("unlabelled", "points unlabelled", ".1%"),
-    ("p_share", "P of all", ".1%"),
+    ("p_share", "P of all voxels", ".1%"),
     ("held_out", "held-out recall", ".2%"),
     ("held_out_m", "of m", ".0f"),
     *((f"{side}_{ratio:g}", f"from {side} {ratio:.0%}", ".2%") for ratio in KNOWN_RATIOS for side in ("first", "last")),

@@ -53,7 +53,7 @@ class Option:
 
 # A line here is a row for every recording; of a scan, a row for every way that its description states.
 OPTIONS = (
-    Option("as it is"),
+    Option("default"),
     Option("--ground auto", ground="auto"),
     Option("--odometry-topic kiss-icp", odometry_topic="kiss-icp"),
     Option("--refine-poses small_gicp", refinement=RefinementParameters()),

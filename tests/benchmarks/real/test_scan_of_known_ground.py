@@ -73,7 +73,7 @@ def test_a_plane_before_a_wall_is_told_from_it(
     assert found["option"] == "track: ahead"
     assert percent(found["ground upside down"]) == 0
     assert 30 < percent(found["T under the track"]) < 90  # of 6.5 m: what is nearer than 2.1 m is never seen
-    assert percent(found["N where flat"]) < 10
+    assert percent(found["N on flat ground"]) < 10
     assert percent(found["N on walls"]) == 100
     assert percent(found["T ∪ P on ground"]) > 80
     assert percent(found["N on obstacles"]) > 98
