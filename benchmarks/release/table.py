@@ -52,7 +52,7 @@ def show_findings(findings: Iterable[Finding]) -> None:
 
 def show_settings(title: str, found: Mapping[Setting, Agreement]) -> None:
     """Print a row for each setting, the closest first."""
-    table = _table("profile", "height", "k", "α", "kept of ours", *RATIOS, "ours unknown to them")
+    table = _table("profile", "height", "k", "α", "kept voxels", *RATIOS, "ours, unknown in theirs")
     for setting, agreement in ordered(found):
         height = "above local ground" if RULES[setting.profile].is_local else "absolute"
         shown = (setting.profile, height, str(setting.neighbours), f"{setting.alpha:g}", str(setting.kept))
