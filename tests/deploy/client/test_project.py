@@ -45,7 +45,7 @@ def test_the_platforms_wheel_holds_every_package_but_the_client_and_both_pages_n
     roots: list[str] = project(ROOT)["tool"]["importlinter"]["root_packages"]
     assert sorted([*of_platform, "stone_client"]) == sorted(roots)
     assert set(vendored()) < set(of_platform), "where both are installed, the platform's are imported"
-    for page in ("README.md", "docs/administrator.md"):
+    for page in ("README.md", "docs/operations/install.md"):
         (sentence,) = re.findall(r"installs these: (.+?)\.", read(page), re.DOTALL)
         assert re.findall(r"`(\w+)`", sentence) == of_platform, page
 

@@ -309,7 +309,7 @@ def test_half_a_provider_is_refused(oidc: dict[str, Any]) -> None:
 
 
 def test_the_example_of_the_administrators_guide_is_a_provider(monkeypatch: pytest.MonkeyPatch) -> None:
-    guide = (Path(__file__).resolve().parents[3] / "docs" / "administrator.md").read_text("utf-8")
+    guide = (ROOT / "docs" / "operations" / "users.md").read_text("utf-8")
     (block,) = re.findall(r"```sh\n# lab\.env[^\n]*\n(.*?)```", guide, re.DOTALL)
     for line in shlex.split(block):
         monkeypatch.setenv(*line.split("=", 1))
