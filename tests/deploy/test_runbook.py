@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -38,7 +39,7 @@ def text_of(page: str) -> str:
 
 
 def asked(page: str) -> str:
-    """The lines of a page that ask the platform, after those of the runbook that say how."""
+    """Return the lines of a page that send requests to the platform, after the runbook's preparation."""
     begin, *how_it_is = (block for language, block in FENCED.findall(text_of("runbook")) if language == "sh")
     own = (
         how_it_is
@@ -48,12 +49,17 @@ def asked(page: str) -> str:
     return "\n".join(["set -euo pipefail", begin, *own])
 
 
-def shell(script: str, url: str, administrator: Person) -> str:
-    """What the script prints, run by the administrator of the platform at `url`."""
+def shell(script: str, url: str, administrator: Person, job_id: str = "") -> str:
+    """Return what the script prints, run by an administrator of the platform at `url`; `job_id` is the page's `JOB`."""
     bash = shutil.which("bash")
     if bash is None or shutil.which("curl") is None or shutil.which("python3") is None:
         pytest.skip("the runbook is typed into bash, with curl and python3")
-    environment = {"PATH": "/usr/local/bin:/usr/bin:/bin", "API": f"{url}/api/v1", "TOKEN": administrator.secret}
+    environment = {
+        "PATH": f"{Path(sys.executable).parent}:/usr/local/bin:/usr/bin:/bin",
+        "STONE_URL": url,
+        "STONE_TOKEN": administrator.secret,
+        "JOB": job_id,
+    }
     outcome = subprocess.run([bash, "-c", script], check=False, capture_output=True, text=True, env=environment)
     assert outcome.returncode == 0, f"{outcome.stdout}\n{outcome.stderr}\n{script}"
     return outcome.stdout
@@ -62,6 +68,11 @@ def shell(script: str, url: str, administrator: Person) -> str:
 def queued(database: Database, owner: Person, kind: str) -> None:
     with database.transaction() as session:
         enqueue(session, JobSpec(kind, {}), Context(owner.user_id))
+
+
+def job_of(platform: Platform, kind: str) -> str:
+    with platform.database.reading() as session:
+        return session.query(Job).filter(Job.kind == kind).one().id
 
 
 @pytest.fixture
@@ -86,8 +97,8 @@ def troubled(platform: Platform, redis_url: str) -> Iterator[Trouble]:
 
 @pytest.mark.parametrize("page", [page for page in OURS if page not in TRIED])
 def test_every_line_that_asks_the_platform_can_be_pasted(troubled: tuple[Platform, Person, str], page: str) -> None:
-    _, administrator, url = troubled
-    shell(asked(page), url, administrator)
+    platform, administrator, url = troubled
+    shell(asked(page), url, administrator, job_of(platform, "eval.score"))
 
 
 def test_what_died_of_a_full_disk_is_tried_again_at_once(troubled: Trouble) -> None:
@@ -99,7 +110,8 @@ def test_what_died_of_a_full_disk_is_tried_again_at_once(troubled: Trouble) -> N
 
 def test_a_paused_queue_is_opened_and_what_hung_is_begun_anew(troubled: Trouble) -> None:
     platform, administrator, url = troubled
-    assert "open" in shell(asked("stuck-queue"), url, administrator).splitlines()
+    printed = shell(asked("stuck-queue"), url, administrator, job_of(platform, "labeler.surface"))
+    assert re.search(r"labeler\s+open", printed), printed
     with platform.database.reading() as session:
         [job] = session.query(Job).filter(Job.kind == "labeler.surface")
         assert (job.state, job.attempts_left) == ("queued", platform.settings.jobs.max_attempts)
