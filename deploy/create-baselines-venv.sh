@@ -1,10 +1,10 @@
 #!/bin/sh
-# Make .venv-baselines: torch and what else models need, on top of the platform's own .venv, which stays free of them.
+# Create .venv-baselines: torch and the other packages of the models, on top of the platform's unchanged .venv.
 #
 # Its interpreter sees the packages of .venv too, so nothing is installed twice. From the project's root.
 set -eu
 
-[ -x .venv/bin/python ] || { echo "make install comes first: .venv is not there" >&2; exit 1; }
+[ -x .venv/bin/python ] || { echo "No .venv found: run make install first" >&2; exit 1; }
 [ -x .venv-baselines/bin/python ] || .venv/bin/python -m venv --clear --without-pip .venv-baselines
 base=$(.venv/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
 own=$(.venv-baselines/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')

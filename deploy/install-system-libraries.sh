@@ -1,9 +1,9 @@
 #!/bin/sh
-# Put on the machine what the wheels cannot carry: the shared libraries Open3D loads and Python's venv module.
+# Install system packages that wheels do not contain: shared libraries of Open3D and Python's venv module.
 #
-#   install-system-libraries.sh PYTHON     0: all there, 1: missing and not ours to install (the line to run is printed)
+#   install-system-libraries.sh PYTHON     0: complete, 1: missing without permission to install (prints the command)
 #
-# Installs by apt-get as root or with passwordless sudo; what is missing is asked of the loader, not of dpkg.
+# Use apt-get as root or with passwordless sudo. The dynamic loader, not dpkg, determines missing libraries.
 set -eu
 
 python=${1:?usage: install-system-libraries.sh PYTHON}
@@ -41,7 +41,7 @@ missing=$(missing_packages)
 
 install_line="apt-get update && apt-get install -y --no-install-recommends $missing"
 if ! command -v apt-get >/dev/null; then
-    echo "System libraries are missing; on Debian they are the packages: $missing. Install them, then run make again." >&2
+    echo "System libraries are missing. Install the Debian packages $missing (or their equivalents), then run make again." >&2
     exit 1
 fi
 if [ "$(id -u)" = 0 ]; then
@@ -49,7 +49,7 @@ if [ "$(id -u)" = 0 ]; then
 elif command -v sudo >/dev/null && sudo -n true 2>/dev/null; then
     as_root="sudo -n"
 else
-    echo "System libraries are missing, and installing them needs root. Run this, then make again:" >&2
+    echo "System libraries are missing, and installing them requires root. Run this command, then make again:" >&2
     echo "    sudo sh -c '$install_line'" >&2
     exit 1
 fi
@@ -64,6 +64,6 @@ $as_root apt-get install -y -qq --no-install-recommends $missing >&2
 
 missing=$(missing_packages)
 if [ -n "$missing" ]; then
-    echo "Still missing after apt-get: $missing. Is this Python for another architecture than the machine's packages?" >&2
+    echo "Still missing after apt-get: $missing. Do this Python and the machine's packages have different architectures?" >&2
     exit 1
 fi

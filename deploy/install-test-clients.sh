@@ -15,12 +15,12 @@ if [ ! -e "$folder/installed" ] || [ "$lock" -nt "$folder/installed" ]; then
         touch "$folder/installed"
     else
         rm -rf "$folder"
-        echo "openapi-python-client was not installed: tests of generated Python clients will be skipped" >&2
+        echo "openapi-python-client could not be installed: tests of generated Python clients will be skipped" >&2
     fi
 fi
 
 if ! command -v node >/dev/null || ! command -v npm >/dev/null; then
-    echo "node or npm is not on PATH: tests of clients in JavaScript will be skipped. On Debian: apt-get install -y nodejs npm" >&2
+    echo "No node or npm on PATH: tests of JavaScript clients will be skipped. On Debian: apt-get install -y nodejs npm" >&2
     exit 0
 fi
 cd tests/clients

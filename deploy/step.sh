@@ -1,8 +1,8 @@
 #!/bin/sh
 # Run a step of the installation: step.sh NUMBER/ALL NAME TITLE COMMAND…, from the project's root.
 #
-# A line says that it begins and a line that it is done. What the command says goes to build/install/NAME.log; where it
-# fails, the end of that is shown.
+# Print a line at the start and at the end. The command's output goes to build/install/NAME.log; if the command fails,
+# print the end of this log.
 set -eu
 
 count=$1 log=build/install/$2.log title=$3
@@ -15,7 +15,7 @@ if "$@" >"$log" 2>&1; then
 else
     code=$?
     {
-        echo "[$count] $title: failed with exit code $code. The end of $log:"
+        echo "[$count] $title: failed with exit code $code. Last lines of $log:"
         tail -n 30 "$log" | sed 's/^/    /'
     } >&2
     exit "$code"

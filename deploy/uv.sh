@@ -1,8 +1,8 @@
 #!/bin/sh
-# Run uv: uv.sh ARGUMENTS…, from the project's root. 127: it cannot be had here, or pip is told what uv cannot be.
+# Run uv: uv.sh ARGUMENTS…, from the project's root. Exit with 127 if uv is unavailable or cannot use pip's settings.
 #
-# The uv on PATH, else the release of deploy/uv.lock in build/uv: pip fetches it from pip's own index and checks its hash;
-# then it is told of the index and the certificates that pip is told of.
+# Use the uv on PATH, or the release of deploy/uv.lock in build/uv, which pip downloads from its own index with a hash
+# check. uv gets pip's index and certificates.
 set -eu
 
 if command -v uv >/dev/null; then
@@ -15,13 +15,13 @@ if [ ! -x "$folder/bin/uv" ] || [ deploy/uv.lock -nt "$folder/bin/uv" ]; then
         "$folder/bin/pip" install --disable-pip-version-check --only-binary :all: --require-hashes -r deploy/uv.lock &&
         touch "$folder/bin/uv"; } >&2; then
         rm -rf "$folder"
-        echo "uv was not fetched: pip does its work" >&2
+        echo "uv could not be installed: using pip" >&2
         exit 127
     fi
 fi
 settings=$("$folder/bin/pip" config list)
 if echo "$settings" | grep -Eq "\.(no-index|proxy|client-cert|trusted-host)="; then
-    echo "pip's settings are none that uv knows: pip does its work" >&2
+    echo "uv does not support pip's settings: using pip" >&2
     exit 127
 fi
 

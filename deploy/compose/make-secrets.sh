@@ -1,8 +1,8 @@
 #!/bin/sh
-# Make the secrets that docker-compose.yml names, each where there is none yet: make-secrets.sh.
+# Create the missing secrets of docker-compose.yml: make-secrets.sh.
 #
-# They lie in deploy/compose/secrets, a folder that is its owner's alone. The files in it may be read by all: a container
-# is shown the files, not the folder, and its user is not the owner.
+# Only its owner can read the folder deploy/compose/secrets. All users can read its files: a container mounts the files,
+# not the folder, and its user is not the owner.
 set -eu
 
 cd "$(dirname "$0")"
@@ -14,6 +14,6 @@ for name in stone_api__first_password stone_api__metrics_token stone_broker__pas
         od -An -N24 -tx1 /dev/urandom | tr -d ' \n' >"secrets/$name.partial"
         chmod 0444 "secrets/$name.partial"
         mv "secrets/$name.partial" "secrets/$name"
-        echo "made $PWD/secrets/$name" >&2
+        echo "created $PWD/secrets/$name" >&2
     fi
 done

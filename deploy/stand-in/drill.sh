@@ -20,8 +20,8 @@ $compose up -d
 until curl --silent --fail --output /dev/null "$url/readyz"; do sleep 2; done
 for role in api ingest labeler eval beat redis postgres proxy; do
     podman healthcheck run "stone_${role}_1"
-    echo "$role is well"
+    echo "$role is healthy"
 done
-echo "store is not asked: its probe is SeaweedFS's /healthz, which rclone does not have"
+echo "store is not checked: its probe is SeaweedFS's /healthz, which rclone does not have"
 .venv/bin/stone auth login "$url" --name admin --admin --password-stdin <deploy/compose/secrets/stone_api__first_password
 time .venv/bin/stone demo --server "$url" --output "$demo"

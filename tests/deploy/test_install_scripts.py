@@ -73,7 +73,7 @@ def test_a_python_that_is_too_old_or_absent_is_passed_over(project: Path) -> Non
     assert run(project, "deploy/find-python.sh", "none", "old", "fit").stdout == "fit\n"
     outcome = run(project, "deploy/find-python.sh", "none", "old")
     assert (outcome.returncode, outcome.stdout) == (1, "")
-    assert "Python 3.11 or 3.12 is needed" in outcome.stderr
+    assert "No Python 3.11 or 3.12 on PATH" in outcome.stderr
 
 
 def test_every_script_is_one() -> None:

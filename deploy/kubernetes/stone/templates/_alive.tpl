@@ -1,5 +1,5 @@
-{{/* The image's own question, which asks neither database nor broker: an outage of those starts no worker anew. A chore
-     of the sweeper may take a while. */}}
+{{/* The image's health check. It contacts neither database nor broker, so that an outage restarts no worker. A chore of
+     the sweeper may take long. */}}
 {{- define "stone.alive" -}}
 startupProbe:
   exec: { command: [python, -m, services.runtime.processes.health_check] }

@@ -1,12 +1,12 @@
-{{/* A number as it was written: Helm reads all of them as floating point, and would write 4.294967296e+10. */}}
+{{/* Render a number as an integer if possible: Helm parses all numbers as floats and would write 4.294967296e+10. */}}
 {{- define "stone.plain" -}}
 {{- if and (kindIs "float64" .) (eq (floor .) .) }}{{ int64 . }}{{ else }}{{ . }}{{ end }}
 {{- end }}
 
-{{/* Settings stand in the pod itself and in no ConfigMap: a changed one starts the pods anew, a rollback takes it back. */}}
+{{/* Settings are in the pod, not in a ConfigMap: a changed setting restarts the pods, and a rollback reverts it. */}}
 {{- define "stone.environment" -}}
 {{- if and .root.Values.ingress.enabled (not .root.Values.settings.api.trusted_proxies) }}
-{{- fail "settings.api.trusted_proxies is empty: name the addresses of the ingress controller's pods (CIDR), else all users share one rate" }}
+{{- fail "settings.api.trusted_proxies is empty: list the addresses of the ingress controller's pods (CIDR); otherwise all users share one rate limit" }}
 {{- end }}
 - name: STONE_DATA_FOLDER
   value: /data
@@ -32,7 +32,7 @@
 {{- end }}
 {{- end }}
 
-{{/* The secrets a role is given, as files; the keys of the Secret are the names of the files. */}}
+{{/* The secrets of a role, as files; the keys of the Secret are the names of the files. */}}
 {{- define "stone.secrets" -}}
 {{- $names := list "stone_database__password" -}}
 {{- $names = concat $names (list "stone_store__s3_key_id" "stone_store__s3_secret") -}}

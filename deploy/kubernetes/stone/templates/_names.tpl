@@ -1,9 +1,9 @@
-{{/* What a role's objects are called: <release>-<role>. */}}
+{{/* The name of a role's objects: <release>-<role>. */}}
 {{- define "stone.name" -}}
 {{ printf "%s-%s" .root.Release.Name .role | trunc 52 | trimSuffix "-" }}
 {{- end }}
 
-{{/* What selectors select by. */}}
+{{/* The labels of selectors. */}}
 {{- define "stone.selector" -}}
 app.kubernetes.io/name: {{ .root.Chart.Name }}
 app.kubernetes.io/instance: {{ .root.Release.Name }}
@@ -17,7 +17,7 @@ app.kubernetes.io/managed-by: {{ .root.Release.Service }}
 helm.sh/chart: {{ printf "%s-%s" .root.Chart.Name .root.Chart.Version }}
 {{- end }}
 
-{{/* The image of a role: three services of their own, everything else is the API's. */}}
+{{/* The image of a role: three services have their own image, all other roles use the API's. */}}
 {{- define "stone.image" -}}
 {{- $service := ternary .role "api" (has .role (list "ingest" "labeler" "eval")) -}}
 {{ printf "%s-%s:%s" .root.Values.image.repository $service (.root.Values.image.tag | default .root.Chart.AppVersion) }}

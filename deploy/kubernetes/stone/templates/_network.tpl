@@ -1,7 +1,7 @@
-{{/* An empty list of peers would mean everybody. */}}
+{{/* An empty list of peers would admit all. */}}
 {{- define "stone.peers" -}}
 {{- if not .peers }}
-{{- fail (printf "%s names nobody; say who may, as a list of NetworkPolicy peers (ipBlock, namespaceSelector, podSelector)" .name) }}
+{{- fail (printf "%s is empty: list the permitted NetworkPolicy peers (ipBlock, namespaceSelector, podSelector)" .name) }}
 {{- end }}
 {{- toYaml .peers }}
 {{- end }}

@@ -1,4 +1,4 @@
-{{/* Pod Security "restricted": nobody is root, nothing may be gained. */}}
+{{/* Pod Security "restricted": no root, no privilege escalation. */}}
 {{- define "stone.unprivileged" -}}
 runAsNonRoot: true
 runAsUser: {{ .uid }}
@@ -14,8 +14,8 @@ readOnlyRootFilesystem: true
 capabilities: { drop: [ALL] }
 {{- end }}
 
-{{/* What every pod of ours says: root, role, settings (of the role), command, grace_s, and optionally processes, probes,
-     ports, before_stop_s, backups (a volume source). */}}
+{{/* The specification of every pod: root, role, settings (of the role), command, grace_s, and optionally processes,
+     probes, ports, before_stop_s, backups (a volume source). */}}
 {{- define "stone.pod" -}}
 automountServiceAccountToken: false
 enableServiceLinks: false
@@ -73,7 +73,7 @@ volumes:
   {{- end }}
 {{- end }}
 
-{{/* Where it may run. */}}
+{{/* Placement of the pods. */}}
 {{- define "stone.place" }}
 {{- with .root.Values.nodeSelector }}
 nodeSelector:
