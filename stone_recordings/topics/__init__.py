@@ -1,1 +1,1 @@
-"""Topics: which of them is which sensor of the robot."""
+"""Topics and the sensor of the robot that each belongs to."""

@@ -1,4 +1,4 @@
-"""One cloud of a topic that shows what the topic is: from its middle, or from elsewhere where that one is bad."""
+"""One cloud that represents a topic: its middle cloud, or another cloud if the middle one is unusable."""
 
 from collections.abc import Iterator
 
@@ -12,9 +12,10 @@ TRIES = 8
 
 
 def sample_cloud(bag: Bag, topic: Topic) -> Cloud:
-    """The first of a few clouds, from the middle on, that can be decoded and has points; else one without.
+    """Return the first of a few clouds, from the middle on, that can be decoded and has points; else one without
+    points.
 
-    Raises what decoding the first of them raises, where none can be.
+    Raises the error of the first cloud if none can be decoded.
     """
     empty: Cloud | None = None
     refusal: IngestError = CloudLayoutError("the topic has no message")
@@ -33,7 +34,7 @@ def sample_cloud(bag: Bag, topic: Topic) -> Cloud:
 
 
 def packet_findings(bag: Bag, topic: Topic) -> tuple[Finding, ...]:
-    """TOP-116 for a LiDAR whose sweeps are decoded from its packets: by which angles, and what was left out."""
+    """Return TOP-116 if sweeps are decoded from packets: the source of the angles, and the packets left out."""
     if topic.type not in PACKET_TYPES:
         return ()
     for index in _places(topic.count):
@@ -53,6 +54,6 @@ def packet_findings(bag: Bag, topic: Topic) -> tuple[Finding, ...]:
 
 
 def _places(count: int) -> Iterator[int]:
-    """The middle, then others spread over the topic, each once."""
+    """Yield the middle index, then others spread over the topic, each once."""
     middle = count // 2
     yield from dict.fromkeys((middle, *((middle + 1 + part * count // TRIES) % count for part in range(TRIES))))

@@ -1,8 +1,8 @@
-"""Topic profiles: the role of each topic on a robot, chosen by its owner once, resolved from the recording otherwise.
+"""Topic profiles: the role of each topic on a robot, chosen once by its owner, otherwise resolved from the recording.
 
 **Conventions.** Parts are `lidar`, `pose`, `imu` and the channels of cameras and radars (CAM_FRONT, RADAR_LEFT). A
-profile's choice wins where the recording bears it out; where it does not, a finding says so and the part is resolved as
-without it. Between several topics that fit nothing is guessed: TOP-110 names them and the line that chooses one.
+profile's choice takes precedence if it fits the recording; otherwise a finding reports it and the part is resolved
+without the profile. If several topics fit a part, none is chosen: TOP-110 names them and the option that chooses one.
 """
 
 import re
@@ -35,7 +35,7 @@ MOST_TOPICS, LONGEST_TOPIC, SHOWN = 64, 256, 6
 
 @dataclass(frozen=True)
 class TopicProfile:
-    """The topics chosen for a platform, by part. Raises `TOP-113` for a part or a name that cannot be."""
+    """The topics chosen for a platform, by part. Raises `TOP-113` for an invalid part or name."""
 
     topics: Mapping[str, str] = field(default_factory=dict)
     platform: str = ""
@@ -56,9 +56,9 @@ class TopicProfile:
 
 @dataclass(frozen=True)
 class Candidate:
-    """What is known of a topic that has messages; `frame_id` is that of its first one, "" where none was looked at.
+    """Facts about a topic that has messages; `frame_id` is that of its first message, "" if none was read.
 
-    `point_count` is that of one of its clouds, 0 where none was looked at; `problem` is why none can be read.
+    `point_count` is that of one of its clouds, 0 if none was read; `problem` is the reason why no cloud can be read.
     """
 
     name: str
@@ -73,21 +73,23 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Assignment:
-    """The topic of each part that could be told, and what could not."""
+    """The topic of each resolved part, and findings for the parts that are not resolved."""
 
     channels: Mapping[str, str] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
 
     def as_profile(self, platform: str = "") -> TopicProfile:
-        """What to save so that the next recording of the robot is resolved in the same way."""
+        """Return the profile that resolves the next recording of the robot in the same way."""
         return TopicProfile(dict(self.channels), platform)
 
 
 def resolve(
     candidates: Sequence[Candidate], profile: TopicProfile, channel_of_frame: Mapping[str, str] | None = None
 ) -> Assignment:
-    """`channel_of_frame` names the channel of each frame_id that a calibration knows. Topics without messages are not
-    candidates."""
+    """Assign topics to parts; `channel_of_frame` names the channel of each frame_id in the calibration.
+
+    Topics without messages are not candidates.
+    """
     chosen, doubts = _chosen(candidates, profile)
     free = [candidate for candidate in candidates if candidate.count and candidate.name not in chosen.values()]
     found: dict[str, str] = {}
@@ -105,7 +107,7 @@ def resolve(
 
 
 def _chosen(candidates: Sequence[Candidate], profile: TopicProfile) -> tuple[dict[str, str], list[Finding]]:
-    """The choices of the profile that this recording bears out, and a finding for each other."""
+    """Return the profile's choices that fit this recording, and a finding for each other choice."""
     of_name = {candidate.name: candidate for candidate in candidates if candidate.count}
     chosen, doubts = dict[str, str](), list[Finding]()
     for part, topic in profile.topics.items():
@@ -120,7 +122,7 @@ def _chosen(candidates: Sequence[Candidate], profile: TopicProfile) -> tuple[dic
 
 
 def _can_be(candidate: Candidate, part: str) -> bool:
-    """A choice may overrule how a cloud was taken, not what type of message it is."""
+    """Return whether a choice fits the topic's message type; a choice may overrule the role of a cloud."""
     is_cloud = candidate.type == POINT_CLOUD
     if part == "lidar":
         return is_cloud or candidate.role == "lidar"
@@ -136,7 +138,7 @@ def _can_be(candidate: Candidate, part: str) -> bool:
 def _fitting(
     free: Sequence[Candidate], channel_of_frame: Mapping[str, str]
 ) -> Iterator[tuple[str, Sequence[Candidate]]]:
-    """Each part and the topics that fit it best."""
+    """Yield each part with the topics that fit it best."""
     yield "lidar", likely_lidars(_of_role(free, "lidar"))
     poses = (of_pose_role(role, _of_role(free, role)) for role in POSE_ROLES)
     yield "pose", next((fitting for fitting in poses if fitting), [])
@@ -167,7 +169,7 @@ def _listed(candidates: Sequence[Candidate]) -> str:
 
 
 def _missing(candidates: Sequence[Candidate], channels: Mapping[str, str]) -> Iterator[Finding]:
-    """What labels need and nothing fits; several that fit are not nothing."""
+    """Yield a finding for each required part that no topic fits; several fitting topics are reported elsewhere."""
     recorded = [candidate for candidate in candidates if candidate.count]
     if "lidar" not in channels and not _of_role(recorded, "lidar"):
         unread = unread_points(recorded)
@@ -184,7 +186,7 @@ def _missing(candidates: Sequence[Candidate], channels: Mapping[str, str]) -> It
 
 
 def _nameless(free: Sequence[Candidate], channel_of_frame: Mapping[str, str]) -> Iterator[Finding]:
-    """Cameras and radars of which nothing says where they look; one finding for each kind."""
+    """Yield one finding per kind for cameras and radars whose viewing direction is unknown."""
     kinds: tuple[ChannelKind, ...] = ("camera", "radar")
     for kind in kinds:
         found = _of_role(free, kind)
@@ -197,9 +199,7 @@ def _nameless(free: Sequence[Candidate], channel_of_frame: Mapping[str, str]) ->
             yield Finding("TOP-112", "info", lost[0].name, message)
 
 
-# Why a profile of topics cannot be used.
-#
-# **Conventions.** TOP-1xx is about which topics there are and what for.
+# Refusals of topic profiles. TOP-1xx is about which topics exist and their roles.
 
 
 def bad_profile(found: str, expected: str) -> Refused:
@@ -212,10 +212,9 @@ def bad_profile_file(name: str, fault: str) -> Refused:
     )
 
 
-# A profile of topics as a small YAML file, so that the choice made for one recording serves the next.
-#
-# **Conventions.** `stone_profile: 1`, `platform:` and `topics:` by part. The file is from outside: plain YAML without
-# aliases and tags, at most 64 KiB.
+# A topic profile as a small YAML file, so that the choice for one recording serves the next. **Conventions.**
+# `stone_profile: 1`, `platform:` and `topics:` by part. The file is untrusted: plain YAML without aliases and tags, at
+# most 64 KiB.
 
 
 LARGEST_BYTES = 65_536
@@ -224,7 +223,7 @@ KEYS = {"stone_profile", "platform", "topics"}
 
 
 def read_profile(path: Path) -> TopicProfile:
-    """Raises `TOP-114` for what is no profile, `TOP-113` for one that cannot be; OSError."""
+    """Read a profile. Raises `TOP-114` if the file is not a profile, `TOP-113` for an invalid profile; OSError."""
     with path.open("rb") as stream:
         content = stream.read(LARGEST_BYTES + 1)
     if len(content) > LARGEST_BYTES:
@@ -247,7 +246,7 @@ def read_profile(path: Path) -> TopicProfile:
 
 
 def write_profile(path: Path, profile: TopicProfile) -> None:
-    """The file, whole or absent; an earlier one is replaced. Raises OSError."""
+    """Write the file atomically, replacing an earlier one. Raises OSError."""
     yaml = YAML()
     yaml.width = 4096
     document = {"stone_profile": 1, "platform": profile.platform, "topics": dict(profile.topics)}
@@ -255,11 +254,10 @@ def write_profile(path: Path, profile: TopicProfile) -> None:
         yaml.dump(document, stream)
 
 
-# Channels of cameras and radars: by the frame of their messages, else by the words of their names.
-#
-# **Conventions.** Channels are nuScenes' (CAM_FRONT_LEFT, RADAR_RIGHT). A frame that a calibration knows decides; else
-# the words front, back (rear), left and right of the topic, and only where it has none those of the frame. Words that
-# contradict each other, or that are not there, name no channel.
+# Channels of cameras and radars: from the frame of their messages, else from words in their names. **Conventions.**
+# Channels are nuScenes' (CAM_FRONT_LEFT, RADAR_RIGHT). A frame in the calibration decides. Otherwise the words front,
+# back (rear), left and right in the topic decide; the frame's words count only if the topic has none. Contradictory or
+# missing words give no channel.
 
 
 ChannelKind = Literal["camera", "radar"]
@@ -273,7 +271,9 @@ WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 
 
 def channel_of(kind: ChannelKind, topic: str, frame_id: str, channel_of_frame: Mapping[str, str]) -> str | None:
-    """The channel, or None where neither frame nor names tell; `channel_of_frame` is the calibration's, by frame_id."""
+    """Return the channel, or None if neither frame nor names decide; `channel_of_frame` is the calibration's, by
+    frame_id.
+    """
     known = channel_of_frame.get(frame_id.strip("/"))
     if known is not None and known.startswith(PREFIX[kind]):
         return known
@@ -281,7 +281,7 @@ def channel_of(kind: ChannelKind, topic: str, frame_id: str, channel_of_frame: M
 
 
 def channel_of_words(kind: ChannelKind, name: str) -> str | None:
-    """CAM_FRONT_LEFT for "/camera/frontLeft/image", "cam_fl" or "/left/front_camera"; None without such words."""
+    """Return CAM_FRONT_LEFT for "/camera/frontLeft/image", "cam_fl" or "/left/front_camera"; None without such words."""
     words = [word for found in WORD.findall(name) for word in _spelt(found.lower())]
     ends = {ENDS[word] for word in words if word in ENDS}
     sides = {SIDES[word] for word in words if word in SIDES}
@@ -291,7 +291,7 @@ def channel_of_words(kind: ChannelKind, name: str) -> str | None:
 
 
 def _spelt(word: str) -> tuple[str, ...]:
-    """ "frontleft" and "fl" as the two words they are."""
+    """Split "frontleft" and "fl" into their two words."""
     if word in SHORT:
         return SHORT[word]
     for end in ENDS:

@@ -1,9 +1,9 @@
 """Roles of topics, resolved by type, then fields and size, then rate; the name only breaks ties.
 
-**Conventions.** A cloud is a radar's when it has no ring and measures cross section, or speed at fewer points than any
-revolution has: a frequency-modulated LiDAR measures speed, too. A small cloud without any of these is a planar
-scanner's, unless its name says that it is a radar's. Source: field layouts of the Hesai, Nebula, Velodyne, Ouster,
-Aeva, SICK and ARS 548 drivers.
+**Conventions.** A cloud is a radar's if it has no ring and measures cross section, or speed with fewer points than any
+revolution has, because a frequency-modulated LiDAR also measures speed. A small cloud without these fields is a planar
+scanner's, unless its name contains a radar's word. Source: field layouts of the Hesai, Nebula, Velodyne, Ouster, Aeva,
+SICK and ARS 548 drivers.
 """
 
 from collections.abc import Sequence
@@ -35,24 +35,24 @@ ROLE_OF_TYPE: dict[str, Role] = {
     "continental_msgs/msg/ContinentalArs548DetectionList": "radar",
     "radar_msgs/msg/RadarScan": "radar",
 }
-# Whose packets these are, a LiDAR's or a radar's, only the topic's name says.
+# Packets of a LiDAR and of a radar have this same type; only the topic's name distinguishes them.
 PACKETS_OF_EITHER = NEBULA_PACKETS
 PACKET_TYPES = frozenset(PACKET_READERS)
 POSE_ROLES: tuple[Role, ...] = ("ins", "odometry", "tf", "pose", "gnss")
-# Of a receiver's messages these tell positions of which, with an IMU's attitude, poses are made.
+# The receiver's messages from whose positions, with an IMU's attitude, poses are computed.
 POSITIONS = "sensor_msgs/msg/NavSatFix"
 INSPVAX = "novatel_oem7_msgs/msg/INSPVAX"
-# A LiDAR turns 5 to 20 times a second, a planar scanner up to 100; what is slower is a map. An IMU that integrates well
-# samples faster than any pose source; what is slower is a copy for people to look at.
-# Goals and corrected positions are poses, too, but rare ones.
+# A LiDAR turns 5 to 20 times a second, a planar scanner up to 100; a slower topic is a map. An IMU for integration
+# samples faster than any pose source; a slower topic is a copy for display. Goals and corrected positions are poses
+# too, but rare.
 PLAUSIBLE_HZ: dict[Role, tuple[float, float]] = {"lidar": (3.0, 110.0), "imu": (50.0, 2000.0), "pose": (3.0, 2000.0)}
 POINT_CLOUD, TRANSFORMS = "sensor_msgs/msg/PointCloud2", "tf2_msgs/msg/TFMessage"
 CLOUD_TYPES = frozenset({POINT_CLOUD, COMPRESSED_CLOUD})
-# Of one LiDAR's sweeps in several forms the first of these is read.
+# If a LiDAR's sweeps exist in several forms, the first form in this order is read.
 FORMS = (LIVOX_TYPES | {POINT_CLOUD}, {COMPRESSED_CLOUD}, PACKET_TYPES)
 RING_FIELDS = frozenset({"ring", "channel", "laser_id", "line"})
 CROSS_SECTION_FIELDS = frozenset({"rcs", "radar_cross_section"})
-# What radars measure of every detection, and a frequency-modulated LiDAR of every point.
+# Fields that radars measure for every detection, and a frequency-modulated LiDAR for every point.
 SPEED_FIELDS = frozenset(
     {"range_rate", "v", "v_r", "v_radial", "vrad", "vx", "doppler", "doppler_velocity", "velocity", "radial_speed"}
     | {"radial_velocity", "speed", "snr"}
@@ -60,15 +60,15 @@ SPEED_FIELDS = frozenset(
 # A 16-beam LiDAR returns tens of thousands of points a turn, an ARS 548 at most 800, an imaging radar a few thousand.
 LEAST_LIDAR_POINTS = 1000
 LEAST_LIDAR_POINTS_WITH_SPEED = 5000
-# Static transforms are latched: whoever repeats them does so less often than any moving joint is reported.
+# Static transforms are latched: a repeated one arrives less often than the joint of any moving part.
 LAST_STATIC_RATE_HZ = 1.0
 
 
 @dataclass(frozen=True)
 class TopicFacts:
-    """What is known of a topic without reading it all; `point_fields` and `point_count` are of its first cloud.
+    """Facts about a topic from its first messages; `point_fields` and `point_count` are of its first cloud.
 
-    Of packets that are not decoded here there is no cloud, and so no point. `problem` is why no cloud can be read.
+    Packets that are not decoded give no cloud and no points. `problem` is the reason why no cloud can be read.
     """
 
     name: str
@@ -80,7 +80,7 @@ class TopicFacts:
 
 
 def role_of(facts: TopicFacts) -> Role:
-    """The one role of a topic; "other" where nothing here uses it."""
+    """Return the one role of a topic; "other" if the platform does not use it."""
     if facts.type in CLOUD_TYPES:
         return "other" if facts.problem else _role_of_cloud(facts)
     if facts.type == TRANSFORMS:
@@ -96,12 +96,12 @@ def role_of(facts: TopicFacts) -> Role:
 
 
 def holds_radar_packets(name: str, type_name: str) -> bool:
-    """Whether a topic of this name and type holds the packets of a radar."""
+    """Return whether a topic of this name and type holds the packets of a radar."""
     return type_name == PACKETS_OF_EITHER and "radar" in name.lower()
 
 
 def holds_sweeps(name: str, type_name: str) -> bool:
-    """Whether a topic of this name and type may hold the sweeps of a LiDAR, as points or as packets."""
+    """Return whether a topic of this name and type may hold the sweeps of a LiDAR, as points or as packets."""
     is_points = type_name in CLOUD_TYPES or type_name in LIVOX_TYPES
     return is_points or (type_name in PACKET_TYPES and not holds_radar_packets(name, type_name))
 
@@ -120,7 +120,7 @@ def _role_of_cloud(facts: TopicFacts) -> Role:
 
 
 class TopicRating(Protocol):
-    """What tells two topics of one role apart."""
+    """Attributes that distinguish two topics of one role."""
 
     @property
     def type(self) -> str: ...
@@ -131,7 +131,7 @@ class TopicRating(Protocol):
 
 
 class CloudRating(TopicRating, Protocol):
-    """What tells two LiDAR topics apart."""
+    """Attributes that distinguish two LiDAR topics."""
 
     @property
     def point_count(self) -> int: ...
@@ -142,16 +142,17 @@ Clouded = TypeVar("Clouded", bound=CloudRating)
 
 
 def with_plausible_rate(role: Role, topics: Sequence[Topical]) -> Sequence[Topical]:
-    """Those whose rate is the role's; all of them where none is, or where the role has none."""
+    """Return the topics whose rate suits the role; all topics if none does or the role has no rate."""
     low_hz, high_hz = PLAUSIBLE_HZ.get(role, (0.0, float("inf")))
     plausible = [topic for topic in topics if topic.rate_hz is not None and low_hz <= topic.rate_hz <= high_hz]
     return plausible or topics
 
 
 def likely_lidars(topics: Sequence[Clouded]) -> Sequence[Clouded]:
-    """Of LiDAR topics those at a plausible rate; a cloud of few points, such as of obstacles, only without another.
+    """Return the LiDAR topics at a plausible rate; small clouds, such as obstacles, only if there is no other.
 
-    Compressed points only without others, packets only without points: whoever publishes both means the same sweeps.
+    Compressed points count only without plain points, packets only without points: a driver that publishes both forms
+    publishes the same sweeps.
     """
     forms = ([topic for topic in topics if topic.type in form] for form in FORMS)
     points = next((found for found in forms if found), topics)
@@ -160,14 +161,17 @@ def likely_lidars(topics: Sequence[Clouded]) -> Sequence[Clouded]:
 
 
 def fullest(topics: Sequence[Topical]) -> Sequence[Topical]:
-    """INSPVA and INSPVAX of one receiver are the same solution: the more frequent, else the one with its quality."""
+    """Return the topics with most messages; INSPVA and INSPVAX of one receiver are the same solution.
+
+    The more frequent one is chosen, else the one with the quality.
+    """
     if len({topic.type for topic in topics}) < len(topics):
         return topics
     return sorted(topics, key=lambda topic: (-topic.count, topic.type != INSPVAX))[:1]
 
 
 def of_pose_role(role: Role, topics: Sequence[Topical]) -> Sequence[Topical]:
-    """Of the topics of a role those that poses are taken of."""
+    """Return the topics of a role from which poses are taken."""
     if role == "ins":
         return fullest(topics)
     if role == "gnss":

@@ -1,10 +1,9 @@
-"""The choice of a recording's topics for its synchronisation; nothing is guessed between two that fit.
+"""The choice of a recording's topics for synchronisation; if two topics fit, neither is guessed.
 
-**Conventions.** The pose source is the topic asked for, else NovAtel INSPVA(X), else nav_msgs/Odometry, else /tf, else
-geometry_msgs/Pose(WithCovariance)Stamped, else NavSatFix with an Imu; asked for by the name kiss-icp, it is the LiDAR
-itself (`stone_recordings.poses.kiss_odometry`); of a topic asked for as `course:TOPIC` the places count, and the
-heading is the course over ground. A file of poses leaves the topics alone. Topics without messages
-count as absent.
+**Conventions.** The pose source is the requested topic, else NovAtel INSPVA(X), else nav_msgs/Odometry, else /tf, else
+geometry_msgs/Pose(WithCovariance)Stamped, else NavSatFix with an Imu. The request `kiss-icp` selects the LiDAR itself
+(`stone_recordings.poses.kiss_odometry`). The request `course:TOPIC` uses the topic's positions and takes the heading
+from the course over ground. If a file of poses is given, no topic is chosen. Topics without messages count as absent.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,7 +35,7 @@ from stone_recordings.topics.unread_topics import not_read, unread_points
 
 BESTPOS = "novatel_oem7_msgs/msg/BESTPOS"
 KISS_ICP = "kiss-icp"
-COURSE = "course:"  # before a topic: its places, and the course over ground for the heading
+COURSE = "course:"  # prefix of a topic whose positions are used with the course over ground as heading
 STRIDE = 10  # messages over which a rate is measured
 ROLE_OF_SWEEPS: Role = "lidar"
 ASSOCIATED_ROLES: tuple[Role, ...] = ("camera", "radar", "imu")
@@ -44,7 +43,7 @@ ASSOCIATED_ROLES: tuple[Role, ...] = ("camera", "radar", "imu")
 
 @dataclass(frozen=True)
 class AskedTopics:
-    """Topics by name where they are not to be found by what they are; with `has_pose_file` poses are none's."""
+    """Topics requested by name instead of by role; with `has_pose_file` no pose topic is chosen."""
 
     lidar: str | None = None
     pose: str | None = None
@@ -53,13 +52,13 @@ class AskedTopics:
 
     @staticmethod
     def of_roles(topics: Mapping[str, str], *, has_pose_file: bool = False) -> "AskedTopics":
-        """Those that a profile names by role."""
+        """Return the topics that a profile names by role."""
         return AskedTopics(topics.get("lidar"), topics.get("pose"), topics.get("imu"), has_pose_file)
 
 
 @dataclass(frozen=True)
 class Sources:
-    """`pose_role` says how `pose` is read ("lidar": by odometry from the sweeps; "file": it is not, a file tells).
+    """`pose_role` is the way to read `pose`: "lidar" is odometry from the sweeps, "file" a file of poses.
 
     `attitude` is the IMU that turns a receiver's positions into poses; with `is_course` the course over ground does.
     `associated` are the topics that frames point into, with their role.
@@ -76,12 +75,12 @@ class Sources:
 
     @property
     def scanned(self) -> tuple[str, ...]:
-        """Topics of which the header stamps are needed."""
+        """The topics whose header stamps are read."""
         return (self.lidar.name, *(topic.name for topic, _ in self.associated))
 
     @property
     def whole(self) -> tuple[str, ...]:
-        """Topics of which every message is needed; they are small."""
+        """The topics whose messages are all read whole; they are small."""
         fixes = (self.fixes.name,) if self.fixes is not None and self.pose_role == "ins" else ()
         poses = (self.pose.name,) if self.pose_role not in ("lidar", "file") else ()
         turns = (self.attitude.name,) if self.attitude is not None else ()
@@ -89,7 +88,7 @@ class Sources:
 
 
 def choose_sources(bag: Bag, asked: AskedTopics) -> Sources:
-    """Raises `TOP-101`, `SYN-502`, `TOP-110`, `TOP-104`."""
+    """Choose the topics of a recording. Raises `TOP-101`, `SYN-502`, `TOP-110`, `TOP-104`."""
     topics = {topic.name: topic for topic in bag.topics if topic.count and topic.encoding == "cdr"}
     roles = [candidate_of(bag, topic) for topic in topics.values()]
     lidar = _lidar(roles, asked.lidar)
@@ -113,14 +112,14 @@ def choose_sources(bag: Bag, asked: AskedTopics) -> Sources:
 
 
 def candidate_of(bag: Bag, topic: Topic) -> Candidate:
-    """The topic with its role; points that cannot be read cost this topic alone."""
+    """Return the topic with its role; unreadable points disqualify this topic alone."""
     rate_hz, facts = _rate_hz(bag.log_times_ns(topic.name)), _facts(bag, topic)
     role, problem = role_of(facts), facts.problem
     return Candidate(topic.name, topic.type, role, topic.count, rate_hz, "", facts.point_count, problem)
 
 
 def _rate_hz(log_times_ns: NDArray[np.int64]) -> float | None:
-    """Of most messages: no pause, burst or jump of the recorder's clock counts; None of one message alone."""
+    """Return the rate of most messages, without pauses, bursts or clock jumps; None for a single message."""
     stride = min(STRIDE, len(log_times_ns) - 1)
     span_ns = float(np.median(log_times_ns[stride:] - log_times_ns[:-stride])) if stride > 0 else 0.0
     return stride * NS_PER_S / span_ns if span_ns > 0 else None
@@ -164,7 +163,7 @@ def _pose(roles: list[Candidate], asked: str | None) -> Candidate:
 
 
 def _attitude(roles: list[Candidate], asked: str | None) -> Candidate:
-    """The IMU beside a receiver. Raises `SYN-502`, `TOP-110`, `TOP-104`."""
+    """Return the IMU beside a receiver. Raises `SYN-502`, `TOP-110`, `TOP-104`."""
     imus = [topic for topic in roles if topic.role == "imu"]
     if asked is not None:
         return _asked(roles, asked, imus, "sensor_msgs/msg/Imu")

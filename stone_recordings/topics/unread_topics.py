@@ -1,6 +1,6 @@
-"""Topics that hold a LiDAR's points or a camera's pictures in a form that is not read, and what to record instead.
+"""Topics with a LiDAR's points or a camera's pictures in an unsupported form, and the form to record instead.
 
-**Conventions.** The name of a type tells what it holds. TOP-120 names topics of points if another LiDAR is read;
+**Conventions.** The name of a type reveals its content. TOP-120 names topics of points if another LiDAR is read;
 otherwise TOP-101 does. TOP-121 names topics of pictures.
 """
 
@@ -14,7 +14,7 @@ from stone_recordings.topics.roles import Role
 
 # As in sensor_msgs/msg/LaserScan, rslidar_msg/msg/RslidarPacket, foxglove_msgs/msg/CompressedPointCloud.
 POINT_TYPE = re.compile(r"point_?cloud|scan|packet|laser|lidar|custommsg|udpframe", re.IGNORECASE)
-# What other sensors and networks send, and what was made of points; of the topic's name, too (/ouster/imu_packets).
+# Types and topic names of other sensors, of networks and of data derived from points (/ouster/imu_packets).
 OTHER = re.compile(r"imu|can_|radar|gnss|gps|novatel|diagnos|statistics|info|marker|ffmpeg|image|video", re.IGNORECASE)
 # As in ffmpeg_image_transport_msgs/msg/FFMPEGPacket, foxglove_msgs/msg/CompressedVideo.
 VIDEO_TYPE = re.compile(r"ffmpeg|video|theora|h26[45]", re.IGNORECASE)
@@ -22,7 +22,7 @@ SHOWN = 4
 
 
 class UnreadTopic(Protocol):
-    """A topic, its role, and why its points are not read ("" if its type is not)."""
+    """A topic, its role, and the reason why its points are not read ("" if its type is unknown)."""
 
     @property
     def name(self) -> str: ...
@@ -37,18 +37,18 @@ class UnreadTopic(Protocol):
 
 
 def unread_points(topics: Iterable[UnreadTopic]) -> list[UnreadTopic]:
-    """The topics with messages that may hold a LiDAR's points and are not read."""
+    """Return the topics with messages that may hold a LiDAR's points and are not read."""
     return [topic for topic in topics if topic.role == "other" and topic.count and _may_hold_points(topic)]
 
 
 def not_read(topics: Sequence[UnreadTopic]) -> str:
-    """Each of a few topics, its type, and the way out."""
+    """Return a sentence with each topic, its type, and the way out."""
     more = f"; and {len(topics) - SHOWN} more" if len(topics) > SHOWN else ""
     return "; ".join(_not_read(topic) for topic in topics[:SHOWN]) + more
 
 
 def unread_findings(topics: Iterable[UnreadTopic]) -> tuple[Finding, ...]:
-    """TOP-120 for each of points; a topic whose messages cannot be read is named by the reason already."""
+    """Return TOP-120 for each topic of points; if decoding failed, the finding names that reason."""
     return tuple(
         Finding("TOP-120", "info", topic.name, f"{_not_read(topic)}.")
         for topic in unread_points(topics)
@@ -57,7 +57,7 @@ def unread_findings(topics: Iterable[UnreadTopic]) -> tuple[Finding, ...]:
 
 
 def video_findings(topics: Iterable[UnreadTopic]) -> tuple[Finding, ...]:
-    """TOP-121 for each of pictures that are compressed across frames."""
+    """Return TOP-121 for each topic of pictures that are compressed across frames."""
     return tuple(
         Finding(
             "TOP-121",
