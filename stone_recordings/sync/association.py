@@ -29,7 +29,7 @@ PHASE_RESIDUAL_LIMIT_NS = 2_000_000
 
 @dataclass(frozen=True, eq=False)
 class SensorTopics:
-    """The recorded topics of the other sensors, and whose they are: `channel_of` names the channel of a topic."""
+    """The recorded topics of the other sensors; `channel_of` names the channel of a topic."""
 
     recorded: RecordedTopics
     sources: Sources
@@ -38,7 +38,7 @@ class SensorTopics:
 
 
 def associate(topics: SensorTopics, posed: PosedFrames) -> tuple[Frames, tuple[Finding, ...]]:
-    """The frames with one association per topic, under the channel the calibration knows it by, else its own name."""
+    """Return the frames with one association per topic, under its channel in the calibration, else its own name."""
     associations: dict[str, Association] = {}
     slices: dict[str, Slices] = {}
     findings: list[Finding] = []
@@ -59,9 +59,10 @@ def associate(topics: SensorTopics, posed: PosedFrames) -> tuple[Frames, tuple[F
 
 
 def mount_of(topic: str, frame_id: str, role: Role, calibration: Calibration) -> Mount | None:
-    """By the frame the messages are in, else by a channel spelt out in the topic (/radar_left/detections).
+    """Return the mount of a topic: by the frame of its messages, else by a channel in its name
+    (/radar_left/detections).
 
-    Else by the words of the names, where they name one channel only.
+    If neither decides, the words of the names do, provided that they name exactly one channel.
     """
     mounts = [mount for mount in calibration.mounts if mount.kind == role]
     for mount in mounts:
@@ -76,7 +77,7 @@ def mount_of(topic: str, frame_id: str, role: Role, calibration: Calibration) ->
 
 
 def _mount(topics: SensorTopics, topic: str, role: Role) -> Mount | None:
-    """The mount of the channel that was named for this topic, else the one found."""
+    """Return the mount of the channel chosen for this topic, else the mount that `mount_of` returns."""
     named = topics.calibration.mount(topics.channel_of.get(topic, ""))
     if named is not None and named.kind == role:
         return named
@@ -116,6 +117,8 @@ def _phase_finding(topic: str, late_ns: NDArray[np.int64], phase_ns: int) -> lis
 
 
 def _starts(posed: PosedFrames, stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Where the samples of each frame begin (N + 1,); one typical period of sweeps after the last frame they end."""
+    """Return the first sample of each frame (N + 1,); the samples of the last frame end one typical sweep period after
+    it.
+    """
     edges_ns = np.append(posed.frames.stamps_ns, posed.frames.stamps_ns[-1] + posed.period_ns)
     return np.searchsorted(stamps_ns, edges_ns, side="left").astype(np.int64)

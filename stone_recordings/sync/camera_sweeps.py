@@ -1,4 +1,4 @@
-"""Pairs of a sweep and the picture a camera took of the same scene, the robot's motion between them undone.
+"""Pairs of a sweep and a camera's picture of the same scene, compensated for the robot's motion between them.
 
     camera(t)_from_lidar(stamp) = (map_from_ego(t) @ ego_from_lidar @ lidar_from_camera)⁻¹
                                   @ map_from_ego(stamp) @ ego_from_lidar
@@ -40,14 +40,17 @@ class CameraSweepPair:
 
 
 def camera_mounts(sequence: Sequence) -> tuple[Mount, ...]:
-    """Cameras of the calibration that can project and of which the recording has pictures."""
+    """Return the cameras of the calibration that can project and have pictures in the recording."""
     associations = sequence.frames.associations
     cameras = sequence.calibration.of_kind("camera")
     return tuple(mount for mount in cameras if mount.intrinsics is not None and mount.name in associations)
 
 
 def pairs(bag: Bag, sequence: Sequence, sweeps: BagSweeps, count: int) -> Iterator[CameraSweepPair]:
-    """Up to `count` pairs of every camera, at frames spread over the sequence; raises what `sweeps.sweep_in` raises."""
+    """Yield up to `count` pairs of every camera, at frames spread over the sequence.
+
+    Raises the errors of `sweeps.sweep_in`.
+    """
     mounts = camera_mounts(sequence)
     chosen = {mount.name: set(_spread(usable_frames(sequence, sweeps, mount.name), count)) for mount in mounts}
     for frame in sorted(set[int]().union(*chosen.values())):
@@ -90,14 +93,14 @@ def usable_frames(sequence: Sequence, sweeps: BagSweeps, channel: str) -> NDArra
 
 
 def _motion(sequence: Sequence, sweeps: BagSweeps) -> tuple[Trajectory, int]:
-    """The track the sweeps were deskewed with; the frames' own poses where they were taken as they are."""
+    """Return the track that deskewed the sweeps; the frames' own poses if the sweeps are not deskewed."""
     if sweeps.mount is not None:
         return sweeps.mount.trajectory, sweeps.mount.max_gap_ns
     return Trajectory(sequence.frames.stamps_ns, sequence.frames.map_from_ego), DEFAULT_MAX_GAP_NS
 
 
 def _spread(frames: NDArray[np.int64], count: int) -> list[int]:
-    """`count` of the frames, in the middles of as many equal parts; all of them when there are fewer."""
+    """Return `count` of the frames, in the middles of as many equal parts; all frames if there are fewer."""
     if len(frames) <= count:
         return [int(frame) for frame in frames]
     places = (np.arange(count) + 0.5) / count * len(frames)

@@ -1,8 +1,7 @@
-"""How far the clocks of the LiDAR and of the pose source are off, as somebody has said.
+"""Given clock offsets of the LiDAR and of the pose source.
 
-**Conventions.** An offset is added to a stamp, so that it is on the clock of the others. What is asked for of a run
-goes before what the calibration says, and both are told in a finding: nothing is shifted silently. Frames bear the
-shifted stamp of their sweep.
+**Conventions.** An offset is added to a stamp, so that the stamp is on the clock of the other sensors. A run's option
+takes precedence over the calibration. A finding reports every shift. Frames bear the shifted stamp of their sweep.
 """
 
 from collections.abc import Mapping
@@ -17,14 +16,14 @@ from stone_recordings.clocks.constants import shift_advice
 from stone_recordings.poses.extrinsics import plain
 
 LIDAR, POSE = "lidar", "pose"
-# Less is no other clock.
+# A smaller difference does not indicate another clock.
 LEAST_APART_NS = 500_000_000
 NO_MOVE = np.array([1.0, 0, 0, 0, 0, 0, 0])
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedStamps:
-    """Stamps (N,) as they are used, and when all M messages of their topic were recorded, ascending."""
+    """Stamps (N,) as they are used, and the record times of all M messages of their topic, ascending."""
 
     stamps_ns: NDArray[np.int64]
     log_times_ns: NDArray[np.int64]
@@ -40,12 +39,12 @@ class RecordedStamps:
 
 @dataclass(frozen=True)
 class ClockOffsets:
-    """`asked` by part, "lidar" or "pose", nanoseconds."""
+    """`asked` are the run's offsets by part, "lidar" or "pose", nanoseconds."""
 
     asked: Mapping[str, int] = field(default_factory=dict)
 
     def of_lidar(self, calibration: Calibration, frame: str) -> int:
-        """That of the sensor of kind lidar which is the one of `frame`, or sits where the LiDAR does."""
+        """Return the offset of the LiDAR sensor whose frame is `frame`, or that is mounted where the LiDAR is."""
         if LIDAR in self.asked:
             return self.asked[LIDAR]
         for mount in calibration.of_kind("lidar"):
@@ -55,7 +54,7 @@ class ClockOffsets:
         return 0
 
     def of_poses(self, calibration: Calibration, frame: str) -> int:
-        """That of the sensor whose pose is told, by the frame it is told of."""
+        """Return the offset of the sensor to which the poses belong, by their frame."""
         if POSE in self.asked:
             return self.asked[POSE]
         named = (mount for mount in calibration.mounts if frame and plain(mount.frame_id) == plain(frame))
@@ -63,9 +62,9 @@ class ClockOffsets:
 
 
 def way_out(lidar: RecordedStamps, poses: RecordedStamps, offsets: ClockOffsets) -> str:
-    """Return how to bring the clocks of sweeps and poses together by what the recorder's tells of both, or "".
+    """Return how to bring the clocks of sweeps and poses together, judged by the recorder's clock, or "".
 
-    The one that is farther from the recorder's clock is shifted.
+    The clock that is farther from the recorder's clock is shifted.
     """
     lidar_ns, poses_ns = (one.late_ns for one in (lidar, poses))
     if lidar_ns is None or poses_ns is None or abs(lidar_ns - poses_ns) < LEAST_APART_NS:
@@ -75,7 +74,7 @@ def way_out(lidar: RecordedStamps, poses: RecordedStamps, offsets: ClockOffsets)
 
 
 def shifted_finding(topic: str, offset_ns: int) -> tuple[Finding, ...]:
-    """TIM-214 where a clock was shifted."""
+    """Return TIM-214 if a clock was shifted."""
     if not offset_ns:
         return ()
     sentence = f"its stamps are shifted by {offset_ns / 1e9:+.6f} s, as the calibration or the command says"

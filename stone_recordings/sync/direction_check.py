@@ -1,7 +1,7 @@
-"""SYN-518: the poses face another way than the robot drives, all along the run.
+"""SYN-518: the poses' heading or pitch differs from the driving direction along the whole run.
 
-**Conventions.** If the sweeps show the ground pitched as the way is, the body drives pitched, and the map is right. If
-they show it level, the poses are tilted.
+**Conventions.** If the sweeps show the ground pitched like the way, the body drives pitched, and the map is right. If
+the sweeps show level ground, the poses are tilted.
 """
 
 import numpy as np
@@ -15,7 +15,8 @@ from stone.sensors.sequence import Sequence
 
 
 def direction_findings(sequence: Sequence, fit: GroundFit | None) -> tuple[Finding, ...]:
-    """SYN-518 if heading or pitch of the poses is off; the poses are those of the source, before any correction."""
+    """Return SYN-518 if heading or pitch of the poses is off; the poses are those of the source, before any correction.
+    """
     if not len(sequence.frames):
         return ()
     found = driving_direction(track_of(sequence))

@@ -1,7 +1,7 @@
-"""Why a recording cannot be synchronised: no LiDAR, no pose source, or no time in which both speak.
+"""Refusals of synchronisation: no LiDAR, no pose source, or no time that both cover.
 
-**Conventions.** TOP-1xx is about which topics there are, SYN-5xx about what they amount to together. Each sentence says
-what was found and what to do.
+**Conventions.** TOP-1xx is about single topics, SYN-5xx about topics in combination. Each sentence contains the value
+and the remedy.
 """
 
 from collections.abc import Sequence
@@ -12,13 +12,13 @@ SHOWN = 6
 
 
 def listed(names: Sequence[str]) -> str:
-    """The first names, and how many more."""
+    """Return the first names, and the number of the rest."""
     more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
     return (", ".join(names[:SHOWN]) + more) or "none"
 
 
 def no_lidar(unread: str) -> Refused:
-    """`unread` names the topics that may hold points and are not read."""
+    """Return the refusal TOP-101; `unread` names the topics that may hold points and are not read."""
     cause = unread or "name its topic with --lidar if a cloud was taken for a radar's"
     return Refused(
         "TOP-101",

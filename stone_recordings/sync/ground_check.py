@@ -1,9 +1,9 @@
-"""The check that the ground lies where the calibration says: at the ego origin, and level with it.
+"""The check that the ground lies at the ego origin and is level there, as the calibration implies.
 
-**Conventions.** Measured on sweeps spread over the run (`stone.sensors.ground_plane`); what is found is what the mount
-of the LiDAR and the ego frame together are wrong by. Below `TOLERATED_M` and `TOLERATED_RAD` nothing is said: so much
-is terrain. Ground auto takes the height from what was found, however little, which is known to a centimetre; the tilt,
-which terrain moves by half a degree, only where it is beyond that.
+**Conventions.** The check uses sweeps spread over the run (`stone.sensors.ground_plane`). It measures the joint error
+of the LiDAR's mount and of the ego frame. Errors below `TOLERATED_M` and `TOLERATED_RAD` can come from terrain and give
+no finding. `--ground auto` always applies the measured height, which is accurate to a centimetre. It applies the tilt
+only beyond the tolerance, because terrain changes the measured tilt by half a degree.
 """
 
 from dataclasses import replace
@@ -33,7 +33,7 @@ ROUNDS, SETTLED_M, SETTLED_RAD = 8, 0.0001, 0.00001
 
 
 def measured_ground(sequence: Sequence, sweeps: SweepSource, seen: SeenWay | None) -> GroundFit | None:
-    """Where the ground lies in the ego frame, by sweeps from all over the run; None where too few show it."""
+    """Return the measured ground in the ego frame, from sweeps of the whole run; None if too few sweeps show it."""
     picked = np.unique(np.linspace(0, len(sequence.frames) - 1, SWEEPS).round().astype(np.int64)).tolist()
     planes = (plane_around(points) for points in seen_ahead(sequence, sweeps, picked))
     fit = ground_fit([plane for plane in planes if plane is not None])
@@ -43,7 +43,7 @@ def measured_ground(sequence: Sequence, sweeps: SweepSource, seen: SeenWay | Non
 
 
 def early_ground(bag: Bag, lidar_topic: str, calibration: Calibration) -> GroundFit | None:
-    """As `measured_ground`, by a few sweeps as they were recorded: before there is a pose, a frame or a map."""
+    """Return the ground as `measured_ground` does, from a few raw sweeps, without poses, frames or map."""
     times_ns = bag.log_times_ns(lidar_topic)
     sweeps = SweepsOfOpenBag(BagSweeps(bag.path, lidar_topic, np.arange(len(times_ns)), times_ns, None), bag)
     picked = np.unique(np.linspace(0, len(times_ns) - 1, EARLY_SWEEPS).round().astype(np.int64)).tolist()
@@ -52,20 +52,22 @@ def early_ground(bag: Bag, lidar_topic: str, calibration: Calibration) -> Ground
 
 
 def early_refusal(bag: Bag, lidar_topic: str, calibration: Calibration, band_m: float = BAND_M) -> Refused | None:
-    """Return the refusal of a ground that is far off by the first look; None if it is not, or too few sweeps show it.
+    """Return the refusal if a first measurement of the ground is far off; None if it is not, or too few sweeps show it.
 
-    Raises what reading a sweep raises.
+    Raises the errors of reading a sweep.
     """
     ground = early_ground(bag, lidar_topic, calibration)
     return None if ground is None else surely_off_ground(ground, calibration.ego_from_lidar, band_m)
 
 
 def recorded_ground_finding(ground: GroundFit, tree: StaticTree, lidar_frame: str) -> tuple[Finding, ...]:
-    """CAL-440 where /tf_static has the LiDAR, whose `ground` is in its own frame, on a base that is not on it."""
+    """Return CAL-440 if the base on which /tf_static mounts the LiDAR is not on the ground; `ground` is in the LiDAR's
+    frame.
+    """
     placed = [(base, tree.recorded(base, lidar_frame)) for base in BASE_FRAMES]
     bases = {base: base_from_lidar for base, base_from_lidar in placed if base_from_lidar is not None}
     off = {base: seen for base, mount in bases.items() if is_off_ground(seen := ground.seen_from(mount))}
-    if len(off) < len(bases) or not off:  # the ego frame is any of them
+    if len(off) < len(bases) or not off:  # any base may be the ego frame
         return ()
     base, seen = next(iter(off.items()))
     right = seen.untilted().corrected(bases[base])
@@ -78,8 +80,9 @@ def recorded_ground_finding(ground: GroundFit, tree: StaticTree, lidar_frame: st
 
 
 def _linked(fit: GroundFit, tilt: SweepTilt, direction: DrivingDirection | None) -> GroundFit:
-    """Return the fit with the tilt of the sweeps in the map, and its slope along x by that and the way, if both are
-    known well enough."""
+    """Return the fit with the tilt of the sweeps in the map, and the slope along x from this tilt and the way, if both
+    are known well enough.
+    """
     fit = replace(fit, map_slope_y=tilt.slope_y if tilt.error_y < MOST_ERROR_ACROSS else None)
     if direction is None or np.hypot(tilt.error_x, direction.pitch_error_rad) > MOST_ERROR_ALONG:
         return fit
@@ -87,18 +90,19 @@ def _linked(fit: GroundFit, tilt: SweepTilt, direction: DrivingDirection | None)
 
 
 def is_off(fit: GroundFit | None) -> bool:
-    """Whether it lies so far from where it should that no terrain explains it."""
+    """Return whether the ground is so far off that terrain cannot be the cause."""
     return fit is not None and (fit.is_high_or_low or fit.is_tilted)
 
 
 def corrected(calibration: Calibration, fit: GroundFit) -> Calibration:
-    """The calibration with the LiDAR mounted so that the ground lies where it should."""
+    """Return the calibration with the LiDAR mounted so that the ground lies at the ego origin."""
     return _mounted(calibration, fit.corrected(calibration.ego_from_lidar), fit.tilt_rad > 0.0 and fit.is_map_tilted)
 
 
 def _mounted(calibration: Calibration, ego_from_lidar: SE3, is_body_kept: bool) -> Calibration:
-    """Return the calibration with the LiDAR there; with `is_body_kept`, sensors of the robot's own motion stay where
-    they are on the robot, else beside the LiDAR."""
+    """Return the calibration with the LiDAR mounted there; with `is_body_kept`, sensors of the robot's own motion keep
+    their place on the robot, else their place relative to the LiDAR.
+    """
     turn = ego_from_lidar.inverse() @ calibration.ego_from_lidar
     mounts = tuple(
         replace(mount, lidar_from_sensor=turn @ mount.lidar_from_sensor)
@@ -110,8 +114,10 @@ def _mounted(calibration: Calibration, ego_from_lidar: SE3, is_body_kept: bool) 
 
 
 def settled(sequence: Sequence, sweeps: SweepSource, fit: GroundFit) -> Calibration:
-    """The calibration with the LiDAR mounted so that the ground is found at the ego origin, to `SETTLED_M`, and level,
-    to `SETTLED_RAD`, where the tilt was beyond terrain: whatever height was entered, it ends in the same place."""
+    """Return the calibration with the LiDAR mounted so that the ground is at the ego origin to within `SETTLED_M`.
+
+    A tilt beyond terrain is levelled to within `SETTLED_RAD`. The result does not depend on the entered height.
+    """
     calibration, found = sequence.calibration, fit if fit.is_tilted else fit.untilted()
     mount = calibration.ego_from_lidar
     for _ in range(ROUNDS):
@@ -127,7 +133,7 @@ def settled(sequence: Sequence, sweeps: SweepSource, fit: GroundFit) -> Calibrat
 
 
 def ground_findings(sequence: Sequence, fit: GroundFit | None) -> tuple[Finding, ...]:
-    """CAL-433 where the ground is off, with what to enter into the calibration; CAL-435 where it cannot be measured."""
+    """Return CAL-433 with the values to enter if the ground is off; CAL-435 if it cannot be measured."""
     if fit is None:
         unseen = "the ground around the robot is seen in too few sweeps to check the height of the LiDAR's mount"
         return (Finding("CAL-435", "info", "", unseen),)
@@ -146,7 +152,7 @@ def ground_findings(sequence: Sequence, fit: GroundFit | None) -> tuple[Finding,
 
 
 def applied_finding(fit: GroundFit, calibration: Calibration) -> Finding:
-    """CAL-434: what ground auto did, by the `calibration` it settled on."""
+    """Return CAL-434: the correction that `--ground auto` applied, from the corrected `calibration`."""
     sentence = (
         f"the ground lay {above(fit)} and tilted by {np.rad2deg(fit.tilt_rad):.1f}° in the ego frame; the LiDAR is "
         f"taken to be mounted so that it does not: {entry_of(calibration.ego_from_lidar)}"

@@ -1,4 +1,4 @@
-"""The ground that sweeps along the way show: read once, for the tilt of the LiDAR and for drift in z."""
+"""The ground in sweeps along the way: read once, for the tilt of the LiDAR and for drift in z."""
 
 from collections import deque
 from collections.abc import Iterable, Iterator
@@ -25,7 +25,8 @@ MIN_RANGE_M = 1.0
 
 @dataclass(frozen=True, eq=False)
 class SeenWay:
-    """The frames (K,) whose sweeps were looked at, where they are, the links of their ground, and its tilt by them."""
+    """The frames (K,) of the sweeps that were read, their positions, the links of their ground, and its tilt from them.
+    """
 
     rows: NDArray[np.int64]
     way: Way
@@ -34,7 +35,7 @@ class SeenWay:
 
 
 def seen_along(sequence: Sequence, sweeps: SweepSource, level: SE3 | None = None) -> SeenWay:
-    """Return what sweeps along the way show, their points turned by `level` in the ego frame first."""
+    """Read sweeps along the way and return their ground; `level` first turns their points in the ego frame."""
     poses = sequence.frames.map_from_ego
     places_m = poses.translation_m
     rows = looks_along(places_m) if len(places_m) else np.zeros(0, np.int64)
@@ -47,9 +48,9 @@ def seen_along(sequence: Sequence, sweeps: SweepSource, level: SE3 | None = None
 
 
 def seen_ahead(sequence: Sequence, sweeps: SweepSource, rows: Iterable[int]) -> Iterator[NDArray[np.float32]]:
-    """`seen_around` of these frames in their order; a thread reads the next `AHEAD` while one is looked at.
+    """Yield `seen_around` of these frames in order; a thread reads the next `AHEAD` frames in advance.
 
-    Nobody else may read the sweeps meanwhile.
+    Nothing else may read the sweeps meanwhile.
     """
     coming = deque[Future[NDArray[np.float32]]]()
     with ThreadPoolExecutor(1) as beside:
@@ -61,13 +62,15 @@ def seen_ahead(sequence: Sequence, sweeps: SweepSource, rows: Iterable[int]) -> 
 
 
 def seen_around(sequence: Sequence, sweeps: SweepSource, index: int) -> NDArray[np.float32]:
-    """As `points_around`, of a frame of the sequence."""
+    """Return `points_around` of a frame of the sequence."""
     return points_around(sequence.calibration, sweeps, index)
 
 
 def points_around(calibration: Calibration, sweeps: SweepSource, index: int) -> NDArray[np.float32]:
-    """The points (N, 3) of a sweep in its ego frame, without the robot's own; none of a sweep that cannot be read,
-    which is for labelling to say."""
+    """Return the points (N, 3) of a sweep in its ego frame, without the robot's own; none for an unreadable sweep.
+
+    Labelling reports unreadable sweeps.
+    """
     try:
         points_lidar = sweeps.sweep(index).points_lidar
     except StoneError:

@@ -1,4 +1,4 @@
-"""Half of what a LiDAR measured: every other sweep, or every other ring of each sweep."""
+"""Half of a LiDAR's measurements: every other sweep, or every other ring of each sweep."""
 
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -36,7 +36,7 @@ class HalvedSweeps:
         return Sweep(int(self.source.stamps_ns[index]), np.empty((0, 3), np.float32))
 
     def _rings(self, index: int) -> NDArray[np.uint16]:
-        """The ring of each point of the whole sweep, (N,)."""
+        """Return the ring of each point of the whole sweep, (N,)."""
         source = self.source
         found = points_at(opened(source.path), source.topic, int(source.message_index[index])).ring
         if found is None:

@@ -1,9 +1,8 @@
-"""The check that poses do not drift in z against the ground they were driven over, and the correction where they do.
+"""The check that poses do not drift in z against the ground driven over, and the correction of such drift.
 
-**Conventions.** Measured on sweeps spread along the way (`stone.sensors.ground_links`), once the mount of the LiDAR is
-known to be right. Within `stone.sensors.height_drift.TOLERATED_M` poses stay as given, bit for bit; beyond, every pose
-of the frames and of the track between them is moved in z, and in nothing else, by what the ground says, interpolated in
-time.
+**Conventions.** The check uses sweeps spread along the way (`stone.sensors.ground_links`), after the LiDAR's mount is
+known to be right. Within `stone.sensors.height_drift.TOLERATED_M` poses stay as given, bit for bit. Beyond it, the
+correction moves every pose of the frames and of the track between them in z only, interpolated in time.
 """
 
 from dataclasses import replace
@@ -24,8 +23,10 @@ Array = NDArray[np.float64]
 
 
 def height_followed(sequence: Sequence, sweeps: SweepSource, fit: GroundFit | None, seen: SeenWay) -> Sequence:
-    """The sequence with its drift in z measured, and followed where it is drift; itself where the ground under the
-    robot, `fit`, was not measured, or lies off for a reason of the mount."""
+    """Return the sequence with its drift in z measured, and corrected if it is drift.
+
+    Returns the sequence itself if the ground under the robot, `fit`, was not measured, or is off because of the mount.
+    """
     if fit is None or is_off(fit) or len(seen.rows) < 2:
         return sequence
     found, up_m = drift(seen.links, seen.way, _floor_m(sequence))
@@ -41,12 +42,12 @@ def height_followed(sequence: Sequence, sweeps: SweepSource, fit: GroundFit | No
 
 
 def _floor_m(sequence: Sequence) -> float:
-    """How far apart two floors that this robot drives on lie at least."""
+    """Return the least distance between two floors that this robot can drive on, m."""
     return max(SAME_FLOOR_RATIO * float(sequence.calibration.ego_from_lidar.translation_m[2]), LEAST_FLOOR_M)
 
 
 def _moved(sequence: Sequence, rows: NDArray[np.int64], up_m: Array) -> Sequence:
-    """The sequence with `up_m` (K,) added to z at the frames `rows` (K,), and between them in proportion to time."""
+    """Return the sequence with `up_m` (K,) added to z at the frames `rows` (K,), interpolated in time between them."""
     frames, track = sequence.frames, sequence.track
     stamps_ns = frames.stamps_ns[rows]
     frames = replace(frames, map_from_ego=_raised(frames.map_from_ego, np.interp(frames.stamps_ns, stamps_ns, up_m)))
@@ -63,7 +64,7 @@ def _raised(poses: SE3, up_m: Array) -> SE3:
 
 
 def _findings(found: HeightDrift) -> tuple[Finding, ...]:
-    """SYN-514 where the drift was followed, SYN-515 where it was not."""
+    """Return SYN-514 if the drift was corrected, SYN-515 if it was not."""
     if not found.is_beyond_terrain:
         return ()
     where = (

@@ -1,8 +1,8 @@
-"""The check that poses and sweeps are of one time: turns between sweeps, registered, against those of the poses.
+"""The check that poses and sweeps share a clock: registered turns between sweeps, compared with the turns of the poses.
 
-**Conventions.** Where the robot never turns, rolls nor pitches, nothing can be told of time and nothing is said, nor of
-less than `TOLERATED_NS`. Measured on sweeps from all over the run, each with one half a second later, where a lag would
-show most.
+**Conventions.** Without a turn, roll or pitch of the robot, a lag cannot be measured and there is no finding; neither
+is there below `TOLERATED_NS`. The check uses pairs of sweeps from the whole run, half a second apart, at the frames at
+which a lag has the most effect.
 """
 
 import numpy as np
@@ -24,7 +24,7 @@ WORSE_RATIO = 1.3
 
 
 def measured_lag(sequence: Sequence, sweeps: SweepSource) -> SweepLag | None:
-    """By how much the poses are late; None where that cannot be told."""
+    """Return by how much the poses are late; None if this cannot be measured."""
     if sequence.track is None:
         return None
     turns = _turns(sequence, sweeps, telling_pairs(sequence))
@@ -32,8 +32,10 @@ def measured_lag(sequence: Sequence, sweeps: SweepSource) -> SweepLag | None:
 
 
 def telling_pairs(sequence: Sequence) -> NDArray[np.int64]:
-    """Frames (K, 2) of one segment about half a second apart, from each of `PAIRS` parts of the run those whose turn
-    would be another had the poses been `SLOPE_STEP_S` later."""
+    """Return pairs of frames (K, 2) of one segment, about half a second apart, from each of `PAIRS` parts of the run.
+
+    Of each part it takes the pairs whose turn depends most on a delay of the poses by `SLOPE_STEP_S`.
+    """
     stamps_ns, track = sequence.frames.stamps_ns, sequence.track
     first = np.arange(len(stamps_ns))
     second = np.searchsorted(stamps_ns, stamps_ns + APART_NS)
@@ -57,7 +59,7 @@ def telling_pairs(sequence: Sequence) -> NDArray[np.int64]:
 
 
 def lag_findings(lag: SweepLag | None) -> tuple[Finding, ...]:
-    """TIM-213 where poses and sweeps are not of one time, with the options that put them right."""
+    """Return TIM-213 if poses and sweeps do not share a clock, with the options that correct it."""
     if lag is None or not _is_certain(lag):
         return ()
     late, other = ("poses", "sweeps") if lag.lag_ns > 0 else ("sweeps", "poses")
@@ -79,7 +81,7 @@ def _is_certain(lag: SweepLag) -> bool:
 
 
 def _turns(sequence: Sequence, sweeps: SweepSource, pairs: NDArray[np.int64]) -> SweepTurns:
-    """What registration says of these pairs of frames (K, 2), of those that it is believed of."""
+    """Return the registered turns of these pairs of frames (K, 2), for the registrations that are accepted."""
     poses, stamps_ns = sequence.frames.map_from_ego, sequence.frames.stamps_ns
     kept, wxyz = list[tuple[int, int]](), list[NDArray[np.float64]]()
     for first, second in pairs.tolist():

@@ -1,9 +1,9 @@
-"""Joining of the maps of a run whose track broke: what was seen after a break is registered to what was seen before it.
+"""Joining of the maps of a run whose track breaks: sweeps after a break are registered to sweeps before it.
 
-**Conventions.** Two starts are tried: the poses as given, which fit where the source only fell silent, and the robot
-having gone on as it went before the break, which fits where the source jumped. Where neither registration is believed
-(`stone_recordings.sync.registration`), what follows is a map of its own. A correction moves everything after the break
-up to the next one; below `TAKEN_M` and `TAKEN_RAD` poses stay as given. All of it is said, break by break.
+**Conventions.** Registration starts twice: from the poses as given, which is right if the source paused, and from the
+robot's motion before the break, which is right if the source jumped. If neither result is accepted
+(`stone_recordings.sync.registration`), the frames after the break form a separate map. A correction moves all poses
+from the break to the next one; below `TAKEN_M` and `TAKEN_RAD` poses stay as given. Findings report every break.
 """
 
 from collections.abc import Sequence as Listing
@@ -30,9 +30,9 @@ MOST_BREAKS = 50
 
 @dataclass(frozen=True, eq=False)
 class Break:
-    """Between two frames that follow one another in different segments; `registered` the second from the first.
+    """A break between two successive frames in different segments; `registered` is the second pose from the first.
 
-    `far_m` and `turned_rad` are how far that is from the poses as given.
+    `far_m` and `turned_rad` are its distance from the poses as given.
     """
 
     before: int
@@ -47,12 +47,12 @@ class Break:
 
     @property
     def is_moved(self) -> bool:
-        """Whether that is too far for the poses to stay as given."""
+        """Whether the registered pose is too far from the given one for the poses to stay."""
         return self.far_m > TAKEN_M or self.turned_rad > TAKEN_RAD
 
 
 def joined(sequence: Sequence, sweeps: SweepSource) -> Sequence:
-    """The sequence with its maps joined where registration can; itself where its track never breaks."""
+    """Return the sequence with its maps joined if registration can; the sequence itself if its track never breaks."""
     track, frames = track_of(sequence), sequence.frames
     segment_of_frame = segments_at(track, frames.stamps_ns)
     ends = np.flatnonzero(np.diff(segment_of_frame)).tolist()
@@ -67,14 +67,14 @@ def joined(sequence: Sequence, sweeps: SweepSource) -> Sequence:
 
 @dataclass(frozen=True, eq=False)
 class _Pieces:
-    """The stretches of frames between breaks, and what was seen at their ends."""
+    """The stretches of frames between breaks, and the points at their ends."""
 
     sequence: Sequence
     sweeps: SweepSource
     segment_of_frame: NDArray[np.int64]
 
     def registered(self, end: int, track: Trajectory) -> Break:
-        """The break after the frame `end`, by what the frames on both sides saw."""
+        """Return the break after the frame `end`, registered by the points on both sides."""
         poses = self.sequence.frames.map_from_ego
         given = poses[end].inverse() @ poses[end + 1]
         first = max(end - FRAMES_EACH_SIDE + 1, int(np.searchsorted(self.segment_of_frame, self.segment_of_frame[end])))
@@ -88,7 +88,7 @@ class _Pieces:
         return Break(end, end + 1, best, *apart(given, best.target_from_source))
 
     def _seen(self, indices: Listing[int], map_from_ego: SE3) -> NDArray[np.float64]:
-        """The points (N, 3) of these frames, seen from this pose."""
+        """Return the points (N, 3) of these frames, seen from this pose."""
         poses, clouds = self.sequence.frames.map_from_ego, []
         for index in indices:
             points = seen_around(self.sequence, self.sweeps, index)
@@ -98,7 +98,7 @@ class _Pieces:
         return np.asarray(seen[np.abs(seen).max(axis=1, initial=0.0) < 2 * REACH_M])
 
     def _continued(self, end: int, track: Trajectory) -> list[SE3]:
-        """Where the robot would be, had it gone on as in the last half second before the break; if that is known."""
+        """Return the robot's pose after the break if it kept its velocity of the last half second; empty if unknown."""
         stamps_ns, poses = self.sequence.frames.stamps_ns, self.sequence.frames.map_from_ego
         is_before = (track.segments == self.segment_of_frame[end]) & (track.stamps_ns <= stamps_ns[end])
         since_ns = int(stamps_ns[end]) - int(VELOCITY_S * 1e9)
@@ -117,7 +117,7 @@ class _Pieces:
 def _moved(
     sequence: Sequence, track: Trajectory, segment_of_frame: NDArray[np.int64], breaks: Listing[Break]
 ) -> Sequence:
-    """The sequence with what follows each break moved to where it was registered."""
+    """Return the sequence with the frames after each break moved to their registered place."""
     segments, frames = track.segments, sequence.frames
     maps, moves = _maps_and_moves(sequence, segment_of_frame, breaks, int(segments[-1]) + 1)
     path = replace(track, map_from_ego=SE3(moves)[segments] @ track.map_from_ego)
@@ -130,7 +130,9 @@ def _moved(
 def _maps_and_moves(
     sequence: Sequence, segment_of_frame: NDArray[np.int64], breaks: Listing[Break], count: int
 ) -> tuple[tuple[int, ...], NDArray[np.float64]]:
-    """Per segment the map it lies in, and what is put before its poses (S, 7); one without frames follows the last."""
+    """Return per segment its map and the transform before its poses (S, 7); a segment without frames follows the last
+    one.
+    """
     poses = sequence.frames.map_from_ego
     moves = SE3.identity((count,)).wxyz_xyz
     maps, number = [0] * count, 0
@@ -145,7 +147,7 @@ def _maps_and_moves(
 
 
 def _move(poses: SE3, one: Break, before: SE3) -> SE3:
-    """What is put before the poses after a break, given what is put before those before it."""
+    """Return the transform before the poses after a break, given the transform before the poses preceding it."""
     if not one.is_moved:
         return before
     return before @ poses[one.before] @ one.registered.target_from_source @ poses[one.after].inverse()

@@ -1,8 +1,8 @@
-"""The check that the scans of each radar can be read, by some of them.
+"""The check that the scans of each radar can be decoded, on a sample.
 
-**Conventions.** Heads were looked at before; what lies behind them only decoding tells. A radar whose scans cannot be
-read costs its own samples alone, so each is a warning. Scans of all radars are read in the order of time, so that a
-chunk of a compressed recording is inflated once for all of them.
+**Conventions.** An earlier check covers message headers; only decoding checks the rest. An unreadable radar loses its
+own samples alone, so each finding is a warning. Scans of all radars are read in the order of time, so that a chunk of a
+compressed recording is inflated once for all of them.
 """
 
 import numpy as np

@@ -1,6 +1,6 @@
 """The messages that synchronisation reads in one pass: header stamps, and small messages whole.
 
-**Conventions.** The pass takes all topics together, so that a compressed recording is inflated once. What is kept is
+**Conventions.** The pass takes all topics together, so that a compressed recording is inflated once. Kept bytes are
 copied: a view would keep its whole chunk alive. Stamps are those of the messages' headers.
 """
 
@@ -29,9 +29,9 @@ from stone_recordings.messages.types.cdr import HEAD_BYTES, NS_PER_S, Cursor
 from stone_recordings.topics.sources import Sources
 
 STAMP_BYTES = HEAD_BYTES + 8
-# A header with the longest frame_id anybody uses; of a cloud also its fields.
+# A header with the longest frame_id in use; for a cloud also its fields.
 HEADER_BYTES, CLOUD_HEAD_BYTES = 256, 2048
-# Whether points inflate, and how long those of a ROS 1 bag are as CDR, only the whole message tells.
+# Only the whole message shows whether points inflate, and how long those of a ROS 1 bag are as CDR.
 TOLD_WHOLE = LIVOX_TYPES | {COMPRESSED_CLOUD}
 NO_PROBLEMS: Mapping[int, MessageProblem] = {}
 
@@ -47,8 +47,8 @@ class OwnMessage:
 class RecordedTopics:
     """`heads`: the first bytes of every message of a scanned topic; `messages`: whole small messages of others.
 
-    `problems`: of a scanned topic, the numbers of the messages that cannot be used, and why; `log_times_ns` of all.
-    Of `messages` those that lie in damaged chunks are missing. `sources` are what was read for.
+    `problems` maps the numbers of unusable messages of a scanned topic to the reason; `log_times_ns` are of all
+    messages. `messages` lacks those in damaged chunks. `sources` are the topics that were read.
     """
 
     topics: Mapping[str, Topic]
@@ -59,7 +59,8 @@ class RecordedTopics:
     sources: Sources | None = None
 
     def stamps_ns(self, topic: str) -> NDArray[np.int64]:
-        """Header stamps (N,) of a scanned topic in log-time order; the log time where a message has none."""
+        """Return the header stamps (N,) of a scanned topic in log-time order; the log time if a message has no stamp.
+        """
         type_name, heads, stamps_ns = self.topics[topic].type, self.heads[topic], self.log_times_ns[topic].copy()
         usable = self.usable(topic)
         raw = np.frombuffer(b"".join(heads[index][HEAD_BYTES:STAMP_BYTES] for index in usable), "<u4").reshape(-1, 2)
@@ -70,13 +71,13 @@ class RecordedTopics:
         return stamps_ns
 
     def usable(self, topic: str) -> NDArray[np.int64]:
-        """The numbers (M,) of a scanned topic's messages that nothing is wrong with."""
+        """Return the numbers (M,) of a scanned topic's usable messages."""
         is_usable = np.ones(len(self.heads[topic]), np.bool_)
         is_usable[list(self.problems.get(topic, NO_PROBLEMS))] = False
         return np.flatnonzero(is_usable)
 
     def frame_ids(self, topic: str) -> list[str]:
-        """`frame_id` of each message of a topic of clouds that nothing is wrong with."""
+        """Return `frame_id` of each usable message of a topic of clouds."""
         found = []
         for index in self.usable(topic).tolist():
             cursor = Cursor(memoryview(self.heads[topic][index]), self.topics[topic].type)
@@ -85,7 +86,9 @@ class RecordedTopics:
         return found
 
     def frame_id(self, topic: str) -> str:
-        """The `frame_id` of most of a topic's clouds, of another topic's first message; "" without."""
+        """Return the most frequent `frame_id` of a topic's clouds, or that of another topic's first message; "" without
+        any.
+        """
         if self.topics[topic].type in SWEEP_TYPES:
             return majority(self.frame_ids(topic))
         usable = self.usable(topic)
@@ -96,18 +99,18 @@ class RecordedTopics:
         return cursor.text()
 
     def cloud_size(self, topic: str, index: int) -> int:
-        """Declared points of a cloud that nothing is wrong with, or the packets that take its place."""
+        """Return the declared number of points of a usable cloud, or the number of packets that take its place."""
         return points_declared(memoryview(self.heads[topic][index]), self.topics[topic].type) or 0
 
     def left_out(self, topic: str) -> tuple[Finding, ...]:
-        """What is said of a topic's messages that cannot be used."""
+        """Return the findings about a topic's unusable messages."""
         problems = self.problems.get(topic, NO_PROBLEMS)
         return left_out_finding(topic, problems, self.stamps_ns(topic)) if problems else ()
 
 
 @dataclass(frozen=True, eq=False)
 class OrderedStamps:
-    """`index` (M,) into what was recorded gives strictly increasing `stamps_ns` (M,)."""
+    """`index` (M,) into the recorded messages gives strictly increasing `stamps_ns` (M,)."""
 
     index: NDArray[np.int64]
     stamps_ns: NDArray[np.int64]
@@ -115,9 +118,9 @@ class OrderedStamps:
 
 
 class RecordedReading:
-    """Takes what a pass over the heads of a recording yields, for whoever makes one; of `whole` topics whole messages.
+    """Collects the messages of a pass over the heads of a recording; messages of `whole` topics are kept whole.
 
-    Messages of topics that are not `used` are passed over.
+    Messages of topics that are not `used` are skipped.
     """
 
     def __init__(self, bag: Bag, sources: Sources) -> None:
@@ -127,14 +130,14 @@ class RecordedReading:
         told_late = (name for name in sources.scanned if self._topics[name].type in TOLD_WHOLE)
         self.whole = (*sources.whole, *told_late)
         radars = {topic.name for topic, role in sources.associated if role == "radar" and topic.type in CLOUD_TYPES}
-        self._placed = {sources.lidar.name, *radars}  # whose points need places
+        self._placed = {sources.lidar.name, *radars}  # topics whose points need a position
         self._heads = {name: [b""] * self._topics[name].count for name in sources.scanned}
         self._payloads: dict[str, dict[int, bytes]] = {name: {} for name in sources.whole}
         self._unusable: dict[str, dict[int, MessageProblem]] = {name: {} for name in sources.scanned}
         self._read = {name: TopicHeads(self._topics[name].type) for name in sources.scanned}
 
     def take(self, name: str, index: int, payload: memoryview) -> None:
-        """A message in the order of `Bag.heads`, which has just yielded it."""
+        """Take a message in the order of `Bag.heads`, which has just yielded it."""
         if name in self._payloads:
             self._payloads[name][index] = bytes(payload)
         if name in self._heads:
@@ -145,7 +148,7 @@ class RecordedReading:
                 self._unusable[name][index] = problem
 
     def finished(self) -> RecordedTopics:
-        """What was taken, after all of it."""
+        """Return the collected messages after the pass."""
         damaged = {name: self._bag.damaged.get(name, {}) for name in self._heads}
         problems = {
             name: {**{index: MessageProblem(DAMAGED, why) for index, why in damaged[name].items()}, **unusable}
@@ -166,7 +169,7 @@ class RecordedReading:
 
 
 def read_recorded(bag: Bag, sources: Sources) -> RecordedTopics:
-    """One pass over the topics that are used. Raises what `Bag.heads` raises."""
+    """Read the used topics in one pass. Raises the errors of `Bag.heads`."""
     reading = RecordedReading(bag, sources)
     for name, index, payload in bag.heads(reading.used, whole=reading.whole, is_checked=True):
         reading.take(name, index, payload)
@@ -174,9 +177,9 @@ def read_recorded(bag: Bag, sources: Sources) -> RecordedTopics:
 
 
 def in_order(topic: str, stamps_ns: NDArray[np.int64], rows: NDArray[np.int64] | None = None) -> OrderedStamps:
-    """Stamps sorted (stably) with repeats dropped, the first kept; both are said in findings, with the worst step.
+    """Return the stamps sorted (stably) without repeats, the first kept; findings report both, with the worst step.
 
-    `rows` (M,) are the messages that count, where not all do.
+    `rows` (M,) selects the messages that count; the default is all.
     """
     rows = np.arange(len(stamps_ns), dtype=np.int64) if rows is None else rows
     stamps_ns = stamps_ns[rows]

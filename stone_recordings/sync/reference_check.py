@@ -1,8 +1,8 @@
-"""The check that the sweeps show ground which the robot drives on: without it labels have no reference.
+"""The check that some sweep shows ground under the footprint: without it labels have no reference.
 
-**Conventions.** A return counts if its voxel is under the footprint at, or between, any poses of its map, grown by what
-the reconstructed surface reaches beyond returns. The first sweep with one ends the search, which of a sound run is the
-first or second.
+**Conventions.** A return counts if its voxel is under the footprint at, or between, any poses of its map, grown by the
+reach of the reconstructed surface beyond returns. The search ends at the first sweep with such a return; in a sound
+run this is the first or second sweep.
 """
 
 from dataclasses import replace
@@ -21,7 +21,7 @@ from stone.sensors.ground_plane import BAND_M
 from stone.sensors.sequence import Sequence, SweepSource
 from stone_recordings.sync.ground_looks import seen_around
 
-MOST_FRAMES = 400  # of a run that is longer, something is seen in some
+MOST_FRAMES = 400  # of a longer run; some of these frames show the ground
 REACH_M = VOXEL_M
 
 

@@ -1,8 +1,9 @@
-"""Registration of two point clouds (`small_gicp`, Koide et al., 2021), with what says whether to believe it.
+"""Registration of two point clouds (`small_gicp`, Koide et al., 2021) with measures of its reliability.
 
-**Conventions.** A result is believed where enough of the source finds a surface of the target (`overlap`), close to its
-plane (`residual_m`), and starts displaced along the ground end in the same place: on a bare plane any place fits as
-well as another, and a registration that converges there says nothing. One thread, so equal clouds give equal results.
+**Conventions.** A result is accepted if enough of the source overlaps a surface of the target (`overlap`), if it is
+close to the surface's plane (`residual_m`), and if starts displaced along the ground converge to the same pose. On a
+bare plane every pose fits equally well, so convergence alone is no evidence. One thread computes it, so equal clouds
+give equal results.
 """
 
 from collections.abc import Iterator
@@ -26,11 +27,11 @@ Points = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Trust:
-    """What a registration is believed from: the share of the source within `FINE_M` of the target, the typical distance
-    from its planes, and how far apart (m, rad) the results of displaced starts may lie, which are tried only where the
-    place is asked for and not the turn alone.
+    """Limits for accepting a registration: the share of the source within `FINE_M` of the target, the typical distance
+    from its planes, and the spread (m, rad) of the results of displaced starts.
 
-    Measured on the KITTI piece: right ones 0.028 to 0.037 m, wrong ones from 0.082 m.
+    Displaced starts are tried only if the position matters and not the turn alone. Measured on the KITTI piece: right
+    results 0.028 to 0.037 m, wrong ones from 0.082 m.
     """
 
     least_overlap: float = 0.5
@@ -42,7 +43,7 @@ class Trust:
 
 @dataclass(frozen=True, eq=False)
 class Registered:
-    """`target_from_source`, and why it is not to be believed ("" where it is)."""
+    """`target_from_source`, and the reason why it is rejected ("" if it is accepted)."""
 
     target_from_source: SE3
     overlap: float
@@ -51,7 +52,7 @@ class Registered:
 
 
 class Target:
-    """The cloud (N, 3) that others are registered to; thinned to `sampling_m`."""
+    """The cloud (N, 3) to which others are registered; thinned to `sampling_m`."""
 
     def __init__(self, points: Points, sampling_m: float) -> None:
         import small_gicp
@@ -61,7 +62,7 @@ class Target:
         self._points, self._normals = self._cloud.points()[:, :3], self._cloud.normals()[:, :3]
 
     def register(self, source: Points, guess: SE3, trust: Trust) -> Registered:
-        """Where the source (M, 3) lies, starting from `guess` and from places around it."""
+        """Register the source (M, 3), starting from `guess` and from poses around it."""
         if self._is_empty or len(source) < FEWEST_POINTS:
             return Registered(guess, 0.0, 0.0, "too few points")
         cloud, _ = self._gicp.preprocess_points(source, self._sampling_m, NEIGHBOURS, 1)
@@ -96,8 +97,10 @@ class Target:
         return start if found.converged else None
 
     def _fit(self, source: Points, target_from_source: SE3) -> tuple[float, float]:
-        """Overlap, and how far what overlaps is from the planes: the median, as a standard deviation."""
-        from scipy.spatial import cKDTree  # loaded where it is used: `stone inspect` never gets here
+        """Return the overlap, and the median distance of the overlapping points from the planes, as a standard
+        deviation.
+        """
+        from scipy.spatial import cKDTree  # loaded on use: `stone inspect` never reaches it
 
         placed = target_from_source @ source
         gap_m, nearest = cKDTree(self._points).query(placed, distance_upper_bound=FINE_M)
@@ -117,6 +120,6 @@ class Target:
 
 
 def _displaced(guess: SE3) -> Iterator[SE3]:
-    """Before, behind and on both sides of a start."""
+    """Yield poses in front of, behind and on both sides of a start."""
     for shift_m in ([1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0]):
         yield guess @ SE3.from_parts(np.array([1.0, 0, 0, 0]), DISPLACED_M * np.array(shift_m))

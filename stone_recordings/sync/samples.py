@@ -1,7 +1,7 @@
-"""Samples of each sensor for a frame: the sweep deskewed, the picture as it was recorded, the radar's scan.
+"""Samples of each sensor for a frame: the sweep deskewed, the picture as recorded, the radar's scan.
 
-**Conventions.** The recording is opened once per process and thread and stays open; samples in the order of frames are
-cheap. Which message a frame takes is the sequence's word; nothing is associated anew.
+**Conventions.** The recording is opened once per process and thread and stays open; reading samples in the order of
+frames is cheap. The sequence determines the message of a frame; nothing is associated again.
 """
 
 import io
@@ -29,10 +29,9 @@ from stone_recordings.messages.radars.radar import decode_radar
 from stone_recordings.messages.sweep_clouds import cloud_at
 from stone_recordings.sync.sweeps import BagSweeps, opened
 
-# Radar detections of each frame, moved to the frame's stamp and freed of the robot's own motion.
-#
-# **Conventions.** Points are in the LiDAR frame at the frame's stamp, as those of a sweep are. A radar measured
-# `dt_ns` of its association after the stamp. Only detections that the radar itself calls valid, in its order.
+# Radar detections of each frame, moved to the frame's stamp and corrected for the robot's own motion. Points are in the
+# LiDAR frame at the frame's stamp, like those of a sweep. A radar measured `dt_ns` of its association after the stamp.
+# Only detections that the radar itself marks as valid are kept, in its order.
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +48,9 @@ class BagRadar:
         return len(self.stamps_ns)
 
     def frame(self, index: int) -> RadarSample | None:
-        """What it saw for frame `index`; None where no message is near enough, or the message cannot be read.
+        """Return the detections for frame `index`; None if no message is near enough, or the message cannot be read.
 
-        Raises IndexError, and what opening raises (BAG-*).
+        Raises IndexError, and the errors of opening the bag (BAG-*).
         """
         row, stamp_ns = int(self.taken.message_index[index]), int(self.stamps_ns[index])
         if row < 0:
@@ -61,7 +60,7 @@ class BagRadar:
         message = bag.message(topic.name, row)
         try:
             seen = decode_radar(topic.type, [message], topic.schema)
-        except IngestError:  # `radar_findings` names it
+        except IngestError:  # `radar_findings` reports it
             return None
         motion = radar_motion(self.mount, self.lidar_from_radar, stamp_ns, taken_ns)
         points_radar, range_rate_m_s = seen.points_radar[seen.is_valid], seen.range_rate_m_s[seen.is_valid]
@@ -77,7 +76,7 @@ class BagRadar:
 
 
 def radars_of(sequence: Sequence, sweeps: BagSweeps) -> Mapping[str, BagRadar]:
-    """By channel, the radars that the calibration places; none where sweeps have no track."""
+    """Return the radars that the calibration places, by channel; none if sweeps have no track."""
     if sweeps.mount is None:
         return {}
     taken = sequence.frames.associations
@@ -91,19 +90,20 @@ def radars_of(sequence: Sequence, sweeps: BagSweeps) -> Mapping[str, BagRadar]:
 
 
 INTENSITY_NAMES = ("intensity", "reflectivity", "i")
-# Of pictures that were not recorded as JPEG; colours keep their full resolution.
+# For pictures that were not recorded as JPEG; colours keep their full resolution.
 JPEG_QUALITY = 95
 
 
 @dataclass(frozen=True, eq=False)
 class BagSamples:
-    """A SampleSource over a recording and the sequence that was made of it. Picklable: it carries the path only."""
+    """A SampleSource over a recording and its sequence. Picklable: it carries the path only."""
 
     path: Path
     sequence: Sequence
 
     def lidar(self, index: int) -> LidarSample:
-        """Raises IndexError, `not_recorded`, `point_offset`, what opening and decoding raise (BAG-*, MSG-*)."""
+        """Read the sweep. Raises IndexError, `not_recorded`, `point_offset`, and the errors of reading (BAG-*, MSG-*).
+        """
         sweeps = self._sweeps
         bag = opened(self.path)
         cloud = cloud_at(bag, sweeps.topic, int(sweeps.message_index[index]))
@@ -113,9 +113,9 @@ class BagSamples:
         return LidarSample(points_lidar, _intensity(cloud.points, found.rows)[is_kept], ring[is_kept])
 
     def camera(self, channel: str, index: int) -> CameraSample | None:
-        """The picture; None where none was taken, or it cannot be read.
+        """Return the picture; None if none was taken, or it cannot be read.
 
-        Raises IndexError, and what opening raises (BAG-*).
+        Raises IndexError, and the errors of opening the bag (BAG-*).
         """
         taken = self.sequence.frames.associations.get(channel)
         if taken is None or taken.message_index[index] < 0:
@@ -126,12 +126,12 @@ class BagSamples:
         try:
             picture = decode_image(payload, topic.type)
             content = as_jpeg(picture)
-        except IngestError:  # `picture_findings` and `RecordedTopics.left_out` name it
+        except IngestError:  # `picture_findings` and `RecordedTopics.left_out` report it
             return None
         return CameraSample(self._taken_ns(taken, index), content, picture.width_px, picture.height_px)
 
     def radar(self, channel: str, index: int) -> RadarSample | None:
-        """Raises as `camera`. A sequence without a track has no radar samples."""
+        """Return the scan; raises the errors of `camera`. A sequence without a track has no radar samples."""
         radar = self._radars.get(channel)
         return None if radar is None else radar.frame(index)
 
@@ -156,7 +156,7 @@ class BagSamples:
         return radars_of(self.sequence, self._sweeps)
 
     def _deskewed(self, found: LidarPoints, stamp_ns: int) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """The points at the stamp, and which of them have a pose and so are there."""
+        """Return the points at the stamp, and a mask of the points that have a pose and so are kept."""
         mount = self._sweeps.mount
         if mount is None or found.offset_ns is None:
             return found.points_lidar, np.ones(len(found.rows), np.bool_)
@@ -166,9 +166,9 @@ class BagSamples:
 
 
 def checked_samples(path: Path, sequence: Sequence) -> BagSamples:
-    """The samples of the recording at `path`, which is read whole to know it again.
+    """Return the samples of the recording at `path`, which is read whole to verify its hash.
 
-    Raises RecordingChangedError, and what opening raises.
+    Raises RecordingChangedError, and the errors of opening the bag.
     """
     found = recording_sha256(path)
     if found not in sequence.inputs.values():
@@ -181,7 +181,7 @@ def checked_samples(path: Path, sequence: Sequence) -> BagSamples:
 
 
 def _has_pose(offset_ns: NDArray[np.int64], mount: SweepMount, stamp_ns: int) -> NDArray[np.bool_]:
-    """Which points `deskew` keeps."""
+    """Return a mask of the points that `deskew` keeps."""
     if not len(offset_ns):
         return np.zeros(0, np.bool_)
     motion = sweep_motion(mount, stamp_ns, (int(offset_ns.min()), int(offset_ns.max())))
@@ -198,7 +198,7 @@ def _intensity(points: NDArray[np.void], rows: NDArray[np.int32]) -> NDArray[np.
 
 
 def jpeg_of(content: bytes) -> tuple[bytes, tuple[int, int]]:
-    """A JPEG or PNG file as JPEG, as pictures of recordings become it, and its width and height.
+    """Return a JPEG or PNG file as JPEG, encoded like pictures of recordings, and its width and height.
 
     Raises `PictureError`.
     """
@@ -208,7 +208,7 @@ def jpeg_of(content: bytes) -> tuple[bytes, tuple[int, int]]:
 
 
 def as_jpeg(picture: CameraPicture) -> bytes:
-    """The recorded bytes where they are JPEG, else encoded once. Raises `PictureError`."""
+    """Return the recorded bytes if they are JPEG, else encode them once. Raises `PictureError`."""
     if picture.encoding == "JPEG":
         check_end(picture.data, picture.type_name)
         return bytes(picture.data)

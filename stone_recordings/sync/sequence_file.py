@@ -1,10 +1,10 @@
 """The file format of a synchronised sequence, written by ingest and read by the labeler.
 
-**Conventions.** An npz of plain arrays: stamps, poses and their quality, the track between them, per channel the
-message index and dt, or where its slices begin; everything else is JSON in the bytes of `record`. Floats survive
-exactly (JSON writes the shortest digits that read back the same). Tokens that follow from name and stamps are not
-stored; those of a published dataset, which do not, are `tokens` of the record. Written and read by workers of one
-version; beside labels on disk, also by the exports of that version.
+**Conventions.** An npz of plain arrays: stamps, poses and their quality, the track between them, and per channel the
+message index and dt, or the starts of its slices. Everything else is JSON in the bytes of `record`. Floats survive
+exactly (JSON writes the shortest digits that read back the same). Tokens derived from name and stamps are not stored;
+tokens of a published dataset are in `tokens` of the record. Workers of one version write and read it; exports of that
+version also read it beside labels on disk.
 """
 
 import io
@@ -30,7 +30,7 @@ QUALITY = ("gap_ns", "rtk", "stdev_m")
 
 
 def sequence_bytes(sequence: Sequence) -> bytes:
-    """The file; the same bytes for equal sequences."""
+    """Return the file; equal sequences give equal bytes."""
     frames = sequence.frames
     arrays: Arrays = {
         "record": np.frombuffer(json.dumps(_record(sequence)).encode(), np.uint8),
@@ -53,7 +53,7 @@ def sequence_bytes(sequence: Sequence) -> bytes:
 
 
 def read_sequence(payload: bytes) -> Sequence:
-    """The sequence that `sequence_bytes` wrote."""
+    """Read the sequence that `sequence_bytes` wrote."""
     with np.load(io.BytesIO(payload), allow_pickle=False) as arrays:
         record = json.loads(arrays["record"].tobytes())
         frames, track = _frames(record, dict(arrays)), _track(dict(arrays))

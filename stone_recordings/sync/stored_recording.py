@@ -1,4 +1,4 @@
-"""A recording as objects of a store, or as files that stay where their owner has them, and the names of its files."""
+"""A recording as objects of a store, or as files in place, and the names of its files."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -7,7 +7,7 @@ from typing import Any, Self
 
 @dataclass(frozen=True)
 class StoredRecordingFile:
-    """An object of the store, and the name its owner gave it."""
+    """An object of the store, and the name that its owner gave it."""
 
     object_key: str
     filename: str
@@ -15,7 +15,7 @@ class StoredRecordingFile:
 
 @dataclass(frozen=True)
 class PlacedFile:
-    """A file in place as it was registered; `version` is its time of change in ns, or an object's ETag."""
+    """A file in place at its registration; `version` is its time of change in ns, or an object's ETag."""
 
     name: str
     size_bytes: int
@@ -24,9 +24,9 @@ class PlacedFile:
 
 @dataclass(frozen=True)
 class RecordingPlace:
-    """A recording that stays where it lies: `path` below `root`, a name in the settings. `files` once it was read.
+    """A recording in place: `path` below `root`, a name in the settings; `files` after it was read.
 
-    From a bucket, pictures are read only `with_pictures`.
+    Pictures of a recording in a bucket are read only `with_pictures`.
     """
 
     root: str
@@ -47,19 +47,19 @@ class RecordingPlace:
         return f"{self.root}:{self.path}"
 
     def as_record(self) -> dict[str, Any]:
-        """The value as a row keeps it."""
+        """Return the value for a database row."""
         return asdict(self)
 
     @classmethod
     def of_record(cls, record: Mapping[str, Any]) -> Self:
-        """The value that `as_record` wrote."""
+        """Return the value that `as_record` wrote."""
         files = tuple(PlacedFile(**file) for file in record["files"])
         return cls(record["root"], record["path"], files, record["with_pictures"])
 
 
 @dataclass(frozen=True)
 class StoredRecording:
-    """A recording in the store: one file, or the files of a bag that is called `name`; or one in `place`."""
+    """A recording in the store: one file, or the files of a bag called `name`; or one in `place`."""
 
     name: str
     files: tuple[StoredRecordingFile, ...]

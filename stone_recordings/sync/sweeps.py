@@ -1,7 +1,7 @@
-"""The sweeps of a recording, deskewed, by frame: opened where they are needed, in whichever process that is.
+"""The sweeps of a recording, deskewed, by frame; any process can open them.
 
-**Conventions.** Sweeps in order are cheap (a chunk is inflated once); the recording is opened once per process and
-thread and stays open. Points that carry no time are returned as they are.
+**Conventions.** Reading sweeps in order is cheap (a chunk is inflated once). The recording is opened once per process
+and thread and stays open. Points without times are returned unchanged.
 """
 
 import io
@@ -29,10 +29,10 @@ from stone_recordings.sync.stored_recording import StoredRecording, StoredRecord
 
 @dataclass(frozen=True, eq=False)
 class BagSweeps:
-    """A SweepSource over one LiDAR topic; `message_index` and `stamps_ns` (N,) say which message each frame is.
+    """A SweepSource over one LiDAR topic; `message_index` and `stamps_ns` (N,) give the message of each frame.
 
-    Picklable: it carries the path, never the open file. `mount` is None where sweeps are taken as they are. A recording
-    that `is_in_place` is read sparingly.
+    Picklable: it carries the path, never the open file. `mount` is None if sweeps are not deskewed. A recording that
+    `is_in_place` is read sparingly.
     """
 
     path: Path
@@ -46,14 +46,14 @@ class BagSweeps:
         return len(self.message_index)
 
     def sweep(self, index: int) -> Sweep:
-        """The sweep of frame `index`; it may have no points.
+        """Return the sweep of frame `index`; it may have no points.
 
-        Raises IndexError; what opening and decoding raise (BAG-*, MSG-*); `point_offset` of `stone.sensors.deskew`.
+        Raises IndexError, the errors of opening and decoding (BAG-*, MSG-*), `point_offset` of `stone.sensors.deskew`.
         """
         return self.sweep_in(opened(self.path, is_in_place=self.is_in_place), index)
 
     def sweep_in(self, bag: Bag, index: int) -> Sweep:
-        """As `sweep`, from the recording that the caller has open. Raises as it does, but for opening."""
+        """Return `sweep` from a recording that the caller has open; raises the same errors except those of opening."""
         stamp_ns = int(self.stamps_ns[index])
         found = points_at(bag, self.topic, int(self.message_index[index]), with_ring=False)
         if self.mount is None or found.offset_ns is None:
@@ -65,18 +65,18 @@ class BagSweeps:
 
 @dataclass(frozen=True, eq=False)
 class SweepsOfOpenBag:
-    """The sweeps as a SweepSource over the recording that somebody has open already."""
+    """The sweeps as a SweepSource over an open recording."""
 
     sweeps: BagSweeps
     bag: Bag
 
     def sweep(self, index: int) -> Sweep:
-        """As `BagSweeps.sweep_in`."""
+        """Return `BagSweeps.sweep_in`."""
         return self.sweeps.sweep_in(self.bag, index)
 
 
 def opened(path: Path, *, is_in_place: bool = False) -> Bag:
-    """The recording, open in this process and thread; it stays so."""
+    """Return the recording, open in this process and thread; it stays open."""
     status = path.stat()
     bag = _opened_once(path, (status.st_mtime_ns, status.st_size), (os.getpid(), threading.get_ident()))
     if is_in_place:
@@ -86,18 +86,17 @@ def opened(path: Path, *, is_in_place: bool = False) -> Bag:
 
 @lru_cache(maxsize=4)
 def _opened_once(path: Path, version: tuple[int, int], reader: tuple[int, int]) -> Bag:
-    """`version` reopens a recording that was replaced; `reader` keeps forks and threads from sharing a cursor."""
+    """Open the recording; `version` reopens a replaced file, `reader` keeps forks and threads from sharing a cursor."""
     return open_bag(path)
 
 
-# The source of a sequence's sweeps, as a file that a worker on any machine can open.
-#
-# **Conventions.** What `BagSweeps` knows, in an npz of plain arrays; instead of a path, which is true on one machine
-# only, object keys name the recording in the store. Written and read by workers of one version.
+# The source of a sequence's sweeps, as a file that a worker on any machine can open: the fields of `BagSweeps` in an
+# npz of plain arrays. Object keys name the recording in the store, since a path holds on one machine only. Workers of
+# one version write and read it.
 
 
 def sweeps_bytes(sweeps: BagSweeps, kept: StoredRecording) -> bytes:
-    """The file; `sweeps.path` is not in it."""
+    """Return the file; it does not contain `sweeps.path`."""
     record: dict[str, Any] = {"name": kept.name, "files": [asdict(file) for file in kept.files], "topic": sweeps.topic}
     arrays: dict[str, NDArray[Any]] = {"message_index": sweeps.message_index, "stamps_ns": sweeps.stamps_ns}
     if sweeps.mount is not None:
@@ -111,7 +110,7 @@ def sweeps_bytes(sweeps: BagSweeps, kept: StoredRecording) -> bytes:
 
 
 def read_sweeps(payload: bytes, locate: Callable[[StoredRecording], Path]) -> BagSweeps:
-    """The sweeps; `locate` says where the recording lies on this machine."""
+    """Return the sweeps; `locate` returns the path of the recording on this machine."""
     with np.load(io.BytesIO(payload), allow_pickle=False) as arrays:
         record = json.loads(arrays["record"].tobytes())
         mount = None

@@ -1,7 +1,7 @@
-"""Frames at the LiDAR's stamps: their poses with their quality, and what is excluded, each with its reason.
+"""Frames at the LiDAR's stamps: their poses with their quality, and each excluded sweep with its reason.
 
-**Conventions.** A frame needs a pose at its stamp, and, where points carry time, over its whole sweep, all of one
-unbroken stretch of the track: nothing is extrapolated, nor interpolated across a jump.
+**Conventions.** A frame needs a pose at its stamp and, if points carry times, over its whole sweep, all on one unbroken
+stretch of the track. Poses are never extrapolated, nor interpolated across a jump.
 """
 
 from collections import Counter
@@ -33,7 +33,7 @@ EXCLUSIONS = {
 
 @dataclass(frozen=True, eq=False)
 class PosedFrames:
-    """Frames without their other sensors yet, and the `path` their poses are on; `period_ns` is that of all sweeps.
+    """Frames without their other sensors, and the `path` of their poses; `period_ns` is that of all sweeps.
 
     `message_index` (N,) is that of each frame's sweep in its topic.
     """
@@ -48,11 +48,11 @@ class PosedFrames:
 def frames_with_pose(
     name: str, clock: LidarClock, track: PoseTrack, max_gap_ns: int, way_out: Callable[[], str] = lambda: ""
 ) -> PosedFrames:
-    """Every LiDAR stamp, as a frame or as an exclusion with its reason.
+    """Return every LiDAR stamp, as a frame or as an exclusion with its reason.
 
-    `way_out` is how to bring the two clocks together, for a refusal.
+    `way_out` returns how to bring the two clocks together, for a refusal.
 
-    Raises where none has a pose: NoUsablePoseError (a single pose), `SYN-511`, `SYN-501`.
+    Raises, if no stamp has a pose, NoUsablePoseError (a single pose), `SYN-511` or `SYN-501`.
     """
     stamps_ns, trajectory = clock.ordered.stamps_ns, track.trajectory
     if len(trajectory) < 2:
@@ -90,7 +90,7 @@ def frames_with_pose(
 
 
 def sparse_finding(track: PoseTrack, max_gap_ns: int) -> tuple[Finding, ...]:
-    """SYN-511 where poses are farther apart than is interpolated across."""
+    """Return SYN-511 if poses are farther apart than the limit of interpolation."""
     period_ns = typical_period_ns(track.trajectory.stamps_ns)
     if period_ns <= max_gap_ns:
         return ()
@@ -102,7 +102,7 @@ def sparse_finding(track: PoseTrack, max_gap_ns: int) -> tuple[Finding, ...]:
 
 
 def usable_finding(posed: PosedFrames) -> tuple[Finding, ...]:
-    """How many sweeps are frames, when not all are."""
+    """Return the number of sweeps that are frames, unless all are."""
     if not posed.excluded:
         return ()
     total = len(posed.frames) + len(posed.excluded)
@@ -111,7 +111,7 @@ def usable_finding(posed: PosedFrames) -> tuple[Finding, ...]:
 
 
 def counted_reasons(excluded: tuple[ExcludedFrame, ...]) -> str:
-    """ "3 no_pose_after_last, 1 pose_gap"."""
+    """Return the counts by reason, such as "3 no_pose_after_last, 1 pose_gap"."""
     counts = Counter(frame.code for frame in excluded)
     return ", ".join(f"{count} {code}" for code, count in sorted(counts.items()))
 

@@ -1,6 +1,6 @@
 """The check that a recording was made while its calibration was valid.
 
-**Conventions.** Valid is [from, to), nanoseconds since 1970, None where it is open on that side.
+**Conventions.** The valid time is [from, to), nanoseconds since 1970; None leaves a side open.
 """
 
 from datetime import UTC, datetime
@@ -10,7 +10,7 @@ from stone.sensors.sequence import Sequence
 
 
 def validity_findings(sequence: Sequence, valid_from_ns: int | None, valid_to_ns: int | None) -> tuple[Finding, ...]:
-    """CAL-418 where a frame lies outside the calibration's time; () for a sequence without frames."""
+    """Return CAL-418 if a frame lies outside the calibration's valid time; () for a sequence without frames."""
     stamps_ns = sequence.frames.stamps_ns
     if not len(stamps_ns):
         return ()
