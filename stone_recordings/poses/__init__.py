@@ -1,1 +1,1 @@
-"""Poses: where the robot was, from an INS, odometry, TF or the sweeps alone."""
+"""Poses of the robot: from an INS, odometry, TF or the sweeps alone."""

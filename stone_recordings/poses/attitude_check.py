@@ -1,11 +1,11 @@
-"""SYN-530: an orientation that does not turn as the robot does, by its registered sweeps or its gyro.
+"""SYN-530: an orientation that does not turn with the robot, compared with registered sweeps or a gyro.
 
-    doubt (heading against course) → sweeps of that stretch, registered → turns compared → refused, or believed
+    doubt (heading against course) → sweeps of that stretch, registered → turns compared → refused or accepted
 
-**Conventions.** A doubt alone refuses nothing: a robot that drives aside has another course than heading. Each sweep is
-registered to the one before it, from where the poses have it and from where a robot that faces its course has it; only
-a better fit counts against the poses. If most sweeps do not register, a gyro decides, and without one an orientation
-that never changes at all is none. Turns are angles of the whole rotation, which no mount changes.
+**Conventions.** A doubt alone refuses nothing: a robot that drives sideways has different course and heading. Each
+sweep is registered to the previous one, starting from the given poses and from those of a robot that faces its course.
+Only a better fit counts against the poses. If most sweeps do not register, a gyro decides; without a gyro, an
+orientation that never changes is rejected. Turns are angles of the whole rotation, which do not depend on the mount.
 """
 
 from collections.abc import Iterator
@@ -45,7 +45,7 @@ DEAD_RAD_S = 1e-9
 
 @dataclass(frozen=True)
 class AttitudeInputs:
-    """The open recording and its sweeps; `attitude` is the topic that the orientation comes from, if it is another."""
+    """The open recording and its sweeps; `attitude` is the topic of the orientation if it is a separate topic."""
 
     bag: Bag
     clock: LidarClock
@@ -86,7 +86,7 @@ def angles(wxyz: Array) -> Array:
 def _told(
     trajectory: Trajectory, inputs: AttitudeInputs, doubt: Doubt, calibration: Calibration
 ) -> tuple[_Motion, _Motion] | None:
-    """Return the motion by the track and by the registered sweeps; None if these tell nothing."""
+    """Return the motion by the track and by the registered sweeps; None if the sweeps do not register."""
     clock = inputs.clock
     rows = _spaced(clock, doubt)
     middle_ns = clock.ordered.stamps_ns[rows] + sum(clock.span_ns) // 2
@@ -112,7 +112,7 @@ def _spaced(clock: LidarClock, doubt: Doubt) -> NDArray[np.int64]:
 
 
 def _registered(inputs: AttitudeInputs, rows: NDArray[np.int64], poses: SE3, calibration: Calibration) -> SE3 | None:
-    """Return where each sweep (K,) is by the one before it; None if a quarter of them do not register."""
+    """Return each sweep's pose (K,) relative to the previous one; None if a quarter of them do not register."""
     as_driven = _as_driven(poses)
     before, at, found, doubtful = _points(inputs, int(rows[0]), calibration), SE3.identity(), [SE3.identity()], 0
     for row in range(1, len(rows)):
@@ -142,7 +142,7 @@ def _as_driven(poses: SE3) -> SE3:
 
 
 def _points(inputs: AttitudeInputs, row: int, calibration: Calibration) -> Array:
-    """Return the returns (N, 3) of a sweep in the ego frame; none of one that cannot be read."""
+    """Return the returns (N, 3) of a sweep in the ego frame; none for an unreadable sweep."""
     clock = inputs.clock
     try:
         points = lidar_points(cloud_at(inputs.bag, clock.topic, int(clock.ordered.index[row]))).points_lidar
@@ -157,7 +157,7 @@ def _motion(stamps_ns: NDArray[np.int64], poses: SE3) -> _Motion:
 
 
 def _fault(track: PoseTrack, told: tuple[_Motion, _Motion], doubt: Doubt, calibration: Calibration) -> str:
-    """Return what is wrong with the orientation; "" if the sweeps turn as it does."""
+    """Return the fault of the orientation; "" if it turns with the sweeps."""
     by_track, by_sweeps = told
     turned, seen = by_track.turned_rad, by_sweeps.turned_rad
     apart = angles(multiply(by_track.wxyz * np.array([1.0, -1.0, -1.0, -1.0]), by_sweeps.wxyz))
@@ -196,7 +196,9 @@ def _deg(angle_rad: float) -> str:
 
 
 def _fault_by_gyro(track: PoseTrack, inputs: AttitudeInputs, doubt: Doubt) -> str:
-    """Return what is wrong by a gyro; without one an orientation that never changes is wrong under a turning track."""
+    """Return the fault found by a gyro; without a gyro, an orientation that never changes is a fault if the track
+    turns.
+    """
     ends = track.trajectory.at(np.array([doubt.begin_ns, doubt.end_ns], np.int64), MAX_GAP_NS).map_from_ego
     turned = float(angles((ends[0].inverse() @ ends[1]).wxyz))
     course = _deg(abs(doubt.course_rad))
@@ -214,13 +216,13 @@ def _fault_by_gyro(track: PoseTrack, inputs: AttitudeInputs, doubt: Doubt) -> st
 
 
 def _never_turns(track: PoseTrack) -> bool:
-    """Return whether all orientations of a track are one to the last digits, as no filter leaves them."""
+    """Return whether all orientations of a track are equal to the last digit, which no filter produces."""
     wxyz = track.trajectory.map_from_ego.wxyz
     return bool(angles(multiply(wxyz[0] * np.array([1.0, -1.0, -1.0, -1.0]), wxyz)).max() <= UNTURNED_RAD)
 
 
 def _turned_by_gyro(bag: Bag, topic: Topic, doubt: Doubt) -> float | None:
-    """Return the angle that a gyro turned by; None if it is dead or was not recorded all the time."""
+    """Return the angle that a gyro measured; None if it is dead or not recorded all the time."""
     stamps, rates = list[NDArray[np.int64]](), list[Array]()
     messages = bag.messages(topic.name)
     try:
@@ -253,8 +255,7 @@ def _of_type(bag: Bag, types: tuple[str, ...]) -> Iterator[Topic]:
 def _ways(
     track: PoseTrack, inputs: AttitudeInputs, rig: RigMounts, told: tuple[_Motion, _Motion] | None
 ) -> Iterator[str]:
-    """Yield the ways out: topics whose orientation turns as the sweeps do, the sweeps if they show the way, the
-    course."""
+    """Yield the remedies: topics whose orientation turns with the sweeps, the sweeps if they show the way, the course."""
     yield from _other_topics(track, inputs, rig, told[1]) if told is not None else ()
     if told is None or _is_way_seen(told):
         yield "estimate the poses from the sweeps: --odometry kiss-icp"
@@ -305,7 +306,7 @@ def _as_track(attitude: AttitudeSamples) -> Trajectory | None:
 
 
 def _turned(trajectory: Trajectory | None, seen: _Motion) -> Array | None:
-    """Return by how much a source turned at the moments of the sweeps; None if it does not cover them."""
+    """Return the turns of a source at the times of the sweeps; None if it does not cover them."""
     found = trajectory.at(seen.stamps_ns, MAX_GAP_NS) if trajectory is not None else None
     if found is None or not found.is_ok.all():
         return None

@@ -1,4 +1,4 @@
-"""The ego trajectory by whatever source was chosen: `ins_poses`, `poses` (odometry, TF) or `kiss_odometry`."""
+"""The ego trajectory from the chosen source: `ins_poses`, `poses` (odometry, TF) or `kiss_odometry`."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -33,10 +33,9 @@ from stone_recordings.sync.errors import NoUsablePoseError
 from stone_recordings.sync.recorded_messages import OrderedStamps, RecordedTopics
 from stone_recordings.topics.sources import Sources
 
-# Splits a track where its source jumped, with a finding: RTK lost or won moves positions by decimetres at once.
-#
-# **Conventions.** Nothing is interpolated across a split; what is left of the track on either side stays where its
-# source put it, so a map across a split does not fit together.
+# Splits a track where its source jumps and reports it: winning or losing RTK shifts positions by decimetres. Nothing is
+# interpolated across a split. The parts on both sides stay where the source put them, so a map across a split does not
+# fit together.
 
 
 SHOWN = 3
@@ -44,7 +43,7 @@ MOST_STRAYS = 0.1
 
 
 def split_at_jumps(track: PoseTrack) -> PoseTrack:
-    """The track without poses that are alone off it, with a segment for each stretch without a jump."""
+    """Return the track without isolated poses off it, with a segment for each stretch without a jump."""
     track = without_strays(track)
     jumps = _jumps(track)
     if not len(jumps.steps):
@@ -54,9 +53,9 @@ def split_at_jumps(track: PoseTrack) -> PoseTrack:
 
 
 def without_strays(track: PoseTrack) -> PoseTrack:
-    """Without single poses that the track jumps to and back from, where their neighbours fit; GNS-305 says so.
+    """Return the track without single poses off it whose neighbours fit together; GNS-305 reports them.
 
-    Where they are more than a tenth of all, nothing tells which poses are right, and all stay.
+    If they are more than a tenth of all poses, it is unclear which poses are right, and all stay.
     """
     jumps = _jumps(track)
     alone = jumps.steps[:-1][np.diff(jumps.steps) == 1] + 1
@@ -115,24 +114,21 @@ def _status(solution: SolutionQuality | None, step: int) -> str:
     return f"while the status changed from {before} to {after}" if before != after else f"while the status was {after}"
 
 
-# Turns a track of LiDAR odometry so that up is against gravity, where the recording has an IMU.
-#
-#     up ∝ mean(map_from_imu(t) · force(t)) − mean acceleration of the robot in the map
-#
-# **Conventions.** An accelerometer at rest measures 1 g upwards. The mean over the run takes out bumps; the track's
-# own speeds at its two ends tell the mean acceleration. The turn is the smallest that brings up to z, so the heading
-# stays. Messages are decoded in batches: memory does not grow with the recording. Source: REP 145.
+# Levels a track of LiDAR odometry with the gravity of the recording's IMU. up ∝ mean(map_from_imu(t) · force(t)) − mean
+# acceleration of the robot in the map. An accelerometer at rest measures 1 g upwards. The mean over the run removes
+# bumps; the track's speeds at its two ends give the mean acceleration. The turn is the smallest that brings up to z, so
+# the heading stays. Messages are decoded in batches: memory does not grow with the recording. Source: REP 145.
 
 
 GRAVITY_M_S2, TRUSTED_M_S2 = 9.81, 0.5
 BATCH, LEAST_SAMPLES = 2000, 100
-# Over which the speed at an end of the track is taken.
+# The interval over which the speed at an end of the track is taken.
 END_NS = 500_000_000
 
 
 @dataclass(frozen=True, eq=False)
 class ImuTopic:
-    """An IMU of an open recording, and where it sits."""
+    """An IMU of an open recording, and its mount."""
 
     bag: Bag
     name: str
@@ -141,14 +137,14 @@ class ImuTopic:
 
 
 def imu_topic(bag: Bag, name: str, mount: Mount, ego_from_lidar: SE3) -> ImuTopic:
-    """Of a calibrated IMU."""
+    """Return a calibrated IMU."""
     return ImuTopic(bag, name, ego_from_lidar @ mount.lidar_from_sensor, mount.time_offset_ns)
 
 
 def levelled(track: PoseTrack, imu: ImuTopic | None) -> PoseTrack:
-    """The track with z up, or as it is where nothing tells where up is; a finding says which.
+    """Return the track with z up, or unchanged if up is unknown; a finding reports which.
 
-    Raises what reading and decoding the IMU raise.
+    Raises the errors of reading and decoding the IMU.
     """
     up = _up(track.trajectory, imu) if imu is not None else np.full(3, np.nan)
     if not np.isfinite(up).all():
@@ -170,7 +166,7 @@ def _said(track: PoseTrack, finding: Finding) -> PoseTrack:
 
 
 def _up(trajectory: Trajectory, imu: ImuTopic) -> NDArray[np.float64]:
-    """Unit vector in the map (3,); NaN where too few samples fall on the track, or what they measure is no gravity."""
+    """Return up as a unit vector in the map (3,); NaN if too few samples fall on the track or they measure no gravity."""
     total, count = np.zeros(3), 0
     acceleration_m_s2, (begin_ns, end_ns) = _gained(trajectory)
     for samples in _batches(imu):
@@ -195,7 +191,7 @@ def _batches(imu: ImuTopic) -> Iterator[ImuSamples]:
 
 
 def _gained(trajectory: Trajectory) -> tuple[NDArray[np.float64], tuple[int, int]]:
-    """Mean acceleration (3,), m/s², from the speeds at both ends, and from when to when; 0 for too short a track."""
+    """Return the mean acceleration (3,), m/s², from the speeds at both ends, and its interval; 0 for too short a track."""
     stamps_ns, place_m = trajectory.stamps_ns, trajectory.map_from_ego.translation_m
     first = int(np.searchsorted(stamps_ns, stamps_ns[0] + END_NS))
     last = int(np.searchsorted(stamps_ns, stamps_ns[-1] - END_NS, side="right")) - 1
@@ -210,7 +206,7 @@ def _gained(trajectory: Trajectory) -> tuple[NDArray[np.float64], tuple[int, int
 def recorded_rig(
     recorded: RecordedTopics, sources: Sources, calibration: Calibration, clocks: ClockOffsets
 ) -> RigMounts:
-    """The mounts of the calibration beside those the recording publishes, and what of these cannot be read."""
+    """Return the mounts of the calibration and those in the recording, with findings for unreadable ones."""
     samples: list[TransformSamples] = []
     findings: list[Finding] = []
     for topic in sources.tf_static:
@@ -226,7 +222,7 @@ def recorded_rig(
 
 @dataclass(frozen=True, eq=False)
 class PoseInputs:
-    """What a track is made of; the recording is open."""
+    """The inputs of a track; the recording is open."""
 
     bag: Bag
     recorded: RecordedTopics
@@ -236,10 +232,10 @@ class PoseInputs:
 
 
 def ego_track(inputs: PoseInputs, rig: RigMounts, progress: Progress) -> PoseTrack:
-    """The track, split where it jumps; `progress` is told where finding it takes long.
+    """Return the track, split at its jumps; slow steps report to `progress`.
 
-    Raises as `track_from_ins`, `track_from_odometry`, `track_from_tf`, `track_from_gnss`, `track_from_file` and
-    `track_from_sweeps` do.
+    Raises the errors of `track_from_ins`, `track_from_odometry`, `track_from_tf`, `track_from_gnss`, `track_from_file`
+    and `track_from_sweeps`.
     """
     if inputs.sources.pose_role == "lidar":
         track = track_from_sweeps(SweepTopic(inputs.bag, inputs.clock), rig.calibration, progress)
@@ -250,7 +246,7 @@ def ego_track(inputs: PoseInputs, rig: RigMounts, progress: Progress) -> PoseTra
 
 
 def _calibrated_imu(inputs: PoseInputs, calibration: Calibration) -> ImuTopic | None:
-    """The first IMU that the calibration places; None without."""
+    """Return the first IMU that the calibration places; None without."""
     for topic, role in inputs.sources.associated:
         mount = mount_of(topic.name, inputs.recorded.frame_id(topic.name), role, calibration)
         if role == "imu" and mount is not None:
@@ -259,7 +255,7 @@ def _calibrated_imu(inputs: PoseInputs, calibration: Calibration) -> ImuTopic | 
 
 
 def _fixes(recorded: RecordedTopics, topic: Topic | None) -> tuple[FixSamples | None, tuple[Finding, ...]]:
-    """The receiver's positions beside its solutions; none where none can be read."""
+    """Return the receiver's positions beside its solutions; None if no position can be read."""
     if topic is None:
         return None, ()
     try:
@@ -284,20 +280,19 @@ def _recorded_track(recorded: RecordedTopics, sources: Sources, rig: RigMounts) 
     return track_from_odometry(messages, topic, rig, sources.pose.type)
 
 
-# The check of a track that never moves: odometry that was never set, or a robot that stood.
-#
-# **Conventions.** Poses that all lie within `STILL_M` and `STILL_RAD` never moved. Whether the robot did, a few of its
-# sweeps tell by odometry of their own (`stone_recordings.poses.kiss_odometry`).
+# The check of a track that never moves: uninitialised odometry, or a robot that stood still. Poses that all lie within
+# `STILL_M` and `STILL_RAD` never moved. Odometry of a few sweeps (`stone_recordings.poses.kiss_odometry`) shows whether
+# the robot did.
 
 
 STILL_M, STILL_RAD = 0.01, 0.002
-# Sweeps that stand where they stood drift by centimetres.
+# Sweeps of a robot at rest drift by centimetres.
 MOVED_M = 0.5
 MOST_SWEEPS = 40
 
 
 def motion_findings(track: PoseTrack, sweeps: SweepTopic, calibration: Calibration) -> tuple[Finding, ...]:
-    """SYN-510 for poses that never change. Raises `SYN-510` where the sweeps do."""
+    """Return SYN-510 for poses that never change. Raises `SYN-510` if the sweeps move."""
     if track.topic == sweeps.clock.topic or not is_still(track.trajectory):
         return ()
     moved_m = moved_by_sweeps_m(sweeps, calibration)
@@ -315,7 +310,7 @@ def motion_findings(track: PoseTrack, sweeps: SweepTopic, calibration: Calibrati
 
 
 def is_still(trajectory: Trajectory) -> bool:
-    """Whether all poses are one; a single pose tells nothing."""
+    """Return whether all poses are equal; False for a single pose."""
     if len(trajectory) < 2:
         return False
     span_m = np.ptp(trajectory.map_from_ego.translation_m, axis=0)
@@ -323,7 +318,7 @@ def is_still(trajectory: Trajectory) -> bool:
 
 
 def moved_by_sweeps_m(sweeps: SweepTopic, calibration: Calibration) -> float:
-    """How far the robot came over a part of the run, by its sweeps alone; 0 where these tell nothing."""
+    """Return the distance the robot moved in a part of the run, from its sweeps alone; 0 if they do not register."""
     try:
         track = track_from_sweeps(SweepTopic(sweeps.bag, _middle(sweeps.clock)), calibration, lambda *_: None)
     except NoUsablePoseError:
@@ -332,7 +327,7 @@ def moved_by_sweeps_m(sweeps: SweepTopic, calibration: Calibration) -> float:
 
 
 def _middle(clock: LidarClock) -> LidarClock:
-    """The sweeps in the middle of the run."""
+    """Return the sweeps in the middle of the run."""
     begin = max(0, (len(clock.points) - MOST_SWEEPS) // 2)
     rows = slice(begin, begin + MOST_SWEEPS)
     ordered = OrderedStamps(clock.ordered.index[rows], clock.ordered.stamps_ns[rows], ())

@@ -1,7 +1,7 @@
 """Comparison of the recording's /tf_static with the mounts in the calibration.
 
-**Conventions.** The calibration wins; a difference beyond 1 cm or 0.2° is a warning, never a silent repair. A frame's
-transform is composed along the tree, the last transform published for a pair of frames being the valid one.
+**Conventions.** The calibration takes precedence; a difference beyond 1 cm or 0.2° is a warning, never a silent repair.
+A frame's transform is composed along the tree; if a pair of frames has several transforms, the last one counts.
 """
 
 from collections.abc import Iterable
@@ -16,7 +16,7 @@ from stone_recordings.poses.static_tree import StaticTree
 
 OFFSET_LIMIT_M = 0.01
 TURN_LIMIT_DEG = 0.2
-# What robots call their base; the ego frame is this one (REP 105).
+# Usual names of a robot's base; the ego frame is this base (REP 105).
 BASE_FRAMES = ("base_link", "base_footprint", "base", "ego", "ego_vehicle", "body")
 
 
@@ -25,15 +25,16 @@ def static_tree(samples: Iterable[TransformSamples]) -> StaticTree:
 
 
 def plain(frame_id: str) -> str:
-    """tf2 knows no leading slash, some drivers still write one."""
+    """Return a frame name without a leading slash: tf2 has none, some drivers still write it."""
     return frame_id.lstrip("/")
 
 
 def cross_check(tree: StaticTree, calibration: Calibration, lidar_frame: str) -> tuple[Finding, ...]:
-    """A warning for each transform that both know and that differ; nothing for what only one of them knows.
+    """Return a warning for each transform that differs between tree and calibration; a transform in only one gives
+    none.
 
     Robots publish several bases (base_link, base_footprint); the ego frame need only agree with one of them. A frame
-    that has the LiDAR's name is no transform of tf_static.
+    with the LiDAR's name is not a transform of tf_static.
     """
     is_placed = not tree.unplaced
     findings = [_ego_difference(tree, calibration, lidar_frame)]
@@ -52,12 +53,12 @@ def _ego_difference(tree: StaticTree, calibration: Calibration, lidar_frame: str
 
 
 def turn_deg(transform: SE3) -> float:
-    """Angle of a single rotation, degrees in [0, 180]."""
+    """Return the angle of a single rotation, degrees in [0, 180]."""
     return float(np.rad2deg(2 * np.arctan2(np.linalg.norm(transform.wxyz[1:]), abs(transform.wxyz[0]))))
 
 
 def _difference(name: str, recorded: SE3, calibrated: SE3, is_placed: bool) -> Finding | None:
-    """Return the rotation of a transform that has no position."""
+    """Return the finding for two different transforms, or None; an unplaced transform is compared by its rotation."""
     if not is_placed:
         recorded = SE3.from_parts(recorded.wxyz, calibrated.translation_m)
     apart = calibrated.inverse() @ recorded

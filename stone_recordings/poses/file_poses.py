@@ -1,8 +1,8 @@
 """The ego trajectory from a file of poses beside the recording.
 
-**Conventions.** A file tells the pose of one frame of the robot: the one named, else the ego frame, which is said. The
-fixed frame of a TUM file is the map. That of a KITTI file is its own frame at the first pose, which may be a camera's:
-the map is the ego frame at the first sweep then, so that z is as upright as the robot stood.
+**Conventions.** A file contains the poses of one frame of the robot: the named frame, else the ego frame, with a
+finding. The fixed frame of a TUM file is the map. The fixed frame of a KITTI file is its own frame at the first pose,
+which may be a camera's. Then the map is the ego frame at the first sweep, so that z is as upright as the robot.
 """
 
 import re
@@ -28,11 +28,10 @@ from stone_recordings.poses.places import local_poses
 from stone_recordings.poses.sources import PoseTrack, RigMounts, child_from_ego
 from stone_recordings.sync.clock_offsets import shifted_finding
 
-# Files of poses beside a recording: TUM (stamped) and KITTI (one pose a sweep), told apart by their numbers a line.
-#
-# **Conventions.** TUM: `time x y z qx qy qz qw`, seconds since 1970, metres; its fixed frame has z up. KITTI: the
-# twelve numbers of a 3 × 4 matrix, row by row, without stamps: line i is the pose at sweep i. `#` begins a comment,
-# empty lines count for nothing. Source: TUM RGB-D benchmark (file formats), KITTI odometry devkit (readme).
+# Files of poses beside a recording: TUM (stamped) and KITTI (one pose a sweep), distinguished by their numbers per
+# line. TUM: `time x y z qx qy qz qw`, seconds since 1970, metres; its fixed frame has z up. KITTI: the twelve numbers
+# of a 3 × 4 matrix, row by row, without stamps: line i is the pose at sweep i. `#` starts a comment, empty lines are
+# skipped. Source: TUM RGB-D benchmark (file formats), KITTI odometry devkit (readme).
 
 
 LARGEST_BYTES, LONGEST_LINE, MOST_POSES = 256 << 20, 1000, 2_000_000
@@ -59,7 +58,7 @@ class FilePoses:
 
 
 def read_pose_file(path: Path) -> FilePoses:
-    """Raises `SYN-516` with the line for whatever is no pose, OSError."""
+    """Read a file of poses. Raises `SYN-516` with the line of the first fault, OSError."""
     digest, numbers, lines, stamps = sha256(), list[list[float]](), list[int](), list[int]()
     if path.stat().st_size > LARGEST_BYTES:
         raise bad_pose_file(path.name, 0, f"it has more than {LARGEST_BYTES} bytes")
@@ -86,7 +85,7 @@ def read_pose_file(path: Path) -> FilePoses:
 
 
 def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
-    """Numbered from 1. Raises `SYN-516` for one that no pose is as long as."""
+    """Yield the lines with their numbers from 1. Raises `SYN-516` for a line longer than any pose."""
     with path.open("rb") as file:
         number = 0
         while raw := file.readline(LONGEST_LINE + 1):
@@ -118,7 +117,7 @@ def _row(name: str, number: int, words: list[str], expected: int | None) -> list
 
 
 def _stamp_ns(name: str, number: int, word: str) -> int:
-    """All digits of a time, which float64 does not keep."""
+    """Return all digits of a time, which float64 does not keep."""
     seconds = Decimal(word)
     if not 0 < seconds <= LAST_S:
         raise bad_pose_file(name, number, f"the time {word[:40]} is not in seconds since 1970 (0 to {LAST_S})")
@@ -171,14 +170,14 @@ def _kitti(name: str, table: NDArray[np.float64], lines: NDArray[np.int64]) -> S
 
 @dataclass(frozen=True)
 class PoseFile:
-    """A file of poses of the frame `frame` of the robot; "" where nobody says of which."""
+    """A file of poses of the robot's frame `frame`; "" if no frame is given."""
 
     path: Path
     frame: str = ""
 
 
 def track_from_file(file: PoseFile, clock: LidarClock, rig: RigMounts) -> PoseTrack:
-    """Raises `SYN-516`, `SYN-517` (another number of poses than sweeps, a frame nobody knows)."""
+    """Return the track. Raises `SYN-516`, `SYN-517` (another number of poses than sweeps, an unknown frame)."""
     read = read_pose_file(file.path)
     source, inputs = f"{read.name} ({read.format})", {f"poses {read.name}": read.sha256}
     step, findings = _child_from_ego(read.name, file.frame, rig)

@@ -2,9 +2,9 @@
 
     position_map_ego = position_map_antenna − R_map_ego · position_ego_antenna,   R_map_ego = R_map_imu · R_imu_ego
 
-**Conventions.** `map` is east, north, up within a metre of the first position (WGS 84, ellipsoidal height). A pose at
-each fix, its attitude by slerp between the IMU's. The IMU's orientation is taken for one in east, north, up (REP 103),
-not for one relative to where it was switched on: nothing in the messages tells the two apart.
+**Conventions.** `map` is east, north, up within a metre of the first position (WGS 84, ellipsoidal height). There is
+one pose per fix, its attitude by slerp between the IMU's. The IMU's orientation counts as one in east, north, up (REP
+103), not as relative to the orientation at power-on: the messages do not distinguish the two.
 """
 
 from collections.abc import Iterable, Sequence
@@ -47,9 +47,9 @@ class GnssTopics:
 
 
 def track_from_gnss(topics: GnssTopics, rig: RigMounts) -> PoseTrack:
-    """Of an IMU's attitude, or of the course over ground if `rig.is_course`.
+    """Return the track with an IMU's attitude, or with the course over ground if `rig.is_course`.
 
-    Raises NoUsablePoseError (no position, or none while there is an attitude), `GNS-306`, and what decoding raises.
+    Raises NoUsablePoseError (no position, or none while there is an attitude), `GNS-306`, and the decoding errors.
     """
     topic = topics.fix_topic
     samples, unread = read_readable(topic, topics.fixes, lambda some: decode_gnss(NAVSATFIX, some))
@@ -84,7 +84,7 @@ def track_from_gnss(topics: GnssTopics, rig: RigMounts) -> PoseTrack:
 
 
 def first_frame_id(messages: Sequence[StampedMessage], type_name: str) -> str:
-    """The frame of the first message with a header that can be read; "" without."""
+    """Return the frame of the first message with a readable header; "" without."""
     for message in messages:
         with suppress(MessageLayoutError, ByteOrderError):
             cursor = Cursor(message.payload, type_name)
@@ -94,7 +94,7 @@ def first_frame_id(messages: Sequence[StampedMessage], type_name: str) -> str:
 
 
 def _positions(samples: GnssSamples, source: str) -> NDArray[np.int64]:
-    """Rows that are a place on Earth at a time."""
+    """Return the rows that have a time and a place on Earth."""
     is_place = samples.is_fixed & (np.abs(samples.latitude_deg) <= 90) & (np.abs(samples.longitude_deg) <= 360)
     is_place &= np.abs(samples.height_m) <= MOST_POSITION_M
     rows = np.flatnonzero(is_place & (samples.stamps_ns != 0)).astype(np.int64)
@@ -105,7 +105,7 @@ def _positions(samples: GnssSamples, source: str) -> NDArray[np.int64]:
 
 
 def _attitudes(topics: GnssTopics, attitude: AttitudeSamples) -> tuple[Trajectory, tuple[Finding, ...]]:
-    """The orientations as poses without a place. Raises `GNS-306` where the IMU tells none."""
+    """Return the orientations as poses without a position. Raises `GNS-306` if the IMU gives none."""
     topic = topics.imu_topic
     rows = np.flatnonzero(attitude.is_told & (attitude.stamps_ns != 0)).astype(np.int64)
     if not len(rows):
@@ -125,7 +125,9 @@ def _attitudes(topics: GnssTopics, attitude: AttitudeSamples) -> tuple[Trajector
 def _enu(
     samples: GnssSamples, rows: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], tuple[float, float, float], NDArray[np.float64]]:
-    """Positions (N, 3) around the map's origin, that one, and turns (N, 4) from each point's north to the first's."""
+    """Return positions (N, 3) around the map's origin, the origin, and turns (N, 4) from each point's north to the
+    first's.
+    """
     latitude, longitude, height = (
         values[rows] for values in (samples.latitude_deg, samples.longitude_deg, samples.height_m)
     )

@@ -1,11 +1,11 @@
-"""The ego trajectory from a NovAtel INS: local ENU metres, the receiver's time, the lever arm turned along.
+"""The ego trajectory from a NovAtel INS: local ENU metres, the receiver's time, the lever arm rotated with the robot.
 
     map_from_ego = map_from_ins @ (ego_from_lidar @ lidar_from_ins)⁻¹
 
 **Conventions.** `map` is east, north, up around the first usable solution (WGS 84, ellipsoidal height). The INS frame
-of the calibration is x forward, y left, z up: the driver's rule setRPY(roll, −pitch, 90° − azimuth). Stamps are
-rebuilt from GPS week and milliseconds; the driver's header stamps are the host's publish times. The
-receiver's north and up are those of each point; they are turned to those of the origin, 0.009° a kilometre away.
+of the calibration is x forward, y left, z up: the driver's rule setRPY(roll, −pitch, 90° − azimuth). Stamps are rebuilt
+from GPS week and milliseconds; the driver's header stamps are the host's publish times. The receiver's north and up are
+those of each point; they are turned to those of the origin, 0.009° a kilometre away.
 """
 
 from collections.abc import Iterable
@@ -47,14 +47,15 @@ def track_from_ins(
     fixes: FixSamples | None,
     offset_ns: int | None = None,
 ) -> PoseTrack:
-    """`offset_ns` is added to the stamps instead of what the calibration says.
+    """Return the track; `offset_ns` is added to the stamps and replaces the calibration's offset.
 
-    Raises MissingSensorError (no INS in the calibration), NoUsablePoseError, and what `decode_inspva` raises."""
+    Raises MissingSensorError (no INS in the calibration), NoUsablePoseError, and the errors of `decode_inspva`.
+    """
     mount = _ins_mount(calibration)
     samples, unread = read_readable(topic, messages, decode_inspva)
     source = f"{topic} (novatel_oem7_msgs/msg/{'INSPVA' if samples.pos_type is None else 'INSPVAX'})"
     rows = _usable(samples, source)
-    usable = len(rows)  # whatever is far is counted apart
+    usable = len(rows)  # far samples are counted apart
     ordered = in_order(topic, samples.gps_stamps_ns[rows])
     place = (samples.latitude_deg[rows], samples.longitude_deg[rows], samples.height_m[rows])
     ordered, far = near_geodetic(topic, ordered, place)
@@ -78,7 +79,7 @@ def track_from_ins(
 
 
 def enu_poses(samples: InsSamples, rows: NDArray[np.int64]) -> tuple[SE3, tuple[float, float, float]]:
-    """`map_from_ins` (N,) at `rows`, and the map's origin: the first of them."""
+    """Return `map_from_ins` (N,) at `rows`, and the map's origin: the first of them."""
     latitude, longitude, height = (
         values[rows] for values in (samples.latitude_deg, samples.longitude_deg, samples.height_m)
     )
@@ -93,13 +94,13 @@ def enu_poses(samples: InsSamples, rows: NDArray[np.int64]) -> tuple[SE3, tuple[
 def enu_from_body_wxyz(
     roll_deg: NDArray[np.float64], pitch_deg: NDArray[np.float64], azimuth_deg: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Quaternions (N, 4) of Rz(90° − azimuth) Ry(−pitch) Rx(roll): east, north, up from forward, left, up."""
+    """Return quaternions (N, 4) of Rz(90° − azimuth) Ry(−pitch) Rx(roll): east, north, up from forward, left, up."""
     yaw = _about(2, np.deg2rad(90.0 - azimuth_deg))
     return multiply(multiply(yaw, _about(1, np.deg2rad(-pitch_deg))), _about(0, np.deg2rad(roll_deg)))
 
 
 def ecef_from_enu_wxyz(latitude_deg: NDArray[np.float64], longitude_deg: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Quaternions (N, 4) of Rz(90° + longitude) Rx(90° − latitude)."""
+    """Return quaternions (N, 4) of Rz(90° + longitude) Rx(90° − latitude)."""
     return multiply(_about(2, np.deg2rad(90.0 + longitude_deg)), _about(0, np.deg2rad(90.0 - latitude_deg)))
 
 
@@ -117,7 +118,7 @@ def _ins_mount(calibration: Calibration) -> Mount:
 
 
 def _usable(samples: InsSamples, source: str) -> NDArray[np.int64]:
-    """Rows with a solution, a time, and numbers that are a place on Earth and an attitude."""
+    """Return the rows with a solution, a time, a place on Earth and a valid attitude."""
     place = (samples.latitude_deg, samples.longitude_deg, samples.height_m)
     attitude = (samples.roll_deg, samples.pitch_deg, samples.azimuth_deg)
     has_numbers = np.isfinite(np.stack([*place, *attitude])).all(axis=0) & (np.abs(samples.latitude_deg) <= 90)
@@ -134,7 +135,7 @@ def _usable(samples: InsSamples, source: str) -> NDArray[np.int64]:
 
 
 def _clock(samples: InsSamples, topic: str) -> tuple[Finding, ...]:
-    """Of all messages with GPS time, as an inspection counts them."""
+    """Return the finding on the clock, over all messages with GPS time, as an inspection counts them."""
     has_time = samples.gps_stamps_ns > 0
     late = lateness(samples.host_stamps_ns[has_time] - samples.gps_stamps_ns[has_time])
     return (host_stamp_finding(topic, late, GPS_REMEDY),) if late is not None and late.is_host else ()

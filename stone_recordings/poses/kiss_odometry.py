@@ -1,14 +1,13 @@
-"""Poses from the sweeps alone, by KISS-ICP, where a recording has none or none to trust: `--odometry kiss-icp`.
+"""Poses from the sweeps alone, by KISS-ICP, for recordings without reliable poses: `--odometry kiss-icp`.
 
     map_from_ego(t) = ego_from_lidar @ first_from_lidar(t) @ ego_from_lidar⁻¹
 
-**Conventions.** `map` is the ego frame at the first pose: up is the robot's own there
-(`stone_recordings.poses.ego_track`). A
-pose is the LiDAR's at the last point of a sweep, where KISS-ICP deskews to; at the stamp where points carry no time.
-The first sweeps are taken twice: a map begun by a sweep that nothing was known to deskew it with stays bent. One sweep
-is held at a time and the local map forgets what is out of range, so memory does not grow with the recording. One
-thread, so that equal recordings give equal poses. Source: Vizzo et al., "KISS-ICP: In Defense of Point-to-Point ICP",
-RA-L 2023; the package `kiss-icp`.
+**Conventions.** `map` is the ego frame at the first pose, with the robot's own up (`stone_recordings.poses.ego_track`).
+A pose is the LiDAR's at the last point of a sweep, to which KISS-ICP deskews; at the stamp if points carry no time. The
+first sweeps are processed twice: without a velocity to deskew the first sweep, the map would stay bent. One sweep is
+held at a time and the local map drops points out of range, so memory does not grow with the recording. One thread
+computes them, so that equal recordings give equal poses. Source: Vizzo et al., "KISS-ICP: In Defense of Point-to-Point
+ICP", RA-L 2023; the package `kiss-icp`.
 """
 
 from collections.abc import Callable, Iterator
@@ -37,11 +36,11 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, int, int], None]
 STAGE = "odometry"
-# The paper's parameters for a LiDAR of this range; what is nearer is the robot itself.
+# The paper's parameters for a LiDAR of this range; nearer points are on the robot itself.
 MAX_RANGE_M, MIN_RANGE_M, VOXEL_M = 100.0, 1.0, 1.0
-# Fewer points within range fix no pose.
+# Fewer points within range determine no pose.
 LEAST_POINTS = 100
-# So many sweeps tell how fast the robot was when the recording began.
+# The number of sweeps that give the robot's speed at the start of the recording.
 WARM_SWEEPS = 3
 
 
@@ -55,7 +54,7 @@ class SweepTopic:
 
 @dataclass(frozen=True, eq=False)
 class _Sweep:
-    """What the package takes: points (N, 3) and their times (N,), or none; `end_ns` is when the pose holds."""
+    """The package's input: points (N, 3) and their times (N,), or none; the pose holds at `end_ns`."""
 
     ordinal: int
     end_ns: int
@@ -64,7 +63,7 @@ class _Sweep:
 
 
 def track_from_sweeps(topic: SweepTopic, calibration: Calibration, progress: Progress) -> PoseTrack:
-    """The track of all sweeps in time order. Raises NoUsablePoseError and what decoding a cloud raises."""
+    """Return the track of all sweeps in time order. Raises NoUsablePoseError and the errors of decoding a cloud."""
     source = f"kiss-icp {version('kiss-icp')} on {topic.clock.topic} (odometry from the sweeps)"
     total = len(topic.clock.ordered.index)
     odometry = _kiss_icp()
@@ -92,7 +91,7 @@ def track_from_sweeps(topic: SweepTopic, calibration: Calibration, progress: Pro
 
 
 def _sweeps(topic: SweepTopic) -> Iterator[_Sweep]:
-    """Those with points enough, in time order."""
+    """Yield the sweeps with enough points, in time order."""
     ordered = topic.clock.ordered
     for ordinal, (stamp_ns, row) in enumerate(zip(ordered.stamps_ns.tolist(), ordered.index.tolist(), strict=True)):
         points = points_at(topic.bag, topic.clock.topic, row)
@@ -102,7 +101,7 @@ def _sweeps(topic: SweepTopic) -> Iterator[_Sweep]:
 
 
 def _kiss_icp() -> "KissICP":
-    """Imported here: reading bags must not cost what the package's own imports do."""
+    """Import the package on use: reading bags must not pay for its imports."""
     from kiss_icp.config import KISSConfig
     from kiss_icp.config.config import DataConfig, MappingConfig, RegistrationConfig
     from kiss_icp.kiss_icp import KissICP
@@ -117,10 +116,10 @@ def _kiss_icp() -> "KissICP":
 
 
 def _timed(points: LidarPoints, clock: LidarClock) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The returns within range (N, 3), and when each was taken, s; no times where they would say nothing.
+    """Return the returns within range (N, 3), and their times, s; no times if they carry no information.
 
-    The package takes the spread of the times for the time between two poses, and ends the process where there is none.
-    So two points in the origin, which it drops, mark a period that ends with the sweep.
+    The package takes the spread of the times as the time between two poses, and ends the process if there is none. Two
+    points in the origin, which it drops, mark a period that ends with the sweep.
     """
     distance_m = np.linalg.norm(points.points_lidar.astype(np.float64), axis=1)
     is_near = (distance_m > MIN_RANGE_M) & (distance_m < MAX_RANGE_M)

@@ -1,8 +1,8 @@
-"""Places as sources write them: a few far from all others, UTM, ECEF, degrees; the map lies near its origin.
+"""Positions as sources write them: outliers, UTM, ECEF, degrees; the map lies near its origin.
 
-**Conventions.** Places (N, 3) are metres in the order of time. UTM and any other frame whose origin is far away are
-shifted by whole metres, so that the voxels of the map stay where they were; ECEF (WGS 84) is turned to east, north, up
-of the first place. Positions that move smoothly by millionths are no metres, but degrees.
+**Conventions.** Positions (N, 3) are metres in the order of time. UTM and any other frame with a distant origin is
+shifted by whole metres, so that the voxels of the map stay in place. ECEF (WGS 84) is turned to east, north, up of the
+first position. Positions that move smoothly by millionths are degrees, not metres.
 """
 
 from dataclasses import replace
@@ -32,9 +32,10 @@ MOST_BEND_RAD = float(np.deg2rad(45.0))
 
 
 def is_near(stamps_ns: Stamps, place_m: Array) -> NDArray[np.bool_]:
-    """Return which places (N,) a vehicle can have been at that was at most of the others.
+    """Return which positions (N,) a vehicle can have reached from most of the others.
 
-    All, if more than a tenth are not and these lie in several places: nothing tells which are right.
+    Returns all if more than a tenth would be dropped and these lie in several places: then it is unclear which are
+    right.
     """
     kept = np.ones(len(place_m), np.bool_)
     if not _leaps(stamps_ns, place_m).any():
@@ -58,7 +59,7 @@ def _is_one_place(place_m: Array) -> bool:
 
 
 def _reached(stamps_ns: Stamps, place_m: Array, begin: int) -> NDArray[np.bool_]:
-    """Return which places are reached from one of them, onwards and backwards."""
+    """Return which positions are reachable from position `begin`, forwards and backwards in time."""
     kept = np.zeros(len(place_m), np.bool_)
     kept[begin] = True
     for way in (range(begin + 1, len(place_m)), range(begin - 1, -1, -1)):
@@ -71,7 +72,7 @@ def _reached(stamps_ns: Stamps, place_m: Array, begin: int) -> NDArray[np.bool_]
 
 
 def far_finding(topic: str, place_m: Array, kept: NDArray[np.bool_]) -> tuple[Finding, ...]:
-    """GNS-310 for places (N, 3) that are not `kept`."""
+    """Return GNS-310 for positions (N, 3) that are not `kept`."""
     if kept.all():
         return ()
     far_m = np.linalg.norm(place_m[~kept] - np.median(place_m[kept], axis=0), axis=1).max()
@@ -87,7 +88,7 @@ def near_geodetic(
 ) -> tuple[OrderedStamps, tuple[Finding, ...]]:
     """Return the stamps whose latitude, longitude (degrees) and height (N,) are of one track, and GNS-310 for others.
 
-    A receiver that has nothing yet writes zeros, for the place or for the height alone.
+    A receiver without a solution writes zeros, for the position or for the height alone.
     """
     latitude, longitude, height_m = (values[ordered.index] for values in place)
     is_zero = (latitude == 0) & (longitude == 0)
@@ -104,9 +105,9 @@ def near_geodetic(
 
 
 def lattice_origin(latitude: float, longitude: float, height_m: float) -> tuple[float, float, float]:
-    """Return the place nearest a fix that is whole metres from its hundredth of a degree, at a whole height.
+    """Return the point nearest to a fix that is whole metres from its hundredth of a degree, at a whole height.
 
-    Runs over one place so have one lattice of voxels, whichever fix of theirs is the first.
+    Runs at one site thereby share one lattice of voxels, whichever fix is the first.
     """
     east_m, north_m, _ = pymap3d.geodetic2enu(
         latitude, longitude, height_m, around := round(latitude, 2), beside := round(longitude, 2), height_m
@@ -116,7 +117,7 @@ def lattice_origin(latitude: float, longitude: float, height_m: float) -> tuple[
 
 
 class Local(NamedTuple):
-    """Which poses are `kept` (N,), these near the origin of the map, and what was done to them."""
+    """A mask of the `kept` poses (N,), these poses near the origin of the map, and the findings."""
 
     kept: NDArray[np.bool_]
     poses: SE3
@@ -125,7 +126,8 @@ class Local(NamedTuple):
 
 def local_poses(topic: str, stamps_ns: Stamps, poses: SE3, *, is_course: bool = False) -> Local:
     """Return poses (N,) as those of a map near its origin. Raises `SYN-533` for degrees, `SYN-534` for ECEF whose
-    attitude fits no ground; with `is_course` none is needed."""
+    attitude fits no ground; with `is_course` no attitude is needed.
+    """
     refuse_degrees(topic, stamps_ns, poses)
     kept = is_near(stamps_ns, poses.translation_m)
     said = far_finding(topic, poses.translation_m, kept)
@@ -150,7 +152,7 @@ def _listed(place_m: Array) -> str:
 
 
 def _is_ecef(place_m: Array) -> bool:
-    """Return whether places lie on the ellipsoid, and are not UTM that happens to be as long."""
+    """Return whether positions lie on the ellipsoid, and are not UTM of the same magnitude."""
     away_m = np.linalg.norm(place_m, axis=1)
     if away_m.min() < EARTH_M[0] or away_m.max() > EARTH_M[1]:
         return False
@@ -181,7 +183,7 @@ def _from_ecef(topic: str, stamps_ns: Stamps, poses: SE3, is_course: bool) -> tu
 
 
 def _attitude_frame(topic: str, stamps_ns: Stamps, choices: dict[str, SE3]) -> str:
-    """Return the frame in which the robot is upright and, if it is in both, faces where it goes."""
+    """Return the frame in which the robot is upright and, if it is upright in both, faces its course."""
     tilt = {words: _tilt_rad(poses) for words, poses in choices.items()}
     upright = [words for words in choices if tilt[words] <= MOST_TILT_RAD]
     if len(upright) > 1 and abs(tilt[upright[0]] - tilt[upright[1]]) < SURE_RAD:

@@ -1,7 +1,7 @@
 """The quality of the poses of an INS: RTK status and standard deviations, by INSPVAX itself, else by BESTPOS.
 
-**Conventions.** An INSPVA says nothing about its quality; the last BESTPOS before it does, for half a second: the
-receiver logs positions at 5 Hz at most while the INS runs. Source: NovAtel OEM7 manual, "Position or Velocity Type".
+**Conventions.** An INSPVA contains no quality; the last BESTPOS before it counts for half a second: the receiver logs
+positions at 5 Hz at most while the INS runs. Source: NovAtel OEM7 manual, "Position or Velocity Type".
 """
 
 import numpy as np
@@ -23,11 +23,11 @@ RTK_OF_TYPE = {
 }
 STDEV_LIMIT_M = 0.10
 RTK_SHARE_USUAL = 0.95
-LEAST_ASIDE_M = 0.03  # sound drives, simulated and analytic, wander by at most 0.01 m, KITTI's odometry by 0.02 m
+LEAST_ASIDE_M = 0.03  # sound drives, simulated and analytic, deviate by at most 0.01 m, KITTI's odometry by 0.02 m
 
 
 def solution_quality(samples: InsSamples, rows: NDArray[np.int64], fixes: FixSamples | None) -> SolutionQuality:
-    """Of the samples at `rows` (K,), in their order."""
+    """Return the quality of the samples at `rows` (K,), in their order."""
     if samples.pos_type is not None and samples.position_stdev_m is not None:
         return SolutionQuality(rtk_of(samples.pos_type[rows]), _east_north_up(samples.position_stdev_m[rows]))
     if fixes is None or not len(fixes.pos_type):
@@ -36,7 +36,7 @@ def solution_quality(samples: InsSamples, rows: NDArray[np.int64], fixes: FixSam
 
 
 def rtk_of(pos_type: NDArray[np.uint32]) -> NDArray[np.uint8]:
-    """NovAtel's position types (K,) as `Rtk`; UNKNOWN where a receiver says what no manual does."""
+    """Return NovAtel's position types (K,) as `Rtk`; UNKNOWN for a type that no manual lists."""
     table = np.full(max(RTK_OF_TYPE) + 2, Rtk.UNKNOWN, np.uint8)
     table[list(RTK_OF_TYPE)] = list(RTK_OF_TYPE.values())
     return np.asarray(table[np.minimum(pos_type, len(table) - 1)], dtype=np.uint8)
@@ -45,7 +45,7 @@ def rtk_of(pos_type: NDArray[np.uint32]) -> NDArray[np.uint8]:
 def quality_findings(
     topic: str, quality: PoseQuality | None, solution: SolutionQuality | None, path: Trajectory
 ) -> tuple[Finding, ...]:
-    """What a person should know before trusting the frames' poses; nothing about a source without a status."""
+    """Return findings about the reliability of the frames' poses; none for a source without a status."""
     if quality is None or solution is None:
         return ()
     findings = []
@@ -67,7 +67,7 @@ def quality_findings(
 
 
 def _wander(path: Trajectory) -> str:
-    """Return by how much the poses wander in plan, if it is more than those of a sound run do."""
+    """Return the lateral deviation of the poses in plan, if it exceeds that of a sound run; else ""."""
     found = driving_direction(path)
     if found is None or found.aside_m < LEAST_ASIDE_M:
         return ""
@@ -79,7 +79,7 @@ def _wander(path: Trajectory) -> str:
 
 
 def _held(stamps_ns: NDArray[np.int64], fixes: FixSamples) -> SolutionQuality:
-    """The last fix at or before each stamp, for as long as it is held."""
+    """Return the last fix at or before each stamp, for as long as it is valid."""
     order = np.argsort(fixes.gps_stamps_ns, kind="stable")
     fix_ns = fixes.gps_stamps_ns[order]
     before = np.searchsorted(fix_ns, stamps_ns, side="right") - 1
@@ -93,6 +93,8 @@ def _held(stamps_ns: NDArray[np.int64], fixes: FixSamples) -> SolutionQuality:
 
 
 def _east_north_up(along_latitude_longitude_height: NDArray[np.float64]) -> NDArray[np.float64]:
-    """NovAtel gives latitude, longitude, height; what is no deviation (negative, infinite) is NaN."""
+    """Reorder latitude, longitude, height (NovAtel) as east, north, up; invalid deviations (negative, infinite) become
+    NaN.
+    """
     stdev_m = along_latitude_longitude_height[:, [1, 0, 2]]
     return np.where(np.isfinite(stdev_m) & (stdev_m >= 0), stdev_m, np.nan)

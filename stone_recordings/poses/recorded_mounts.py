@@ -1,8 +1,8 @@
-"""The rig by /tf_static: which way radars look, and which of its transforms cannot be right.
+"""The rig by /tf_static: the viewing direction of radars, and transforms that cannot be right.
 
 **Conventions.** A radar looks along the x axis of its frame; its yaw is in the frame of the robot's base, positive to
-the left. Its channel is that of the nearest of eight directions. Names go before yaws, except for a number in a frame's
-name, which is an angle only if those of all radars are.
+the left. Its channel is the nearest of eight directions. Names take precedence over yaws. A number in a frame's name is
+an angle only if the numbers of all radars are.
 """
 
 import re
@@ -20,7 +20,7 @@ from stone_recordings.topics.profiles import PREFIX, channel_of
 
 DIRECTIONS = ("FRONT", "FRONT_LEFT", "LEFT", "BACK_LEFT", "BACK", "BACK_RIGHT", "RIGHT", "FRONT_RIGHT")
 STEP_DEG = 360.0 / len(DIRECTIONS)
-UPRIGHT = 0.3  # of the x axis in plan: steeper, a yaw says nothing
+UPRIGHT = 0.3  # share of the x axis in plan; a steeper axis has no yaw
 TOLERATED_DEG, OTHER_WAY_DEG = 10.0, 60.0
 IN_BASE = "its messages are in the frame of the robot's base itself"
 ANGLE_STEP_DEG, LEAST_ANGLE_DEG = 15, 90
@@ -35,19 +35,19 @@ class RecordedRadar:
 
 
 def base_of(tree: StaticTree, frame_id: str) -> tuple[str, SE3] | None:
-    """The base that the frame hangs on, and the frame's place in it; None where none does."""
+    """Return the base to which the frame is connected, and the frame's pose in it; None without a base."""
     found = ((base, tree.transform(base, plain(frame_id))) for base in BASE_FRAMES)
     return next(((base, base_from_frame) for base, base_from_frame in found if base_from_frame is not None), None)
 
 
 def _is_base(tree: StaticTree, frame: str) -> bool:
-    """Return whether the frame is the base that it hangs on, so that no transform says where it is."""
+    """Return whether the frame is its own base, so that no transform gives its place."""
     found = base_of(tree, frame)
     return found is not None and found[0] == frame
 
 
 def yaw_deg(tree: StaticTree, frame_id: str) -> float | None:
-    """In (−180, 180]; None if the frame is unknown, or its x axis points up or down."""
+    """Return the yaw in (−180, 180]; None if the frame is unknown, or its x axis points up or down."""
     found = base_of(tree, frame_id)
     if found is None:
         return None
@@ -56,7 +56,7 @@ def yaw_deg(tree: StaticTree, frame_id: str) -> float | None:
 
 
 def radar_channels(tree: StaticTree, radars: Sequence[RecordedRadar]) -> Mapping[str, str]:
-    """The channels, by frame, of radars of which no name says where they look."""
+    """Return the channels, by frame, of radars whose names give no viewing direction."""
     found = dict[str, str]()
     for radar in radars:
         yaw = yaw_deg(tree, radar.frame_id)
@@ -66,7 +66,7 @@ def radar_channels(tree: StaticTree, radars: Sequence[RecordedRadar]) -> Mapping
 
 
 def direction_findings(tree: StaticTree, radars: Sequence[RecordedRadar]) -> Iterator[Finding]:
-    """TOP-117 for each radar that has its channel of its yaw, or whose name and yaw contradict each other."""
+    """Yield TOP-117 for each radar whose channel comes from its yaw, or whose name and yaw contradict each other."""
     channels, yaws = radar_channels(tree, radars), {radar.frame_id: yaw_deg(tree, radar.frame_id) for radar in radars}
     told = {frame: yaw for frame, yaw in yaws.items() if yaw is not None}
     angles = _contradicting(_angles_named(list(told)), told)
@@ -87,7 +87,7 @@ def direction_findings(tree: StaticTree, radars: Sequence[RecordedRadar]) -> Ite
 
 
 def unplaced_finding(tree: StaticTree) -> tuple[Finding, ...]:
-    """CAL-438 where /tf_static has every sensor in one point."""
+    """Return CAL-438 if /tf_static has every sensor in one point."""
     frames = tree.unplaced
     if not frames:
         return ()
@@ -101,9 +101,9 @@ def unplaced_finding(tree: StaticTree) -> tuple[Finding, ...]:
 def with_radars(
     calibration: Calibration, tree: StaticTree, radars: Sequence[RecordedRadar], channels: Mapping[str, str]
 ) -> tuple[Calibration, tuple[Finding, ...]]:
-    """The calibration with a mount for each radar that it does not place and /tf_static does; CAL-439 says so.
+    """Return the calibration with a mount for each radar that only /tf_static places; CAL-439 reports them.
 
-    `channels` are chosen ones, by topic. Without positions a radar is at the origin of the ego frame.
+    `channels` are chosen channels, by topic. Without positions a radar is at the origin of the ego frame.
     """
     named = radar_channels(tree, radars)
     mounts, findings = list[Mount](), list[Finding]()
@@ -127,7 +127,7 @@ def _has_mount(calibration: Calibration, frame: str) -> bool:
 
 
 def _angles_named(frame_ids: Sequence[str]) -> Mapping[str, int]:
-    """The angle that each name ends in, in degrees; none where they may be mere numbers."""
+    """Return the angle at the end of each name, in degrees; none if they may be mere numbers."""
     found = {frame_id: re.search(r"(\d{1,3})$", frame_id) for frame_id in frame_ids}
     angles = {frame_id: int(match[1]) for frame_id, match in found.items() if match}
     is_round = all(angle % ANGLE_STEP_DEG == 0 and angle < 360 for angle in angles.values())
@@ -144,7 +144,7 @@ def _apart_deg(one: float, other: float) -> float:
 
 
 def _contradicting(angles: Mapping[str, int], yaws: Mapping[str, float]) -> Mapping[str, int]:
-    """The angles that are not the yaws; none if all are, to the left or to the right."""
+    """Return the angles that are not the yaws; none if all are, to the left or to the right."""
     apart = [
         {frame: angle for frame, angle in angles.items() if _apart_deg(way * angle, yaws[frame]) > TOLERATED_DEG}
         for way in (1, -1)

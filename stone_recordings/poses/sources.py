@@ -1,8 +1,8 @@
-"""The ego trajectory from whatever the recording has: odometry or TF here, an INS in `ins_poses`.
+"""The ego trajectory from the recording's sources: odometry or TF here, an INS in `ins_poses`.
 
-**Conventions.** The result is `map_from_ego`; `map` is the source's own fixed frame. A source that reports the pose of
-another frame than the ego's is carried over by the mounts: over the LiDAR where tf_static ties it to that frame, so
-that the LiDAR's path is the one the source measured, whatever the two say about the base.
+**Conventions.** The result is `map_from_ego`; `map` is the source's own fixed frame. If a source reports the pose of
+another frame, the mounts relate it to the ego frame: through the LiDAR if tf_static connects it to that frame. The
+LiDAR's path is then the measured one, even if the source and the calibration disagree on the base.
 """
 
 import re
@@ -35,12 +35,12 @@ FIXED_FRAMES = ("odom", "map", "world")
 
 @dataclass(frozen=True, eq=False)
 class PoseTrack:
-    """Where the robot was, by which `source` of which `topic`; `solution` is the quality of each pose where it is told.
+    """The robot's poses, their `source` and its `topic`; `solution` is the quality of each pose if the source reports
+    it.
 
-    `is_smooth` says that the source knows how the robot moved between its samples, and filtered them so (an INS).
-    `inputs` are the hashes of files beside the recording that it was read from.
-    `map_origin_deg_m` is latitude, longitude, height of the map's origin where there is one.
-    `is_course` says that the heading is the course over ground.
+    `is_smooth` means that the source filters its samples with a motion model (an INS). `inputs` are the hashes of files
+    beside the recording from which the track was read. `map_origin_deg_m` is latitude, longitude, height of the map's
+    origin if known. With `is_course` the heading is the course over ground.
     """
 
     trajectory: Trajectory
@@ -56,11 +56,11 @@ class PoseTrack:
 
 @dataclass(frozen=True, eq=False)
 class RigMounts:
-    """The mounts by calibration and by tf_static, the frame the sweeps are in, whose clock is off, what was noticed.
+    """The mounts of calibration and tf_static, the frame of the sweeps, the clock offsets, and the findings.
 
-    `posed_frame` is that of which poses are told that name none; "" where nobody says. `base_from_lidar` is the mount
-    before ground auto moved the ego origin, None if it is the calibration's. With `is_course` a source's orientation
-    does not count: the course over ground is the heading.
+    `posed_frame` is the frame of poses that name none; "" if unknown. `base_from_lidar` is the mount before ground auto
+    moved the ego origin, None if it is the calibration's. With `is_course` a source's orientation is ignored: the
+    heading is the course over ground.
     """
 
     calibration: Calibration
@@ -74,7 +74,7 @@ class RigMounts:
 
 
 def along_course(source: str, place_m: NDArray[np.float64], child_from_ego: SE3) -> SE3:
-    """The ego poses (N,) of a robot that is level and faces its course, from the places (N, 3) of a frame of it.
+    """Return the ego poses (N,) of a level robot that faces its course, from the positions (N, 3) of one of its frames.
 
     Raises `NoUsablePoseError` if it never drives.
     """
@@ -88,7 +88,7 @@ def along_course(source: str, place_m: NDArray[np.float64], child_from_ego: SE3)
 
 
 def course_finding(topic: str) -> Finding:
-    """SYN-531: the heading is the course."""
+    """Return SYN-531: the heading is the course."""
     sentence = (
         "its orientation is not used: the heading is the course over ground, roll and pitch are 0; right if the robot "
         "drives forward on nearly level ground, and wrong where it reverses, drives aside or turns on the spot"
@@ -99,7 +99,7 @@ def course_finding(topic: str) -> Finding:
 def track_from_odometry(
     messages: Iterable[StampedMessage], topic: str, rig: RigMounts, type_name: str = ODOMETRY
 ) -> PoseTrack:
-    """Of a topic of one of POSE_PLACES. Raises NoUsablePoseError and what `decode_odometry` raises."""
+    """Return the track of a topic of one of POSE_PLACES. Raises NoUsablePoseError and the errors of `decode_odometry`."""
     samples, unread = read_readable(topic, messages, lambda some: decode_odometry(some, type_name))
     child = samples.child_frame_id if type_name == ODOMETRY else rig.posed_frame
     source = f"{topic} ({samples.frame_id} to {child or 'the robot'}, {type_name})"
@@ -110,9 +110,9 @@ def track_from_odometry(
 
 
 def track_from_tf(messages: Iterable[StampedMessage], topic: str, rig: RigMounts) -> PoseTrack:
-    """The robot's base, or its LiDAR, in odom, map or world, in that order.
+    """Return the track of the robot's base, or of its LiDAR, in odom, map or world, in that order.
 
-    Raises `SYN-502` when no such pair is published, and what `decode_transforms` raises.
+    Raises `SYN-502` if no such pair is published, and the errors of `decode_transforms`.
     """
     samples, unread = read_readable(topic, messages, decode_transforms)
     wanted = [(fixed, child) for fixed in FIXED_FRAMES for child in (*BASE_FRAMES, rig.lidar_frame)]
@@ -133,9 +133,9 @@ def _with_refused(
 
 
 def child_from_ego(parent: str, child: str, rig: RigMounts) -> tuple[SE3, tuple[Finding, ...]]:
-    """The fixed step from the frame a source speaks of to the ego frame; a warning where it had to be assumed.
+    """Return the fixed transform to the ego frame from a source's frame, with a warning if it is assumed.
 
-    A tree without positions cannot tell where the LiDAR is in the base's frame: the calibration as it was given does.
+    A tree without positions does not place the LiDAR in the base's frame; the given calibration does.
     """
     calibration, frame = rig.calibration, plain(child)
     lidar_from_ego = calibration.ego_from_lidar.inverse()
@@ -181,10 +181,9 @@ def _unstamped_finding(topic: str, is_stamped: NDArray[np.bool_]) -> tuple[Findi
     return (Finding("MSG-311", "warning", topic, sentence),)
 
 
-# Names of the frames whose poses a source tells: whether one is a sensor's, and not the robot's base.
-#
-# **Conventions.** `body` is a robot's base, but in `camera_init` the IMU of FAST-LIO and its kin, which sits above the
-# ground. Source of the names: FAST_LIO, FAST-LIVO2, Point-LIO, A-LOAM and LeGO-LOAM, as they publish odometry.
+# Names of the frames in which a source reports poses: whether such a frame is a sensor's, and not the robot's base.
+# `body` is a robot's base, but in `camera_init` the IMU of FAST-LIO and related programs, which sits above the ground.
+# Source of the names: FAST_LIO, FAST-LIVO2, Point-LIO, A-LOAM and LeGO-LOAM, as they publish odometry.
 
 
 SLAM_PARENT = "camera_init"
@@ -198,7 +197,7 @@ WORDS = {
 
 
 def sensor_named(parent: str, child: str) -> str:
-    """What kind of sensor the child frame is by its name; "" where that tells none."""
+    """Return the kind of sensor that the child frame's name indicates; "" without one."""
     frame = plain(child).lower()
     if plain(parent) == SLAM_PARENT and frame in IN_SLAM:
         return IN_SLAM[frame]
@@ -207,7 +206,7 @@ def sensor_named(parent: str, child: str) -> str:
 
 
 def assumed_finding(parent: str, child: str) -> Finding:
-    """CAL-405: the frame was taken for the ego frame, for nobody says where it is."""
+    """Return CAL-405: the frame's place is unknown and it is taken for the ego frame."""
     if not child:
         sentence = "its messages do not name the frame of their poses; they are taken as poses of the ego frame"
         return Finding("CAL-405", "warning", "", f"{sentence} (give it with --poses-frame FRAME)")

@@ -1,4 +1,4 @@
-"""Fixed transforms between named frames, and the way from one to another."""
+"""Fixed transforms between named frames, and the path from one frame to another."""
 
 from collections import deque
 from collections.abc import Iterable
@@ -9,14 +9,14 @@ from stone.geometry.se3 import SE3
 
 @dataclass(frozen=True, eq=False)
 class StaticTree:
-    """`edges[(dst, src)]` is `dst_from_src`, given both ways round; `down` are the pairs as (parent, child)."""
+    """`edges[(dst, src)]` is `dst_from_src`, in both directions; `down` are the pairs as (parent, child)."""
 
     edges: dict[tuple[str, str], SE3]
     down: frozenset[tuple[str, str]] = frozenset()
 
     @staticmethod
     def of(given: Iterable[tuple[str, str, SE3]]) -> "StaticTree":
-        """From (parent, child, parent_from_child); the last one of a pair counts."""
+        """Build the tree from (parent, child, parent_from_child); the last transform of a pair counts."""
         edges: dict[tuple[str, str], SE3] = {}
         down = set[tuple[str, str]]()
         for parent, child, parent_from_child in given:
@@ -30,17 +30,17 @@ class StaticTree:
 
     @property
     def unplaced(self) -> tuple[str, ...]:
-        """The frames that hang on others, if there are several and no translation was entered for any; else none."""
+        """The frames below others, if there are several and all translations are zero; else none."""
         places = [self.edges[pair].translation_m for pair in self.down]
         is_unplaced = len(places) > 1 and not any(place.any() for place in places)
         return tuple(sorted(child for _, child in self.down)) if is_unplaced else ()
 
     def recorded(self, dst: str, src: str) -> SE3 | None:
-        """As `transform`, but None between a frame and itself, of which no transform was published."""
+        """Return `transform`, but None between a frame and itself, which no message contains."""
         return self.transform(dst, src) if dst != src else None
 
     def transform(self, dst: str, src: str) -> SE3 | None:
-        """`dst_from_src` along the shortest path, or None where the frames are not connected."""
+        """Return `dst_from_src` along the shortest path, or None if the frames are not connected."""
         near: dict[str, list[str]] = {}
         for frame, far in self.edges:
             near.setdefault(frame, []).append(far)

@@ -90,19 +90,19 @@ def _association(
     frames_ns, findings = posed.frames.stamps_ns, list[Finding]()
     phase_ns: int | None = None
     if role == "camera":
-        found, phase_ns = triggered_samples(frames_ns, ordered.stamps_ns, posed.period_ns)
-        late_ns = np.abs(found.dt_ns - phase_ns)[found.index >= 0]
+        nearest, phase_ns = triggered_samples(frames_ns, ordered.stamps_ns, posed.period_ns)
+        late_ns = np.abs(nearest.dt_ns - phase_ns)[nearest.index >= 0]
         findings += _phase_finding(topic, late_ns, phase_ns)
     else:
         period_ns = typical_period_ns(ordered.stamps_ns)
         tolerance_ns = period_ns // 2 + max(period_ns // JITTER_PERIODS, LEAST_JITTER_NS)
-        found = nearest_samples(frames_ns, ordered.stamps_ns, tolerance_ns)
-    index = np.where(found.index >= 0, ordered.index[found.index], -1)
+        nearest = nearest_samples(frames_ns, ordered.stamps_ns, tolerance_ns)
+    index = np.where(nearest.index >= 0, ordered.index[nearest.index], -1)
     missing = int((index < 0).sum())
     if missing:
         sentence = f"{missing} of {len(index)} frames have no message of it near enough"
         findings.append(Finding("SYN-504", "warning", topic, sentence))
-    return Association(topic, index, found.dt_ns, phase_ns), findings
+    return Association(topic, index, nearest.dt_ns, phase_ns), findings
 
 
 def _phase_finding(topic: str, late_ns: NDArray[np.int64], phase_ns: int) -> list[Finding]:

@@ -66,7 +66,7 @@ def way_out(lidar: RecordedStamps, poses: RecordedStamps, offsets: ClockOffsets)
 
     The clock that is farther from the recorder's clock is shifted.
     """
-    lidar_ns, poses_ns = (one.late_ns for one in (lidar, poses))
+    lidar_ns, poses_ns = (stamps.late_ns for stamps in (lidar, poses))
     if lidar_ns is None or poses_ns is None or abs(lidar_ns - poses_ns) < LEAST_APART_NS:
         return ""
     part, step_ns = (LIDAR, lidar_ns - poses_ns) if abs(lidar_ns) >= abs(poses_ns) else (POSE, poses_ns - lidar_ns)

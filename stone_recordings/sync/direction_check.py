@@ -15,36 +15,35 @@ from stone.sensors.sequence import Sequence
 
 
 def direction_findings(sequence: Sequence, fit: GroundFit | None) -> tuple[Finding, ...]:
-    """Return SYN-518 if heading or pitch of the poses is off; the poses are those of the source, before any correction.
-    """
+    """Return SYN-518 if heading or pitch of the poses is off; the poses are those of the source, before any correction."""
     if not len(sequence.frames):
         return ()
-    found = driving_direction(track_of(sequence))
+    direction = driving_direction(track_of(sequence))
     is_tilted = fit is not None and fit.is_way_tilted
-    if found is None or not (found.is_yawed or found.is_pitched or is_tilted):
+    if direction is None or not (direction.is_yawed or direction.is_pitched or is_tilted):
         return ()
-    where = f"by its poses the robot drives {' and '.join(_off(found))} where it faces, by {found.steps} steps"
-    if fit is not None and fit.is_body_pitched and not found.is_yawed:
+    where = f"by its poses the robot drives {' and '.join(_off(direction))} where it faces, by {direction.steps} steps"
+    if fit is not None and fit.is_body_pitched and not direction.is_yawed:
         sentence = f"{where}, and the ground is pitched likewise: the body drives pitched, and the map is right"
         return (Finding("SYN-518", "info", "", sentence),)
     sentence = (
         f"{where}: is the INS turned on its mount by this angle, or its attitude biased? Correct the rotation of the "
-        f"INS in the calibration{_entry(sequence.calibration, found, fit)}"
+        f"INS in the calibration{_entry(sequence.calibration, direction, fit)}"
         f"{'; as it is, nothing is labelled' if is_tilted else ''}"
     )
     return (Finding("SYN-518", "warning", "", sentence),)
 
 
-def _entry(calibration: Calibration, found: DrivingDirection, fit: GroundFit | None) -> str:
+def _entry(calibration: Calibration, direction: DrivingDirection, fit: GroundFit | None) -> str:
     """Return the rotation to enter; nothing if the calibration has no INS."""
     level = 0.0 if fit is None or fit.map_slope_x is None else float(np.arctan(fit.slope_x))
-    yaw_rad = found.yaw_rad if found.is_yawed else 0.0
-    pitch_rad = found.pitch_rad - level if found.is_pitched or (fit is not None and fit.is_way_tilted) else 0.0
-    return "".join(f": {entry_of(one)}" for one in turned_to_way(calibration, yaw_rad, pitch_rad))
+    yaw_rad = direction.yaw_rad if direction.is_yawed else 0.0
+    pitch_rad = direction.pitch_rad - level if direction.is_pitched or (fit is not None and fit.is_way_tilted) else 0.0
+    return "".join(f": {entry_of(mount)}" for mount in turned_to_way(calibration, yaw_rad, pitch_rad))
 
 
-def _off(found: DrivingDirection) -> list[str]:
-    yaw, pitch = abs(np.rad2deg(found.yaw_rad)), abs(np.rad2deg(found.pitch_rad))
-    words = [f"{yaw:.1f}° to the {'left' if found.yaw_rad > 0 else 'right'} of"] if found.is_yawed else []
-    is_pitched = found.is_pitched or not words
-    return words + ([f"{pitch:.1f}° {'above' if found.pitch_rad > 0 else 'below'}"] if is_pitched else [])
+def _off(direction: DrivingDirection) -> list[str]:
+    yaw, pitch = abs(np.rad2deg(direction.yaw_rad)), abs(np.rad2deg(direction.pitch_rad))
+    words = [f"{yaw:.1f}° to the {'left' if direction.yaw_rad > 0 else 'right'} of"] if direction.is_yawed else []
+    is_pitched = direction.is_pitched or not words
+    return words + ([f"{pitch:.1f}° {'above' if direction.pitch_rad > 0 else 'below'}"] if is_pitched else [])

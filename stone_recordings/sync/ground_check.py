@@ -118,16 +118,16 @@ def settled(sequence: Sequence, sweeps: SweepSource, fit: GroundFit) -> Calibrat
 
     A tilt beyond terrain is levelled to within `SETTLED_RAD`. The result does not depend on the entered height.
     """
-    calibration, found = sequence.calibration, fit if fit.is_tilted else fit.untilted()
+    calibration, left = sequence.calibration, fit if fit.is_tilted else fit.untilted()
     mount = calibration.ego_from_lidar
     for _ in range(ROUNDS):
-        mount = found.corrected(mount)
+        mount = left.corrected(mount)
         turned = replace(sequence, calibration=replace(calibration, ego_from_lidar=mount))
         again = measured_ground(turned, sweeps, seen_along(turned, sweeps) if fit.is_tilted else None)
         if again is None:
             break
-        found = again if fit.is_tilted else again.untilted()
-        if abs(found.height_m) < SETTLED_M and found.tilt_rad < SETTLED_RAD:
+        left = again if fit.is_tilted else again.untilted()
+        if abs(left.height_m) < SETTLED_M and left.tilt_rad < SETTLED_RAD:
             break
     return _mounted(calibration, mount, fit.is_tilted and fit.is_map_tilted)
 

@@ -25,8 +25,7 @@ MIN_RANGE_M = 1.0
 
 @dataclass(frozen=True, eq=False)
 class SeenWay:
-    """The frames (K,) of the sweeps that were read, their positions, the links of their ground, and its tilt from them.
-    """
+    """The frames (K,) of the sweeps that were read, their positions, the links of their ground, and its tilt from them."""
 
     rows: NDArray[np.int64]
     way: Way
@@ -40,7 +39,7 @@ def seen_along(sequence: Sequence, sweeps: SweepSource, level: SE3 | None = None
     places_m = poses.translation_m
     rows = looks_along(places_m) if len(places_m) else np.zeros(0, np.int64)
     way = Way(places_m[rows, :2], driven(places_m)[rows], maps_of_frames(sequence)[rows])
-    points = (around_robot(one) for one in seen_ahead(sequence, sweeps, rows.tolist()))
+    points = (around_robot(ground) for ground in seen_ahead(sequence, sweeps, rows.tolist()))
     at = poses[rows] if level is None else poses[rows] @ level
     looks = [look(placed(at[k], points_ego)) for k, points_ego in enumerate(points)]
     links = links_between(looks, way)
@@ -58,7 +57,7 @@ def seen_ahead(sequence: Sequence, sweeps: SweepSource, rows: Iterable[int]) -> 
             coming.append(beside.submit(seen_around, sequence, sweeps, row))
             if len(coming) > AHEAD:
                 yield coming.popleft().result()
-        yield from (one.result() for one in coming)
+        yield from (future.result() for future in coming)
 
 
 def seen_around(sequence: Sequence, sweeps: SweepSource, index: int) -> NDArray[np.float32]:

@@ -38,7 +38,7 @@ class HalvedSweeps:
     def _rings(self, index: int) -> NDArray[np.uint16]:
         """Return the ring of each point of the whole sweep, (N,)."""
         source = self.source
-        found = points_at(opened(source.path), source.topic, int(source.message_index[index])).ring
-        if found is None:
+        rings = points_at(opened(source.path), source.topic, int(source.message_index[index])).ring
+        if rings is None:
             raise Refused("no_rings", f"the points of {source.topic} have none of the fields {', '.join(RING_NAMES)}")
-        return found
+        return rings

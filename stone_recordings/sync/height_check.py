@@ -29,16 +29,16 @@ def height_followed(sequence: Sequence, sweeps: SweepSource, fit: GroundFit | No
     """
     if fit is None or is_off(fit) or len(seen.rows) < 2:
         return sequence
-    found, up_m = drift(seen.links, seen.way, _floor_m(sequence))
-    if found.is_beyond_terrain and fit.tilt_rad > TERRAIN_RAD:
+    height, up_m = drift(seen.links, seen.way, _floor_m(sequence))
+    if height.is_beyond_terrain and fit.tilt_rad > TERRAIN_RAD:
         level = replace(fit, height_m=0.0).corrected(SE3.identity())
         seen = seen_along(sequence, sweeps, level)
-        found, up_m = min(
-            (found, up_m), drift(seen.links, seen.way, _floor_m(sequence)), key=lambda one: one[0].apart_m
+        height, up_m = min(
+            (height, up_m), drift(seen.links, seen.way, _floor_m(sequence)), key=lambda choice: choice[0].apart_m
         )
-    if found.is_beyond_terrain and found.is_followable:
-        sequence, found = _moved(sequence, seen.rows, up_m), replace(found, is_followed=True)
-    return replace(sequence, height_drift=found, findings=(*sequence.findings, *_findings(found)))
+    if height.is_beyond_terrain and height.is_followable:
+        sequence, height = _moved(sequence, seen.rows, up_m), replace(height, is_followed=True)
+    return replace(sequence, height_drift=height, findings=(*sequence.findings, *_findings(height)))
 
 
 def _floor_m(sequence: Sequence) -> float:
@@ -63,23 +63,23 @@ def _raised(poses: SE3, up_m: Array) -> SE3:
     return SE3(values)
 
 
-def _findings(found: HeightDrift) -> tuple[Finding, ...]:
+def _findings(height: HeightDrift) -> tuple[Finding, ...]:
     """Return SYN-514 if the drift was corrected, SYN-515 if it was not."""
-    if not found.is_beyond_terrain:
+    if not height.is_beyond_terrain:
         return ()
     where = (
-        f"two observations of the same ground lie up to {found.apart_m:.2f} m apart by the poses "
-        f"({found.links} pairs of "
-        f"{found.looks} sweeps along {found.driven_m:.0f} m)"
+        f"two observations of the same ground lie up to {height.apart_m:.2f} m apart by the poses "
+        f"({height.links} pairs of "
+        f"{height.looks} sweeps along {height.driven_m:.0f} m)"
     )
-    if found.is_followed:
+    if height.is_followed:
         sentence = (
-            f"{where}: they drift in z, by {found.span_m:.2f} m over the run, and were moved up or down by what the "
-            f"ground says, after which such observations lie {found.left_m:.2f} m apart (95 %)"
+            f"{where}: they drift in z, by {height.span_m:.2f} m over the run, and were moved up or down by what the "
+            f"ground says, after which such observations lie {height.left_m:.2f} m apart (95 %)"
         )
         return (Finding("SYN-514", "warning", "", sentence),)
     sentence = (
-        f"{where}, and moving the poses up and down leaves {found.left_m:.2f} m (95 %): that is not a slow drift in "
+        f"{where}, and moving the poses up and down leaves {height.left_m:.2f} m (95 %): that is not a slow drift in "
         "z, and they stay as given; are they this robot's, of this time, and is the LiDAR mounted as entered?"
     )
     return (Finding("SYN-515", "warning", "", sentence),)

@@ -86,11 +86,11 @@ def _turns(sequence: Sequence, sweeps: SweepSource, pairs: NDArray[np.int64]) ->
     kept, wxyz = list[tuple[int, int]](), list[NDArray[np.float64]]()
     for first, second in pairs.tolist():
         target = Target(seen_around(sequence, sweeps, first).astype(np.float64), SAMPLING_M)
-        found = target.register(
+        result = target.register(
             seen_around(sequence, sweeps, second).astype(np.float64), poses[first].inverse() @ poses[second], TRUST
         )
-        if not found.doubt:
+        if not result.doubt:
             kept.append((first, second))
-            wxyz.append(found.target_from_source.wxyz)
+            wxyz.append(result.target_from_source.wxyz)
     rows = np.array(kept, np.int64).reshape(-1, 2)
     return SweepTurns(stamps_ns[rows[:, 0]], stamps_ns[rows[:, 1]], np.array(wxyz).reshape(-1, 4))

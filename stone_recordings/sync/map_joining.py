@@ -82,9 +82,13 @@ class _Pieces:
         target = Target(self._seen(range(first, end + 1), poses[end]), SAMPLING_M)
         source = self._seen(range(end + 1, min(end + 1 + FRAMES_EACH_SIDE, last)), poses[end + 1])
         starts = [given, *self._continued(end, track)]
-        found = [target.register(source, start, Trust()) for start in starts]
-        believed = [one for one in found if not one.doubt]
-        best = min(believed, key=lambda one: one.residual_m) if believed else max(found, key=lambda one: one.overlap)
+        results = [target.register(source, start, Trust()) for start in starts]
+        believed = [result for result in results if not result.doubt]
+        best = (
+            min(believed, key=lambda result: result.residual_m)
+            if believed
+            else max(results, key=lambda result: result.overlap)
+        )
         return Break(end, end + 1, best, *apart(given, best.target_from_source))
 
     def _seen(self, indices: Listing[int], map_from_ego: SE3) -> NDArray[np.float64]:
@@ -122,7 +126,7 @@ def _moved(
     maps, moves = _maps_and_moves(sequence, segment_of_frame, breaks, int(segments[-1]) + 1)
     path = replace(track, map_from_ego=SE3(moves)[segments] @ track.map_from_ego)
     placed = replace(frames, map_from_ego=SE3(moves)[segment_of_frame] @ frames.map_from_ego)
-    findings = (*sequence.findings, *(_finding(sequence, one) for one in breaks))
+    findings = (*sequence.findings, *(_finding(sequence, gap) for gap in breaks))
     recorded = path if sequence.track is not None else None
     return replace(sequence, frames=placed, track=recorded, map_of_segment=maps, findings=findings)
 
@@ -136,34 +140,34 @@ def _maps_and_moves(
     poses = sequence.frames.map_from_ego
     moves = SE3.identity((count,)).wxyz_xyz
     maps, number = [0] * count, 0
-    follows = {int(segment_of_frame[one.after]): one for one in breaks}
+    follows = {int(segment_of_frame[gap.after]): gap for gap in breaks}
     move = SE3.identity()
     for segment in range(count):
-        if (one := follows.get(segment)) is not None:
-            number += not one.is_joined
-            move = _move(poses, one, move) if one.is_joined else SE3.identity()
+        if (gap := follows.get(segment)) is not None:
+            number += not gap.is_joined
+            move = _move(poses, gap, move) if gap.is_joined else SE3.identity()
         maps[segment], moves[segment] = number, move.wxyz_xyz
     return tuple(maps), moves
 
 
-def _move(poses: SE3, one: Break, before: SE3) -> SE3:
+def _move(poses: SE3, gap: Break, before: SE3) -> SE3:
     """Return the transform before the poses after a break, given the transform before the poses preceding it."""
-    if not one.is_moved:
+    if not gap.is_moved:
         return before
-    return before @ poses[one.before] @ one.registered.target_from_source @ poses[one.after].inverse()
+    return before @ poses[gap.before] @ gap.registered.target_from_source @ poses[gap.after].inverse()
 
 
-def _finding(sequence: Sequence, one: Break) -> Finding:
+def _finding(sequence: Sequence, gap: Break) -> Finding:
     stamps_ns = sequence.frames.stamps_ns
-    silent_s = (int(stamps_ns[one.after]) - int(stamps_ns[one.before])) * 1e-9
-    where = f"the track breaks between {stamps_ns[one.before]} and {stamps_ns[one.after]} ns ({silent_s:.1f} s)"
-    found = one.registered
-    if not one.is_joined:
-        sentence = f"{where}; what follows is a separate map, since it could not be joined: {found.doubt}"
+    silent_s = (int(stamps_ns[gap.after]) - int(stamps_ns[gap.before])) * 1e-9
+    where = f"the track breaks between {stamps_ns[gap.before]} and {stamps_ns[gap.after]} ns ({silent_s:.1f} s)"
+    result = gap.registered
+    if not gap.is_joined:
+        sentence = f"{where}; what follows is a separate map, since it could not be joined: {result.doubt}"
         return Finding("SYN-508", "warning", "", sentence)
-    moved = f"moved by {one.far_m:.2f} m and {np.rad2deg(one.turned_rad):.1f}°" if one.is_moved else "as given"
-    fits = f"{found.overlap:.0%} overlap, surfaces {1000 * found.residual_m:.0f} mm apart"
-    return Finding("SYN-507", "warning" if one.is_moved else "info", "", f"{where} and is joined {moved} ({fits})")
+    moved = f"moved by {gap.far_m:.2f} m and {np.rad2deg(gap.turned_rad):.1f}°" if gap.is_moved else "as given"
+    fits = f"{result.overlap:.0%} overlap, surfaces {1000 * result.residual_m:.0f} mm apart"
+    return Finding("SYN-507", "warning" if gap.is_moved else "info", "", f"{where} and is joined {moved} ({fits})")
 
 
 def _too_many(breaks: int) -> Finding:

@@ -59,8 +59,7 @@ class RecordedTopics:
     sources: Sources | None = None
 
     def stamps_ns(self, topic: str) -> NDArray[np.int64]:
-        """Return the header stamps (N,) of a scanned topic in log-time order; the log time if a message has no stamp.
-        """
+        """Return the header stamps (N,) of a scanned topic in log-time order; the log time if a message has no stamp."""
         type_name, heads, stamps_ns = self.topics[topic].type, self.heads[topic], self.log_times_ns[topic].copy()
         usable = self.usable(topic)
         raw = np.frombuffer(b"".join(heads[index][HEAD_BYTES:STAMP_BYTES] for index in usable), "<u4").reshape(-1, 2)
@@ -78,12 +77,12 @@ class RecordedTopics:
 
     def frame_ids(self, topic: str) -> list[str]:
         """Return `frame_id` of each usable message of a topic of clouds."""
-        found = []
+        names = []
         for index in self.usable(topic).tolist():
             cursor = Cursor(memoryview(self.heads[topic][index]), self.topics[topic].type)
             cursor.stamp_ns()
-            found.append(cursor.text())
-        return found
+            names.append(cursor.text())
+        return names
 
     def frame_id(self, topic: str) -> str:
         """Return the most frequent `frame_id` of a topic's clouds, or that of another topic's first message; "" without

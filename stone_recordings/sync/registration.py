@@ -82,7 +82,7 @@ class Target:
 
     def _aligned(self, cloud: Any, start: SE3) -> SE3 | None:
         for reach_m in (COARSE_M, FINE_M):
-            found = self._gicp.align(
+            result = self._gicp.align(
                 self._cloud,
                 cloud,
                 self._tree,
@@ -91,10 +91,10 @@ class Target:
                 num_threads=1,
                 max_iterations=ITERATIONS,
             )
-            if not np.isfinite(found.T_target_source).all() or not found.num_inliers:
+            if not np.isfinite(result.T_target_source).all() or not result.num_inliers:
                 return None
-            start = SE3.from_matrix(np.asarray(found.T_target_source))
-        return start if found.converged else None
+            start = SE3.from_matrix(np.asarray(result.T_target_source))
+        return start if result.converged else None
 
     def _fit(self, source: Points, target_from_source: SE3) -> tuple[float, float]:
         """Return the overlap, and the median distance of the overlapping points from the planes, as a standard
@@ -112,10 +112,10 @@ class Target:
         return len(rows) / len(source), MAD_TO_SIGMA * float(np.median(off_m))
 
     def _agrees(self, cloud: Any, best: SE3, start: SE3, trust: Trust) -> bool:
-        found = self._aligned(cloud, start)
-        if found is None:
+        other = self._aligned(cloud, start)
+        if other is None:
             return False
-        apart_m, apart_rad = apart(best, found)
+        apart_m, apart_rad = apart(best, other)
         return apart_m <= trust.spread_m and apart_rad <= trust.spread_rad
 
 

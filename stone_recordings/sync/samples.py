@@ -102,15 +102,14 @@ class BagSamples:
     sequence: Sequence
 
     def lidar(self, index: int) -> LidarSample:
-        """Read the sweep. Raises IndexError, `not_recorded`, `point_offset`, and the errors of reading (BAG-*, MSG-*).
-        """
+        """Read the sweep. Raises IndexError, `not_recorded`, `point_offset`, and the errors of reading (BAG-*, MSG-*)."""
         sweeps = self._sweeps
         bag = opened(self.path)
         cloud = cloud_at(bag, sweeps.topic, int(sweeps.message_index[index]))
-        found = points_in(bag, sweeps.topic, cloud)
-        ring = np.zeros(len(found.rows), np.uint16) if found.ring is None else found.ring
-        points_lidar, is_kept = self._deskewed(found, int(sweeps.stamps_ns[index]))
-        return LidarSample(points_lidar, _intensity(cloud.points, found.rows)[is_kept], ring[is_kept])
+        sweep = points_in(bag, sweeps.topic, cloud)
+        ring = np.zeros(len(sweep.rows), np.uint16) if sweep.ring is None else sweep.ring
+        points_lidar, is_kept = self._deskewed(sweep, int(sweeps.stamps_ns[index]))
+        return LidarSample(points_lidar, _intensity(cloud.points, sweep.rows)[is_kept], ring[is_kept])
 
     def camera(self, channel: str, index: int) -> CameraSample | None:
         """Return the picture; None if none was taken, or it cannot be read.
@@ -155,14 +154,14 @@ class BagSamples:
     def _radars(self) -> Mapping[str, BagRadar]:
         return radars_of(self.sequence, self._sweeps)
 
-    def _deskewed(self, found: LidarPoints, stamp_ns: int) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    def _deskewed(self, sweep: LidarPoints, stamp_ns: int) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Return the points at the stamp, and a mask of the points that have a pose and so are kept."""
         mount = self._sweeps.mount
-        if mount is None or found.offset_ns is None:
-            return found.points_lidar, np.ones(len(found.rows), np.bool_)
-        is_kept = _has_pose(found.offset_ns, mount, stamp_ns)
-        points_lidar = found.points_lidar[is_kept]
-        return deskew(points_lidar, found.offset_ns[is_kept], mount, stamp_ns), is_kept
+        if mount is None or sweep.offset_ns is None:
+            return sweep.points_lidar, np.ones(len(sweep.rows), np.bool_)
+        is_kept = _has_pose(sweep.offset_ns, mount, stamp_ns)
+        points_lidar = sweep.points_lidar[is_kept]
+        return deskew(points_lidar, sweep.offset_ns[is_kept], mount, stamp_ns), is_kept
 
 
 def checked_samples(path: Path, sequence: Sequence) -> BagSamples:
@@ -170,11 +169,11 @@ def checked_samples(path: Path, sequence: Sequence) -> BagSamples:
 
     Raises RecordingChangedError, and the errors of opening the bag.
     """
-    found = recording_sha256(path)
-    if found not in sequence.inputs.values():
+    sha256 = recording_sha256(path)
+    if sha256 not in sequence.inputs.values():
         raise Refused(
             "recording_changed",
-            f"{path} has sha256 {found}, but sequence {sequence.name} was made from {dict(sequence.inputs)}; "
+            f"{path} has sha256 {sha256}, but sequence {sequence.name} was made from {dict(sequence.inputs)}; "
             "label it again, or say where the recording of these labels is",
         )
     return BagSamples(path, sequence)

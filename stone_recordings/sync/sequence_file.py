@@ -120,7 +120,10 @@ def _record(sequence: Sequence) -> dict[str, Any]:
         "map_of_segment": list(sequence.map_of_segment),
         "ground": asdict(sequence.ground) if sequence.ground else None,
         "height_drift": asdict(sequence.height_drift) if sequence.height_drift else None,
-        "recordings": [[one.name, one.offset_ns, one.sigma_ns, one.known_by] for one in sequence.recordings],
+        "recordings": [
+            [recording.name, recording.offset_ns, recording.sigma_ns, recording.known_by]
+            for recording in sequence.recordings
+        ],
     }
 
 

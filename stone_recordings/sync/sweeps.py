@@ -55,12 +55,12 @@ class BagSweeps:
     def sweep_in(self, bag: Bag, index: int) -> Sweep:
         """Return `sweep` from a recording that the caller has open; raises the same errors except those of opening."""
         stamp_ns = int(self.stamps_ns[index])
-        found = points_at(bag, self.topic, int(self.message_index[index]), with_ring=False)
-        if self.mount is None or found.offset_ns is None:
-            is_timed = found.offset_ns is not None or not len(found.points_lidar)
-            return Sweep(stamp_ns, found.points_lidar, found.beyond, found.mistimed, is_timed)
-        moved = deskew(found.points_lidar, found.offset_ns, self.mount, stamp_ns)
-        return Sweep(stamp_ns, moved, found.beyond, found.mistimed)
+        points = points_at(bag, self.topic, int(self.message_index[index]), with_ring=False)
+        if self.mount is None or points.offset_ns is None:
+            is_timed = points.offset_ns is not None or not len(points.points_lidar)
+            return Sweep(stamp_ns, points.points_lidar, points.beyond, points.mistimed, is_timed)
+        moved = deskew(points.points_lidar, points.offset_ns, self.mount, stamp_ns)
+        return Sweep(stamp_ns, moved, points.beyond, points.mistimed)
 
 
 @dataclass(frozen=True, eq=False)

@@ -65,10 +65,10 @@ def frames_with_pose(
     is_usable = at_stamp.is_ok & at_ends[0].is_ok & at_ends[1].is_ok & ~is_empty & ~is_broken
     rows = np.flatnonzero(is_usable)
     unposed = (
-        _exclusion(int(stamps_ns[row]), bool(is_empty[row]), [_found_at(one, row) for one in (at_stamp, *at_ends)])
+        _exclusion(int(stamps_ns[row]), bool(is_empty[row]), [_found_at(each, row) for each in (at_stamp, *at_ends)])
         for row in np.flatnonzero(~is_usable).tolist()
     )
-    excluded = tuple(sorted((*clock.excluded, *unposed), key=lambda one: one.stamp_ns))
+    excluded = tuple(sorted((*clock.excluded, *unposed), key=lambda each: each.stamp_ns))
     if not len(rows):
         if sparse_finding(track, max_gap_ns):
             raise Refused(
@@ -116,21 +116,21 @@ def counted_reasons(excluded: tuple[ExcludedFrame, ...]) -> str:
     return ", ".join(f"{count} {code}" for code, count in sorted(counts.items()))
 
 
-def _found_at(found: Interpolated, row: int) -> tuple[PoseStatus, int]:
-    return PoseStatus(int(found.status[row])), int(found.gap_ns[row])
+def _found_at(interpolated: Interpolated, row: int) -> tuple[PoseStatus, int]:
+    return PoseStatus(int(interpolated.status[row])), int(interpolated.gap_ns[row])
 
 
 def _seconds(stamps_ns: NDArray[np.int64]) -> tuple[float, float]:
     return int(stamps_ns[0]) / 1e9, int(stamps_ns[-1]) / 1e9
 
 
-def _exclusion(stamp_ns: int, is_empty: bool, found: list[tuple[PoseStatus, int]]) -> ExcludedFrame:
+def _exclusion(stamp_ns: int, is_empty: bool, poses: list[tuple[PoseStatus, int]]) -> ExcludedFrame:
     if is_empty:
         return ExcludedFrame(stamp_ns, "empty_sweep", "the sweep has no points")
-    is_missing = [status != PoseStatus.OK for status, _ in found]
+    is_missing = [status != PoseStatus.OK for status, _ in poses]
     if not any(is_missing):
         return ExcludedFrame(stamp_ns, EXCLUSIONS[PoseStatus.SPLIT], "the track breaks off during the sweep")
-    status, gap_ns = found[is_missing.index(True)]
+    status, gap_ns = poses[is_missing.index(True)]
     when = ("the stamp", "the sweep's first point", "the sweep's last point")[is_missing.index(True)]
     where = {
         PoseStatus.GAP: f"in a gap of {gap_ns / 1e6:.1f} ms between two poses",

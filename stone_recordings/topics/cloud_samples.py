@@ -39,14 +39,14 @@ def packet_findings(bag: Bag, topic: Topic) -> tuple[Finding, ...]:
         return ()
     for index in _places(topic.count):
         try:
-            found = packet_cloud(bag.message(topic.name, index).payload, topic.type)
+            cloud = packet_cloud(bag.message(topic.name, index).payload, topic.type)
         except IngestError:
             continue
         lost = (
-            f"; {found.left_out} of {found.packets} packets of a sweep are not of this model" if found.left_out else ""
+            f"; {cloud.left_out} of {cloud.packets} packets of a sweep are not of this model" if cloud.left_out else ""
         )
         sentence = (
-            f"Its packets are decoded as those of a {found.model} with the maker's default angles; those of this unit "
+            f"Its packets are decoded as those of a {cloud.model} with the maker's default angles; those of this unit "
             f"(some tenths of a degree off) are not in the packets: record the driver's points to have them{lost}."
         )
         return (Finding("TOP-116", "warning" if lost else "info", topic.name, sentence),)

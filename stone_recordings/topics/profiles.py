@@ -92,15 +92,15 @@ def resolve(
     """
     chosen, doubts = _chosen(candidates, profile)
     free = [candidate for candidate in candidates if candidate.count and candidate.name not in chosen.values()]
-    found: dict[str, str] = {}
+    resolved: dict[str, str] = {}
     for part, fitting in _fitting(free, channel_of_frame or {}):
         if part in chosen or not fitting:
             continue
         if len(fitting) == 1:
-            found[part] = fitting[0].name
+            resolved[part] = fitting[0].name
         else:
             doubts.append(_ambiguous(part, fitting))
-    channels = {**chosen, **found}
+    channels = {**chosen, **resolved}
     doubts += _missing(candidates, channels)
     doubts += [*_nameless(free, channel_of_frame or {}), *video_findings(free)]
     return Assignment(channels, tuple(doubts))
@@ -189,8 +189,12 @@ def _nameless(free: Sequence[Candidate], channel_of_frame: Mapping[str, str]) ->
     """Yield one finding per kind for cameras and radars whose viewing direction is unknown."""
     kinds: tuple[ChannelKind, ...] = ("camera", "radar")
     for kind in kinds:
-        found = _of_role(free, kind)
-        lost = [one for one in found if channel_of(kind, one.name, one.frame_id, channel_of_frame) is None]
+        candidates = _of_role(free, kind)
+        lost = [
+            candidate
+            for candidate in candidates
+            if channel_of(kind, candidate.name, candidate.frame_id, channel_of_frame) is None
+        ]
         if lost:
             line = f"--topic {PREFIX[kind]}_FRONT={lost[0].name}"
             message = (
@@ -281,9 +285,8 @@ def channel_of(kind: ChannelKind, topic: str, frame_id: str, channel_of_frame: M
 
 
 def channel_of_words(kind: ChannelKind, name: str) -> str | None:
-    """Return CAM_FRONT_LEFT for "/camera/frontLeft/image", "cam_fl" or "/left/front_camera"; None without such words.
-    """
-    words = [word for found in WORD.findall(name) for word in _spelt(found.lower())]
+    """Return CAM_FRONT_LEFT for "/camera/frontLeft/image", "cam_fl" or "/left/front_camera"; None without such words."""
+    words = [word for part in WORD.findall(name) for word in _spelt(part.lower())]
     ends = {ENDS[word] for word in words if word in ENDS}
     sides = {SIDES[word] for word in words if word in SIDES}
     if len(ends) > 1 or len(sides) > 1 or not ends | sides:

@@ -155,7 +155,7 @@ def likely_lidars(topics: Sequence[Clouded]) -> Sequence[Clouded]:
     publishes the same sweeps.
     """
     forms = ([topic for topic in topics if topic.type in form] for form in FORMS)
-    points = next((found for found in forms if found), topics)
+    points = next((group for group in forms if group), topics)
     plausible = with_plausible_rate("lidar", points)
     return [topic for topic in plausible if topic.point_count >= LEAST_LIDAR_POINTS] or plausible
 

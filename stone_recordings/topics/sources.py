@@ -97,12 +97,12 @@ def choose_sources(bag: Bag, asked: AskedTopics) -> Sources:
     pose = lidar if asked.has_pose_file or asked.pose == KISS_ICP else _pose(roles, asked_pose)
     if is_course and pose.role == "ins":
         raise Refused("TOP-104", f"{pose.name} is an INS and has an attitude: --odometry {pose.name} takes it")
-    told = "file" if asked.has_pose_file else ROLE_OF_SWEEPS
+    role_of_lidar = "file" if asked.has_pose_file else ROLE_OF_SWEEPS
     attitude = _attitude(roles, asked.imu) if pose.role == "gnss" and not is_course else None
     return Sources(
         lidar=topics[lidar.name],
         pose=topics[pose.name],
-        pose_role=told if pose is lidar else pose.role,
+        pose_role=role_of_lidar if pose is lidar else pose.role,
         fixes=next((topic for topic in topics.values() if topic.type == BESTPOS), None),
         tf_static=tuple(topic.name for topic in roles if topic.role == "tf_static"),
         associated=tuple((topics[topic.name], topic.role) for topic in roles if topic.role in ASSOCIATED_ROLES),
@@ -138,10 +138,10 @@ def _facts(bag: Bag, topic: Topic) -> TopicFacts:
     return TopicFacts(topic.name, topic.type, None, fields, len(cloud.points))
 
 
-def _lidar(roles: list[Candidate], asked: str | None) -> Candidate:
-    if asked is not None:
+def _lidar(roles: list[Candidate], name: str | None) -> Candidate:
+    if name is not None:
         fitting = [topic for topic in roles if topic.type == POINT_CLOUD or topic.role == "lidar"]
-        return _asked(roles, asked, fitting, f"{POINT_CLOUD} or packets that are decoded")
+        return _asked(roles, name, fitting, f"{POINT_CLOUD} or packets that are decoded")
     lidars = [topic for topic in roles if topic.role == "lidar"]
     if not lidars:
         unread = unread_points(roles)
@@ -149,11 +149,11 @@ def _lidar(roles: list[Candidate], asked: str | None) -> Candidate:
     return _only("lidar", likely_lidars(lidars), "--lidar")
 
 
-def _pose(roles: list[Candidate], asked: str | None) -> Candidate:
+def _pose(roles: list[Candidate], name: str | None) -> Candidate:
     fitting = [topic for topic in roles if topic.role in POSE_ROLES]
-    if asked is not None:
+    if name is not None:
         fitting = [topic for topic in fitting if of_pose_role(topic.role, [topic])]
-        return _asked(roles, asked, fitting, "nav_msgs/msg/Odometry, INSPVA(X), /tf, PoseStamped or NavSatFix")
+        return _asked(roles, name, fitting, "nav_msgs/msg/Odometry, INSPVA(X), /tf, PoseStamped or NavSatFix")
     has_imu = any(topic.role == "imu" for topic in roles)
     for wanted in POSE_ROLES:
         topics = of_pose_role(wanted, [topic for topic in fitting if topic.role == wanted])
@@ -162,23 +162,23 @@ def _pose(roles: list[Candidate], asked: str | None) -> Candidate:
     raise no_pose_source([f"{topic.name} ({topic.type})" for topic in roles])
 
 
-def _attitude(roles: list[Candidate], asked: str | None) -> Candidate:
+def _attitude(roles: list[Candidate], name: str | None) -> Candidate:
     """Return the IMU beside a receiver. Raises `SYN-502`, `TOP-110`, `TOP-104`."""
     imus = [topic for topic in roles if topic.role == "imu"]
-    if asked is not None:
-        return _asked(roles, asked, imus, "sensor_msgs/msg/Imu")
+    if name is not None:
+        return _asked(roles, name, imus, "sensor_msgs/msg/Imu")
     if not imus:
         raise no_pose_source([f"{topic.name} ({topic.type})" for topic in roles])
     return _only("imu", with_plausible_rate("imu", imus), "--topic imu=TOPIC")
 
 
-def _asked(roles: list[Candidate], asked: str, fitting: list[Candidate], expected: str) -> Candidate:
+def _asked(roles: list[Candidate], name: str, fitting: list[Candidate], expected: str) -> Candidate:
     for topic in fitting:
-        if topic.name == asked:
+        if topic.name == name:
             return topic
-    found = next((f"is of type {topic.type}" for topic in roles if topic.name == asked), "has no messages here")
+    mistake = next((f"is of type {topic.type}" for topic in roles if topic.name == name), "has no messages here")
     names = ", ".join(topic.name for topic in fitting[:6]) or "there is none"
-    raise Refused("TOP-104", f"topic {asked!r} {found}; expected {expected} ({names})")
+    raise Refused("TOP-104", f"topic {name!r} {mistake}; expected {expected} ({names})")
 
 
 def _only(role: Role, topics: Sequence[Candidate], option: str) -> Candidate:
