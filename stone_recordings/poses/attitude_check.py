@@ -255,7 +255,9 @@ def _of_type(bag: Bag, types: tuple[str, ...]) -> Iterator[Topic]:
 def _ways(
     track: PoseTrack, inputs: AttitudeInputs, rig: RigMounts, told: tuple[_Motion, _Motion] | None
 ) -> Iterator[str]:
-    """Yield the remedies: topics whose orientation turns with the sweeps, the sweeps if they show the way, the course."""
+    """Yield the remedies: topics whose orientation turns with the sweeps, the sweeps if they show the way, the
+    course.
+    """
     yield from _other_topics(track, inputs, rig, told[1]) if told is not None else ()
     if told is None or _is_way_seen(told):
         yield "estimate the poses from the sweeps: --odometry kiss-icp"

@@ -166,7 +166,9 @@ def _said(track: PoseTrack, finding: Finding) -> PoseTrack:
 
 
 def _up(trajectory: Trajectory, imu: ImuTopic) -> NDArray[np.float64]:
-    """Return up as a unit vector in the map (3,); NaN if too few samples fall on the track or they measure no gravity."""
+    """Return up as a unit vector in the map (3,); NaN if too few samples fall on the track or they measure no
+    gravity.
+    """
     total, count = np.zeros(3), 0
     acceleration_m_s2, (begin_ns, end_ns) = _gained(trajectory)
     for samples in _batches(imu):
@@ -191,7 +193,9 @@ def _batches(imu: ImuTopic) -> Iterator[ImuSamples]:
 
 
 def _gained(trajectory: Trajectory) -> tuple[NDArray[np.float64], tuple[int, int]]:
-    """Return the mean acceleration (3,), m/s², from the speeds at both ends, and its interval; 0 for too short a track."""
+    """Return the mean acceleration (3,), m/s², from the speeds at both ends, and its interval; 0 for too short a
+    track.
+    """
     stamps_ns, place_m = trajectory.stamps_ns, trajectory.map_from_ego.translation_m
     first = int(np.searchsorted(stamps_ns, stamps_ns[0] + END_NS))
     last = int(np.searchsorted(stamps_ns, stamps_ns[-1] - END_NS, side="right")) - 1

@@ -99,7 +99,9 @@ def course_finding(topic: str) -> Finding:
 def track_from_odometry(
     messages: Iterable[StampedMessage], topic: str, rig: RigMounts, type_name: str = ODOMETRY
 ) -> PoseTrack:
-    """Return the track of a topic of one of POSE_PLACES. Raises NoUsablePoseError and the errors of `decode_odometry`."""
+    """Return the track of a topic of one of POSE_PLACES. Raises NoUsablePoseError and the errors of
+    `decode_odometry`.
+    """
     samples, unread = read_readable(topic, messages, lambda some: decode_odometry(some, type_name))
     child = samples.child_frame_id if type_name == ODOMETRY else rig.posed_frame
     source = f"{topic} ({samples.frame_id} to {child or 'the robot'}, {type_name})"

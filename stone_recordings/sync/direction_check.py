@@ -15,7 +15,9 @@ from stone.sensors.sequence import Sequence
 
 
 def direction_findings(sequence: Sequence, fit: GroundFit | None) -> tuple[Finding, ...]:
-    """Return SYN-518 if heading or pitch of the poses is off; the poses are those of the source, before any correction."""
+    """Return SYN-518 if heading or pitch of the poses is off; the poses are those of the source, before any
+    correction.
+    """
     if not len(sequence.frames):
         return ()
     direction = driving_direction(track_of(sequence))

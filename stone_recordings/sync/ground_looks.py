@@ -25,7 +25,9 @@ MIN_RANGE_M = 1.0
 
 @dataclass(frozen=True, eq=False)
 class SeenWay:
-    """The frames (K,) of the sweeps that were read, their positions, the links of their ground, and its tilt from them."""
+    """The frames (K,) of the sweeps that were read, their positions, the links of their ground, and its tilt from
+    them.
+    """
 
     rows: NDArray[np.int64]
     way: Way

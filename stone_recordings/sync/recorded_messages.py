@@ -59,7 +59,9 @@ class RecordedTopics:
     sources: Sources | None = None
 
     def stamps_ns(self, topic: str) -> NDArray[np.int64]:
-        """Return the header stamps (N,) of a scanned topic in log-time order; the log time if a message has no stamp."""
+        """Return the header stamps (N,) of a scanned topic in log-time order; the log time if a message has no
+        stamp.
+        """
         type_name, heads, stamps_ns = self.topics[topic].type, self.heads[topic], self.log_times_ns[topic].copy()
         usable = self.usable(topic)
         raw = np.frombuffer(b"".join(heads[index][HEAD_BYTES:STAMP_BYTES] for index in usable), "<u4").reshape(-1, 2)

@@ -102,7 +102,9 @@ class BagSamples:
     sequence: Sequence
 
     def lidar(self, index: int) -> LidarSample:
-        """Read the sweep. Raises IndexError, `not_recorded`, `point_offset`, and the errors of reading (BAG-*, MSG-*)."""
+        """Read the sweep. Raises IndexError, `not_recorded`, `point_offset`, and the errors of reading (BAG-*,
+        MSG-*).
+        """
         sweeps = self._sweeps
         bag = opened(self.path)
         cloud = cloud_at(bag, sweeps.topic, int(sweeps.message_index[index]))

@@ -285,7 +285,9 @@ def channel_of(kind: ChannelKind, topic: str, frame_id: str, channel_of_frame: M
 
 
 def channel_of_words(kind: ChannelKind, name: str) -> str | None:
-    """Return CAM_FRONT_LEFT for "/camera/frontLeft/image", "cam_fl" or "/left/front_camera"; None without such words."""
+    """Return CAM_FRONT_LEFT for "/camera/frontLeft/image", "cam_fl" or "/left/front_camera"; None without such
+    words.
+    """
     words = [word for part in WORD.findall(name) for word in _spelt(part.lower())]
     ends = {ENDS[word] for word in words if word in ENDS}
     sides = {SIDES[word] for word in words if word in SIDES}
