@@ -72,10 +72,10 @@ def check_attitude(track: PoseTrack, inputs: AttitudeInputs, rig: RigMounts) -> 
     still = doubt_of_still(track.trajectory)
     doubts = doubts_of(unturned(track.trajectory) if track.is_course else track.trajectory)
     for doubt in doubts or ([still] if still is not None else []):
-        told = _told(track.trajectory, inputs, doubt, rig.calibration)
-        fault = _fault(track, told, doubt, rig.calibration) if told else _fault_by_gyro(track, inputs, doubt)
+        motions = _told(track.trajectory, inputs, doubt, rig.calibration)
+        fault = _fault(track, motions, doubt, rig.calibration) if motions else _fault_by_gyro(track, inputs, doubt)
         if fault:
-            raise Refused("SYN-530", f"{track.source}: {fault}; {'; or '.join(_ways(track, inputs, rig, told))}")
+            raise Refused("SYN-530", f"{track.source}: {fault}; {'; or '.join(_ways(track, inputs, rig, motions))}")
 
 
 def angles(wxyz: Array) -> Array:
@@ -90,11 +90,14 @@ def _told(
     clock = inputs.clock
     rows = _spaced(clock, doubt)
     middle_ns = clock.ordered.stamps_ns[rows] + sum(clock.span_ns) // 2
-    found = trajectory.at(middle_ns, MAX_GAP_NS)
-    is_told = found.is_ok & (found.segment == (np.median(found.segment[found.is_ok]) if found.is_ok.any() else -1))
+    interpolated = trajectory.at(middle_ns, MAX_GAP_NS)
+    is_told = interpolated.is_ok & (
+        interpolated.segment
+        == (np.median(interpolated.segment[interpolated.is_ok]) if interpolated.is_ok.any() else -1)
+    )
     if int(is_told.sum()) < FEWEST_SWEEPS:
         return None
-    poses, stamps_ns = found.map_from_ego[is_told], middle_ns[is_told]
+    poses, stamps_ns = interpolated.map_from_ego[is_told], middle_ns[is_told]
     seen = _registered(inputs, rows[is_told], poses, calibration)
     if seen is None:
         return None
@@ -114,21 +117,21 @@ def _spaced(clock: LidarClock, doubt: Doubt) -> NDArray[np.int64]:
 def _registered(inputs: AttitudeInputs, rows: NDArray[np.int64], poses: SE3, calibration: Calibration) -> SE3 | None:
     """Return each sweep's pose (K,) relative to the previous one; None if a quarter of them do not register."""
     as_driven = _as_driven(poses)
-    before, at, found, doubtful = _points(inputs, int(rows[0]), calibration), SE3.identity(), [SE3.identity()], 0
+    before, at, placed, doubtful = _points(inputs, int(rows[0]), calibration), SE3.identity(), [SE3.identity()], 0
     for row in range(1, len(rows)):
         points = _points(inputs, int(rows[row]), calibration)
         guess = poses[row - 1].inverse() @ poses[row]
         target = Target(before, SAMPLING_M)
-        first, second = (target.register(points, one, TRUST) for one in (guess, as_driven[row - 1]))
+        first, second = (target.register(points, pose, TRUST) for pose in (guess, as_driven[row - 1]))
         best = second if not second.doubt and second.residual_m < BETTER_RATIO * first.residual_m else first
         best = second if first.doubt and not second.doubt else best
         doubtful += bool(best.doubt)
         at = at @ (guess if best.doubt else best.target_from_source)
-        found.append(at)
+        placed.append(at)
         before = points
     if doubtful > MOST_DOUBTFUL * (len(rows) - 1):
         return None
-    return SE3(np.stack([one.wxyz_xyz for one in found]))
+    return SE3(np.stack([pose.wxyz_xyz for pose in placed]))
 
 
 def _as_driven(poses: SE3) -> SE3:
@@ -156,9 +159,9 @@ def _motion(stamps_ns: NDArray[np.int64], poses: SE3) -> _Motion:
     return _Motion(stamps_ns, since.wxyz, since.translation_m)
 
 
-def _fault(track: PoseTrack, told: tuple[_Motion, _Motion], doubt: Doubt, calibration: Calibration) -> str:
+def _fault(track: PoseTrack, motions: tuple[_Motion, _Motion], doubt: Doubt, calibration: Calibration) -> str:
     """Return the fault of the orientation; "" if it turns with the sweeps."""
-    by_track, by_sweeps = told
+    by_track, by_sweeps = motions
     turned, seen = by_track.turned_rad, by_sweeps.turned_rad
     apart = angles(multiply(by_track.wxyz * np.array([1.0, -1.0, -1.0, -1.0]), by_sweeps.wxyz))
     at = int(np.argmax(np.abs(seen - turned)))
@@ -172,12 +175,12 @@ def _fault(track: PoseTrack, told: tuple[_Motion, _Motion], doubt: Doubt, calibr
     most = int(np.argmax(np.minimum(seen, turned)))
     if min(seen[most], turned[most]) > TOLERATED_RAD and apart[most] > OPPOSITE_RATIO * max(seen[most], turned[most]):
         return f"its orientation turns by {_deg(turned[most])} the other way than the registered sweeps do"
-    if doubt.is_aside and not _is_way_seen(told) and _never_turns(track):
+    if doubt.is_aside and not _is_way_seen(motions) and _never_turns(track):
         off = _deg(abs(doubt.course_rad))
         return f"its orientation never changes, and the track leads {off} aside of it: places without an attitude"
-    if not is_placed or np.linalg.norm(by_track.way_m[-1]) < LEAST_WAY_M or not _is_way_seen(told):
+    if not is_placed or np.linalg.norm(by_track.way_m[-1]) < LEAST_WAY_M or not _is_way_seen(motions):
         return ""
-    x, y = (motion.way_m[-1, :2] for motion in told)
+    x, y = (motion.way_m[-1, :2] for motion in motions)
     aside = abs(float(np.arctan2(x[0] * y[1] - x[1] * y[0], x @ y)))
     if aside <= ASIDE_RAD:
         return ""
@@ -253,22 +256,22 @@ def _of_type(bag: Bag, types: tuple[str, ...]) -> Iterator[Topic]:
 
 
 def _ways(
-    track: PoseTrack, inputs: AttitudeInputs, rig: RigMounts, told: tuple[_Motion, _Motion] | None
+    track: PoseTrack, inputs: AttitudeInputs, rig: RigMounts, motions: tuple[_Motion, _Motion] | None
 ) -> Iterator[str]:
     """Yield the remedies: topics whose orientation turns with the sweeps, the sweeps if they show the way, the
     course.
     """
-    yield from _other_topics(track, inputs, rig, told[1]) if told is not None else ()
-    if told is None or _is_way_seen(told):
+    yield from _other_topics(track, inputs, rig, motions[1]) if motions is not None else ()
+    if motions is None or _is_way_seen(motions):
         yield "estimate the poses from the sweeps: --odometry kiss-icp"
     is_ins = track.is_smooth
     if not (track.is_course or is_ins) and track.topic in {topic.name for topic in inputs.bag.topics}:
         yield f"if the robot always drives forward, take its course for the heading: --odometry {COURSE}{track.topic}"
 
 
-def _is_way_seen(told: tuple[_Motion, _Motion]) -> bool:
+def _is_way_seen(motions: tuple[_Motion, _Motion]) -> bool:
     """Return whether the registered sweeps show as long a way as the track has."""
-    by_track, by_sweeps = (float(np.linalg.norm(motion.way_m[-1])) for motion in told)
+    by_track, by_sweeps = (float(np.linalg.norm(motion.way_m[-1])) for motion in motions)
     return min(by_track, by_sweeps) >= SAME_WAY_RATIO * max(by_track, by_sweeps)
 
 
@@ -309,10 +312,10 @@ def _as_track(attitude: AttitudeSamples) -> Trajectory | None:
 
 def _turned(trajectory: Trajectory | None, seen: _Motion) -> Array | None:
     """Return the turns of a source at the times of the sweeps; None if it does not cover them."""
-    found = trajectory.at(seen.stamps_ns, MAX_GAP_NS) if trajectory is not None else None
-    if found is None or not found.is_ok.all():
+    interpolated = trajectory.at(seen.stamps_ns, MAX_GAP_NS) if trajectory is not None else None
+    if interpolated is None or not interpolated.is_ok.all():
         return None
-    return _motion(seen.stamps_ns, found.map_from_ego).turned_rad
+    return _motion(seen.stamps_ns, interpolated.map_from_ego).turned_rad
 
 
 def _is_alike(turned: Array, seen: _Motion) -> bool:

@@ -65,9 +65,9 @@ def without_strays(track: PoseTrack) -> PoseTrack:
     is_kept[alone] = False
     rest = _rows(track, is_kept)
     still = np.flatnonzero(is_kept)[_jumps(rest).steps]
-    is_kept[[one for one in alone.tolist() if is_kept[:one].any() and np.flatnonzero(is_kept[:one])[-1] in still]] = (
-        True
-    )
+    is_kept[
+        [index for index in alone.tolist() if is_kept[:index].any() and np.flatnonzero(is_kept[:index])[-1] in still]
+    ] = True
     if is_kept.all():
         return track
     excess_m = jumps.excess_m[np.isin(jumps.steps, np.flatnonzero(~is_kept) - 1)]
@@ -173,10 +173,10 @@ def _up(trajectory: Trajectory, imu: ImuTopic) -> NDArray[np.float64]:
     acceleration_m_s2, (begin_ns, end_ns) = _gained(trajectory)
     for samples in _batches(imu):
         stamps_ns = samples.stamps_ns + imu.time_offset_ns
-        found = trajectory.at(stamps_ns)
-        is_used = found.is_ok & (begin_ns <= stamps_ns) & (stamps_ns <= end_ns)
+        interpolated = trajectory.at(stamps_ns)
+        is_used = interpolated.is_ok & (begin_ns <= stamps_ns) & (stamps_ns <= end_ns)
         is_used &= np.isfinite(samples.linear_acceleration_m_s2).all(axis=1)
-        map_from_imu = found.map_from_ego[is_used] @ imu.ego_from_imu
+        map_from_imu = interpolated.map_from_ego[is_used] @ imu.ego_from_imu
         total += rotate(map_from_imu.wxyz, samples.linear_acceleration_m_s2[is_used]).sum(axis=0)
         count += int(is_used.sum())
     if count < LEAST_SAMPLES:
@@ -275,10 +275,10 @@ def _recorded_track(recorded: RecordedTopics, sources: Sources, rig: RigMounts) 
         of_ins = track_from_ins(messages, topic, rig.calibration, fixes, rig.clocks.asked.get(POSE))
         return replace(of_ins, findings=of_ins.findings + unread)
     if sources.pose_role == "gnss":
-        told = GnssTopics(messages, topic, first_frame_id(messages, sources.pose.type))
+        topics = GnssTopics(messages, topic, first_frame_id(messages, sources.pose.type))
         if (attitude := sources.attitude) is not None:
-            told = replace(told, imu=recorded.messages[attitude.name], imu_topic=attitude.name)
-        return track_from_gnss(told, rig)
+            topics = replace(topics, imu=recorded.messages[attitude.name], imu_topic=attitude.name)
+        return track_from_gnss(topics, rig)
     if sources.pose_role == "tf":
         return track_from_tf(messages, topic, rig)
     return track_from_odometry(messages, topic, rig, sources.pose.type)

@@ -48,8 +48,10 @@ def cross_check(tree: StaticTree, calibration: Calibration, lidar_frame: str) ->
 def _ego_difference(tree: StaticTree, calibration: Calibration, lidar_frame: str) -> Finding | None:
     recorded = [tree.recorded(base, lidar_frame) for base in BASE_FRAMES]
     known, is_placed = calibration.ego_from_lidar, not tree.unplaced
-    found = [_difference("ego_from_lidar", one, known, is_placed) for one in recorded if one is not None]
-    return None if None in found or not found else found[0]
+    differences = [
+        _difference("ego_from_lidar", transform, known, is_placed) for transform in recorded if transform is not None
+    ]
+    return None if None in differences or not differences else differences[0]
 
 
 def turn_deg(transform: SE3) -> float:

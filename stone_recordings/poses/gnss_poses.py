@@ -61,26 +61,26 @@ def track_from_gnss(topics: GnssTopics, rig: RigMounts) -> PoseTrack:
     if rig.is_course:
         at, (antenna_m, origin, _) = fixed.index, _enu(samples, fixed.index)
         poses = along_course(source, antenna_m, antenna_from_ego)
-        said: tuple[Finding, ...] = (course_finding(topic),)
+        reported: tuple[Finding, ...] = (course_finding(topic),)
     else:
         attitude, unread_too = read_readable(topics.imu_topic, topics.imu, decode_attitude)
         turns, findings = _attitudes(topics, attitude)
-        found = turns.at(fixed.stamps_ns, DEFAULT_MAX_GAP_NS)
-        if not found.is_ok.any():
+        interpolated = turns.at(fixed.stamps_ns, DEFAULT_MAX_GAP_NS)
+        if not interpolated.is_ok.any():
             why = f"none has an attitude within {DEFAULT_MAX_GAP_NS / 1e9:g} s"
             raise NoUsablePoseError(source, len(fixed.index), why)
         imu_from_ego, of_imu = child_from_ego(ENU, attitude.frame_id, rig)
-        at = fixed.index[found.is_ok]
+        at = fixed.index[interpolated.is_ok]
         antenna_m, origin, to_origin = _enu(samples, at)
-        imu_wxyz = multiply(to_origin, found.map_from_ego.wxyz[found.is_ok])
+        imu_wxyz = multiply(to_origin, interpolated.map_from_ego.wxyz[interpolated.is_ok])
         turned = SE3.from_parts(imu_wxyz, np.zeros((len(at), 3))) @ SE3.from_parts(imu_from_ego.wxyz, np.zeros(3))
         poses = SE3.from_parts(turned.wxyz, antenna_m - turned @ antenna_from_ego.inverse().translation_m)
-        said = (*unread_too, *findings, *of_imu)
+        reported = (*unread_too, *findings, *of_imu)
     offset_ns = rig.clocks.of_poses(rig.calibration, topics.fix_frame)
-    said = (*unread, *fixed.findings, *far, *said, *of_antenna, *shifted_finding(topic, offset_ns))
-    said += _left_out(samples, len(at) + len(ordered.index) - len(fixed.index), topic)
+    reported = (*unread, *fixed.findings, *far, *reported, *of_antenna, *shifted_finding(topic, offset_ns))
+    reported += _left_out(samples, len(at) + len(ordered.index) - len(fixed.index), topic)
     trajectory = Trajectory(samples.stamps_ns[at] + offset_ns, poses)
-    return PoseTrack(trajectory, source, topic, said, origin, is_course=rig.is_course)
+    return PoseTrack(trajectory, source, topic, reported, origin, is_course=rig.is_course)
 
 
 def first_frame_id(messages: Sequence[StampedMessage], type_name: str) -> str:
@@ -139,9 +139,9 @@ def _enu(
 
 
 def _left_out(samples: GnssSamples, used: int, topic: str) -> tuple[Finding, ...]:
-    told = Finding("GNS-301", "warning", topic, "the RTK status is unknown (NavSatFix has none)")
+    unknown = Finding("GNS-301", "warning", topic, "the RTK status is unknown (NavSatFix has none)")
     total = len(samples.stamps_ns)
     if used == total:
-        return (told,)
+        return (unknown,)
     sentence = f"{total - used} of {total} positions had no fix or no attitude and are left out"
-    return (told, Finding("GNS-303", "warning", topic, sentence))
+    return (unknown, Finding("GNS-303", "warning", topic, sentence))

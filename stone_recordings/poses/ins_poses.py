@@ -57,8 +57,8 @@ def track_from_ins(
     rows = _usable(samples, source)
     usable = len(rows)  # far samples are counted apart
     ordered = in_order(topic, samples.gps_stamps_ns[rows])
-    place = (samples.latitude_deg[rows], samples.longitude_deg[rows], samples.height_m[rows])
-    ordered, far = near_geodetic(topic, ordered, place)
+    position = (samples.latitude_deg[rows], samples.longitude_deg[rows], samples.height_m[rows])
+    ordered, far = near_geodetic(topic, ordered, position)
     rows = rows[ordered.index]
     map_from_ins, origin = enu_poses(samples, rows)
     ins_from_ego = (calibration.ego_from_lidar @ mount.lidar_from_sensor).inverse()
@@ -119,9 +119,9 @@ def _ins_mount(calibration: Calibration) -> Mount:
 
 def _usable(samples: InsSamples, source: str) -> NDArray[np.int64]:
     """Return the rows with a solution, a time, a place on Earth and a valid attitude."""
-    place = (samples.latitude_deg, samples.longitude_deg, samples.height_m)
+    position = (samples.latitude_deg, samples.longitude_deg, samples.height_m)
     attitude = (samples.roll_deg, samples.pitch_deg, samples.azimuth_deg)
-    has_numbers = np.isfinite(np.stack([*place, *attitude])).all(axis=0) & (np.abs(samples.latitude_deg) <= 90)
+    has_numbers = np.isfinite(np.stack([*position, *attitude])).all(axis=0) & (np.abs(samples.latitude_deg) <= 90)
     has_numbers &= np.abs(samples.height_m) <= MOST_POSITION_M
     has_solution, has_time = np.isin(samples.ins_status, USABLE_STATUS), samples.gps_stamps_ns > 0
     rows = np.flatnonzero(has_numbers & has_solution & has_time).astype(np.int64)

@@ -130,21 +130,21 @@ def local_poses(topic: str, stamps_ns: Stamps, poses: SE3, *, is_course: bool = 
     """
     refuse_degrees(topic, stamps_ns, poses)
     kept = is_near(stamps_ns, poses.translation_m)
-    said = far_finding(topic, poses.translation_m, kept)
+    far = far_finding(topic, poses.translation_m, kept)
     if not kept.all():
         stamps_ns, poses = stamps_ns[kept], poses[kept]
     if np.abs(poses.translation_m).max() <= LOCAL_M:
-        return Local(kept, poses, said)
+        return Local(kept, poses, far)
     if _is_ecef(poses.translation_m):
         poses, finding = _from_ecef(topic, stamps_ns, poses, is_course)
-        return Local(kept, poses, (*said, finding))
+        return Local(kept, poses, (*far, finding))
     origin_m = np.round(poses.translation_m[0]) + 0.0  # no −0
     sentence = (
         f"its positions are far from the origin of their frame; the map's origin is ({_listed(origin_m)}) m of it, and "
         "that was subtracted"
     )
     shifted = SE3.from_parts(poses.wxyz, poses.translation_m - origin_m)
-    return Local(kept, shifted, (*said, Finding("SYN-532", "info", topic, sentence)))
+    return Local(kept, shifted, (*far, Finding("SYN-532", "info", topic, sentence)))
 
 
 def _listed(place_m: Array) -> str:
@@ -218,15 +218,15 @@ def check_extent(source: str, place_m: Array) -> None:
 
 def refuse_degrees(topic: str, stamps_ns: Stamps, poses: SE3) -> None:
     """Raise `SYN-533` for positions in degrees: as metres the robot would creep smoothly by millionths."""
-    place = poses.translation_m[:, :2]
-    usual = np.median(place, axis=0)
-    place = place[np.abs(place - usual).max(axis=1) < MOST_SPAN_DEG]
+    positions = poses.translation_m[:, :2]
+    usual = np.median(positions, axis=0)
+    positions = positions[np.abs(positions - usual).max(axis=1) < MOST_SPAN_DEG]
     is_range = np.abs(usual).max() <= 180 and np.abs(usual).min() <= 90 and np.abs(usual).max() >= 0.5
-    if not is_range or len(place) < 2 * len(poses) // 3:
+    if not is_range or len(positions) < 2 * len(poses) // 3:
         return
     gap_ns = max(1, int(np.median(np.diff(stamps_ns)))) if len(stamps_ns) > 1 else 1
     stride = max(1, STEP_NS // gap_ns)
-    steps_m = np.diff(place[::stride], axis=0) * DEGREE_M
+    steps_m = np.diff(positions[::stride], axis=0) * DEGREE_M
     lengths_m = np.hypot(*steps_m.T)
     elapsed_s = gap_ns * 1e-9 * len(poses)  # a clock that is set meanwhile does not lengthen the drive
     if len(steps_m) < 3 or not LEAST_WAY_M <= lengths_m.sum() <= FASTEST_M_S * elapsed_s:
@@ -237,8 +237,8 @@ def refuse_degrees(topic: str, stamps_ns: Stamps, poses: SE3) -> None:
         return
     raise Refused(
         "SYN-533",
-        f"{topic}: its positions are degrees and not metres: they stay within {np.ptp(place, axis=0).max():.2g} around "
-        f"({usual[0]:.5f}, {usual[1]:.5f}), as latitude and longitude of a drive of {lengths_m.sum():.0f} m would; "
+        f"{topic}: its positions are degrees and not metres: they stay within {np.ptp(positions, axis=0).max():.2g} "
+        f"around ({usual[0]:.5f}, {usual[1]:.5f}), as latitude and longitude of a drive of {lengths_m.sum():.0f} m would; "
         "record them in metres (UTM or a local frame), publish a sensor_msgs/msg/NavSatFix, or estimate the poses from "
         "the sweeps: --odometry kiss-icp",
     )

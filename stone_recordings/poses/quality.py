@@ -68,12 +68,12 @@ def quality_findings(
 
 def _wander(path: Trajectory) -> str:
     """Return the lateral deviation of the poses in plan, if it exceeds that of a sound run; else ""."""
-    found = driving_direction(path)
-    if found is None or found.aside_m < LEAST_ASIDE_M:
+    direction = driving_direction(path)
+    if direction is None or direction.aside_m < LEAST_ASIDE_M:
         return ""
-    plan_cm = 100.0 * found.aside_m * np.sqrt(2.0)
+    plan_cm = 100.0 * direction.aside_m * np.sqrt(2.0)
     return (
-        f"; against the robot's heading the poses wander to the side by {100.0 * found.aside_m:.0f} cm (standard "
+        f"; against the robot's heading the poses wander to the side by {100.0 * direction.aside_m:.0f} cm (standard "
         f"deviation over 20 m), so in plan by about {plan_cm:.0f} cm"
     )
 
@@ -83,11 +83,11 @@ def _held(stamps_ns: NDArray[np.int64], fixes: FixSamples) -> SolutionQuality:
     order = np.argsort(fixes.gps_stamps_ns, kind="stable")
     fix_ns = fixes.gps_stamps_ns[order]
     before = np.searchsorted(fix_ns, stamps_ns, side="right") - 1
-    found = order[np.maximum(before, 0)]
+    rows = order[np.maximum(before, 0)]
     is_held = (before >= 0) & (stamps_ns - fix_ns[np.maximum(before, 0)] <= HOLD_NS)
-    stdev_m = _east_north_up(fixes.position_stdev_m[found])
+    stdev_m = _east_north_up(fixes.position_stdev_m[rows])
     return SolutionQuality(
-        np.where(is_held, rtk_of(fixes.pos_type[found]), np.uint8(Rtk.UNKNOWN)),
+        np.where(is_held, rtk_of(fixes.pos_type[rows]), np.uint8(Rtk.UNKNOWN)),
         np.where(is_held[:, None], stdev_m, np.nan),
     )
 

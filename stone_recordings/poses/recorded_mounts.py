@@ -36,40 +36,40 @@ class RecordedRadar:
 
 def base_of(tree: StaticTree, frame_id: str) -> tuple[str, SE3] | None:
     """Return the base to which the frame is connected, and the frame's pose in it; None without a base."""
-    found = ((base, tree.transform(base, plain(frame_id))) for base in BASE_FRAMES)
-    return next(((base, base_from_frame) for base, base_from_frame in found if base_from_frame is not None), None)
+    candidates = ((base, tree.transform(base, plain(frame_id))) for base in BASE_FRAMES)
+    return next(((base, base_from_frame) for base, base_from_frame in candidates if base_from_frame is not None), None)
 
 
 def _is_base(tree: StaticTree, frame: str) -> bool:
     """Return whether the frame is its own base, so that no transform gives its place."""
-    found = base_of(tree, frame)
-    return found is not None and found[0] == frame
+    base = base_of(tree, frame)
+    return base is not None and base[0] == frame
 
 
 def yaw_deg(tree: StaticTree, frame_id: str) -> float | None:
     """Return the yaw in (−180, 180]; None if the frame is unknown, or its x axis points up or down."""
-    found = base_of(tree, frame_id)
-    if found is None:
+    base = base_of(tree, frame_id)
+    if base is None:
         return None
-    x, y, _ = found[1].rotation()[:, 0]
+    x, y, _ = base[1].rotation()[:, 0]
     return float(np.rad2deg(np.arctan2(y, x))) if np.hypot(x, y) > UPRIGHT else None
 
 
 def radar_channels(tree: StaticTree, radars: Sequence[RecordedRadar]) -> Mapping[str, str]:
     """Return the channels, by frame, of radars whose names give no viewing direction."""
-    found = dict[str, str]()
+    channels = dict[str, str]()
     for radar in radars:
         yaw = yaw_deg(tree, radar.frame_id)
         if yaw is not None and channel_of("radar", radar.topic, radar.frame_id, {}) is None:
-            found[plain(radar.frame_id)] = f"{PREFIX['radar']}_{DIRECTIONS[round(yaw / STEP_DEG) % len(DIRECTIONS)]}"
-    return found
+            channels[plain(radar.frame_id)] = f"{PREFIX['radar']}_{DIRECTIONS[round(yaw / STEP_DEG) % len(DIRECTIONS)]}"
+    return channels
 
 
 def direction_findings(tree: StaticTree, radars: Sequence[RecordedRadar]) -> Iterator[Finding]:
     """Yield TOP-117 for each radar whose channel comes from its yaw, or whose name and yaw contradict each other."""
     channels, yaws = radar_channels(tree, radars), {radar.frame_id: yaw_deg(tree, radar.frame_id) for radar in radars}
-    told = {frame: yaw for frame, yaw in yaws.items() if yaw is not None}
-    angles = _contradicting(_angles_named(list(told)), told)
+    known = {frame: yaw for frame, yaw in yaws.items() if yaw is not None}
+    angles = _contradicting(_angles_named(list(known)), known)
     for radar in radars:
         frame, yaw = plain(radar.frame_id), yaws[radar.frame_id]
         if yaw is None:
@@ -110,13 +110,13 @@ def with_radars(
     for radar in radars:
         frame = plain(radar.frame_id)
         channel = channels.get(radar.topic) or channel_of("radar", radar.topic, radar.frame_id, named)
-        found, known = base_of(tree, frame), {mount.name for mount in (*calibration.mounts, *mounts)}
-        if found is None or channel is None or channel in known or _has_mount(calibration, frame):
+        base, known = base_of(tree, frame), {mount.name for mount in (*calibration.mounts, *mounts)}
+        if base is None or channel is None or channel in known or _has_mount(calibration, frame):
             continue
-        lidar_from_radar = calibration.ego_from_lidar.inverse() @ found[1]
+        lidar_from_radar = calibration.ego_from_lidar.inverse() @ base[1]
         mounts.append(Mount(channel, "radar", lidar_from_radar, radar.frame_id))
-        place = "at the ego origin, for its position is not known" if tree.unplaced else f"where {found[0]} has it"
-        turned = f"is turned as /tf_static has {frame!r}, {place}" if found[0] != frame else f"lies there: {IN_BASE}"
+        position = "at the ego origin, for its position is not known" if tree.unplaced else f"where {base[0]} has it"
+        turned = f"is turned as /tf_static has {frame!r}, {position}" if base[0] != frame else f"lies there: {IN_BASE}"
         sentence = f"the calibration does not place it; {channel} {turned}"
         findings.append(Finding("CAL-439", "info", radar.topic, sentence))
     return replace(calibration, mounts=(*calibration.mounts, *mounts)), tuple(findings)
@@ -128,8 +128,8 @@ def _has_mount(calibration: Calibration, frame: str) -> bool:
 
 def _angles_named(frame_ids: Sequence[str]) -> Mapping[str, int]:
     """Return the angle at the end of each name, in degrees; none if they may be mere numbers."""
-    found = {frame_id: re.search(r"(\d{1,3})$", frame_id) for frame_id in frame_ids}
-    angles = {frame_id: int(match[1]) for frame_id, match in found.items() if match}
+    matches = {frame_id: re.search(r"(\d{1,3})$", frame_id) for frame_id in frame_ids}
+    angles = {frame_id: int(match[1]) for frame_id, match in matches.items() if match}
     is_round = all(angle % ANGLE_STEP_DEG == 0 and angle < 360 for angle in angles.values())
     is_all = len(angles) == len(set(frame_ids)) == len(set(angles.values())) > 1
     return angles if is_all and is_round and max(angles.values()) >= LEAST_ANGLE_DEG else {}
@@ -139,8 +139,8 @@ def _yaw_of(channel: str) -> float:
     return DIRECTIONS.index(channel.removeprefix(f"{PREFIX['radar']}_")) * STEP_DEG
 
 
-def _apart_deg(one: float, other: float) -> float:
-    return abs((one - other + 180.0) % 360.0 - 180.0)
+def _apart_deg(first: float, other: float) -> float:
+    return abs((first - other + 180.0) % 360.0 - 180.0)
 
 
 def _contradicting(angles: Mapping[str, int], yaws: Mapping[str, float]) -> Mapping[str, int]:

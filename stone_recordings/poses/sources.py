@@ -118,8 +118,8 @@ def track_from_tf(messages: Iterable[StampedMessage], topic: str, rig: RigMounts
     """
     samples, unread = read_readable(topic, messages, decode_transforms)
     wanted = [(fixed, child) for fixed in FIXED_FRAMES for child in (*BASE_FRAMES, rig.lidar_frame)]
-    found = {(plain(pair.parent), plain(pair.child)): pair for pair in samples}
-    chosen: TransformSamples | None = next((found[pair] for pair in wanted if pair in found), None)
+    pairs = {(plain(pair.parent), plain(pair.child)): pair for pair in samples}
+    chosen: TransformSamples | None = next((pairs[pair] for pair in wanted if pair in pairs), None)
     if chosen is None:
         raise no_pose_source([f"{topic} {pair.parent} to {pair.child}" for pair in samples])
     source = f"{topic} ({chosen.parent} to {chosen.child}, tf2_msgs/msg/TFMessage)"

@@ -32,7 +32,7 @@ class StaticTree:
     def unplaced(self) -> tuple[str, ...]:
         """The frames below others, if there are several and all translations are zero; else none."""
         places = [self.edges[pair].translation_m for pair in self.down]
-        is_unplaced = len(places) > 1 and not any(place.any() for place in places)
+        is_unplaced = len(places) > 1 and not any(translation.any() for translation in places)
         return tuple(sorted(child for _, child in self.down)) if is_unplaced else ()
 
     def recorded(self, dst: str, src: str) -> SE3 | None:

@@ -1,1 +1,1 @@
-"""Reports: what a recording holds, how good it is, and what is wrong with it."""
+"""Reports on a recording: its content, its quality and its faults."""

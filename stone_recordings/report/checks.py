@@ -1,7 +1,7 @@
-"""The findings of an inspection: each one measured here, each with the number that made it.
+"""The findings of an inspection, each measured here and with its figure.
 
-**Conventions.** `BAG-*` the container, `TOP-*` which topics there are, `TIM-*` their clocks. Nothing is repaired: a
-finding says what later stages will do about it, or what to change before the next recording.
+**Conventions.** `BAG-*` is about the container, `TOP-*` about topics, `TIM-*` about clocks. Nothing is repaired: a
+finding states the effect on later stages, or what to change before the next recording.
 """
 
 from collections.abc import Iterator
@@ -38,7 +38,7 @@ def container_findings(bag: Bag) -> Iterator[Finding]:
 
 
 def picture_findings(bag: Bag, topic: Topic) -> Iterator[Finding]:
-    """Yield what an image of a topic, from its middle, declares against its own bytes."""
+    """Yield findings if the declaration of a topic's middle image contradicts its bytes."""
     with suppress(IngestError):
         picture = decode_image(bag.message(topic.name, topic.count // 2).payload, topic.type)
         if picture.ignored:
@@ -47,5 +47,5 @@ def picture_findings(bag: Bag, topic: Topic) -> Iterator[Finding]:
 
 
 def cloud_findings(bag: Bag, topic: Topic) -> Iterator[Finding]:
-    """Yield what some clouds of a LiDAR topic have, from beginning to end."""
+    """Yield findings about a few clouds of a LiDAR topic, from beginning to end."""
     yield from sweep_findings(bag, topic.name, looks_of(bag, topic.name, np.arange(topic.count)))

@@ -1,7 +1,7 @@
-"""Findings about what the heads of a topic's messages lack: a frame, points, a date.
+"""Findings about missing values in the heads of a topic's messages: frame, points, date.
 
-**Conventions.** MSG-312 clouds of a LiDAR without points, TOP-115 messages without a `frame_id`, TIM-211 stamps of no
-date. A radar's list may be empty, and nobody needs the frame of a receiver.
+**Conventions.** MSG-312 clouds of a LiDAR without points, TOP-115 messages without a `frame_id`, TIM-211 stamps without
+a date. A radar's list may be empty, and a receiver needs no frame.
 """
 
 from collections.abc import Iterator
@@ -20,19 +20,19 @@ from stone_recordings.topics.roles import Role
 
 FRAMED_ROLES: tuple[Role, ...] = ("lidar", "camera", "radar", "imu", "odometry", "pose")
 DATED_ROLES: tuple[Role, ...] = (*FRAMED_ROLES, "gnss", "ins")
-_TEXT_AT = HEAD_BYTES + 8  # behind the stamp
+_TEXT_AT = HEAD_BYTES + 8  # after the stamp
 _U32 = Struct("<I")
 
 
 @dataclass
 class HeadCounts:
-    """How many messages of a topic have no frame, and how many of its clouds no points."""
+    """The number of a topic's messages without a frame, and of its clouds without points."""
 
     frameless: int = 0
     empty: int = 0
 
     def take(self, head: memoryview, type_name: str) -> None:
-        """One message that begins with a header; what is cut short says nothing."""
+        """Count a message that begins with a header; a truncated head is not counted."""
         if len(head) < _TEXT_AT + _U32.size:
             return
         length = _U32.unpack_from(head, _TEXT_AT)[0]
@@ -42,7 +42,7 @@ class HeadCounts:
 
 
 def head_findings(topic: Topic, role: Role, counts: HeadCounts, stamps_ns: NDArray[np.int64]) -> Iterator[Finding]:
-    """Of one topic; `stamps_ns` (N,) are its header stamps in log order."""
+    """Yield the findings of one topic; `stamps_ns` (N,) are its header stamps in log order."""
     if role == "lidar" and counts.empty:
         message = f"{counts.empty} of {topic.count} clouds hold no point; their sweeps are left out."
         yield Finding("MSG-312", "warning", topic.name, message)
@@ -53,7 +53,7 @@ def head_findings(topic: Topic, role: Role, counts: HeadCounts, stamps_ns: NDArr
         )
         yield Finding("TOP-115", "warning", topic.name, message)
     undated_ns = stamps_ns[np.abs(stamps_ns) < FIRST_DATE_NS]
-    if len(undated_ns) == len(stamps_ns):  # a clock that counts from its start; only 0 is no time of it
+    if len(undated_ns) == len(stamps_ns):  # such a clock counts from its start; only 0 is no time of it
         undated_ns = undated_ns[undated_ns == 0]
     if role in DATED_ROLES and len(undated_ns):
         message = (
@@ -64,7 +64,7 @@ def head_findings(topic: Topic, role: Role, counts: HeadCounts, stamps_ns: NDArr
 
 
 def undated_finding(topic: Topic, role: Role, stamps_ns: NDArray[np.int64]) -> Iterator[Finding]:
-    """For a clock that counts from its own start, where every other one does so, too: none of them is ahead then."""
+    """Yield TIM-211 for a clock that counts from its start, if all others do so too, so that none is ahead."""
     set_ns = stamps_ns[stamps_ns != 0]
     if role in DATED_ROLES and len(set_ns) and np.abs(set_ns).max() < FIRST_DATE_NS:
         message = (

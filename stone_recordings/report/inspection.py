@@ -1,8 +1,8 @@
 """Inspection of a recording without decoding it: topics, roles, rates, gaps, and findings about them.
 
-**Conventions.** Stamps are header stamps where a type has them (`stone_recordings.clocks.timing`). Of a cloud topic one
-cloud is viewed, of a NovAtel topic all messages are (they are small). A topic that cannot be read is a finding,
-not a failure; a container that cannot be read is refused.
+**Conventions.** Stamps are header stamps if a type has them (`stone_recordings.clocks.timing`). Inspection decodes one
+cloud of a cloud topic, and all messages of a NovAtel topic, which are small. An unreadable topic is a finding, not a
+failure; an unreadable container is refused.
 """
 
 from collections.abc import Iterator, Sequence, Set
@@ -51,9 +51,9 @@ NO_STAMPS = np.zeros(0, np.int64)
 
 @dataclass(frozen=True, eq=False)
 class InspectedTopic:
-    """One topic and when its messages were taken; `point_count` is that of one of its clouds.
+    """One topic and the times of its messages; `point_count` is that of one of its clouds.
 
-    `problem` is why none of its messages can be read.
+    `problem` is the reason why none of its messages can be read.
     """
 
     topic: Topic
@@ -77,9 +77,9 @@ class InspectedTopic:
 
 @dataclass(frozen=True, eq=False)
 class Inspection:
-    """What `stone inspect` prints; `duration_ns` is from the first to the last message in log time.
+    """The result of `stone inspect`; `duration_ns` is from the first to the last message in log time.
 
-    `lidar_ground` is where the ground lies in the LiDAR's frame, None if that was not measured.
+    `lidar_ground` is the ground in the LiDAR's frame, None if it was not measured.
     """
 
     duration_ns: int
@@ -102,7 +102,7 @@ class Inspection:
 
 
 def inspect(path: Path, profile: TopicProfile | None = None) -> Inspection:
-    """`profile` chooses between topics that fit one role.
+    """Inspect a recording; `profile` chooses between topics that fit one role.
 
     Raises: FileNotFoundError and the `BAG-*` refusals of `open_bag`.
     """
@@ -111,10 +111,9 @@ def inspect(path: Path, profile: TopicProfile | None = None) -> Inspection:
 
 
 def scanned(bag: Bag, asked: AskedTopics | None = None) -> Scan:
-    """The scan that `inspect_in` needs; who has something else to do meanwhile asks for it in another thread.
+    """Return the scan for `inspect_in`, which a caller may run in another thread.
 
-    Where topics are `asked` for, what synchronisation reads of them is read in the same pass, unless it would refuse
-    them, which is its own to say.
+    If topics are `asked` for, the same pass reads them for synchronisation, unless synchronisation would refuse them.
     """
     if asked is not None:
         with suppress(StoneError):
@@ -123,7 +122,7 @@ def scanned(bag: Bag, asked: AskedTopics | None = None) -> Scan:
 
 
 def inspect_in(bag: Bag, profile: TopicProfile | None = None, scan: Scan | None = None) -> Inspection:
-    """As `inspect`, of the recording that the caller has open. Raises as it does, but for opening."""
+    """Return `inspect` of a recording that the caller has open; raises the same errors except those of opening."""
     scan = scan or scanned(bag)
     findings: list[Finding] = [*checks.container_findings(bag), *definition_findings(bag.topics)]
     for name, problems in sorted(scan.problems.items()):
@@ -132,11 +131,15 @@ def inspect_in(bag: Bag, profile: TopicProfile | None = None, scan: Scan | None 
     by_role = [(topic.topic, topic.role, topic.timing) for topic in topics]
     candidates = _candidates(bag, topics)
     tree = _static_tree(bag, topics)
-    radars = [RecordedRadar(one.name, one.frame_id) for one in candidates if one.role == "radar" and one.frame_id]
+    radars = [RecordedRadar(item.name, item.frame_id) for item in candidates if item.role == "radar" and item.frame_id]
     assignment = resolve(candidates, profile or TopicProfile(), radar_channels(tree, radars))
     chosen = {topic for topic in (profile or TopicProfile()).topics.values()}
     directions = direction_findings(tree, radars)
-    findings += [*assignment.findings, *(one for one in directions if one.topic not in chosen), *unplaced_finding(tree)]
+    findings += [
+        *assignment.findings,
+        *(item for item in directions if item.topic not in chosen),
+        *unplaced_finding(tree),
+    ]
     clocks = measured(bag, scan, by_role)
     findings += clock_findings(clocks)
     findings += _head_findings(by_role, scan, {finding.topic for finding in findings if finding.code == "TIM-202"})
@@ -145,7 +148,7 @@ def inspect_in(bag: Bag, profile: TopicProfile | None = None, scan: Scan | None 
 
 
 def _static_tree(bag: Bag, topics: Sequence[InspectedTopic]) -> StaticTree:
-    """Return the transforms of /tf_static; the outlook names those that cannot be read."""
+    """Return the transforms of /tf_static; the outlook names unreadable ones."""
     samples = list[TransformSamples]()
     for topic in topics:
         if topic.role == "tf_static" and topic.topic.count:
@@ -155,7 +158,7 @@ def _static_tree(bag: Bag, topics: Sequence[InspectedTopic]) -> StaticTree:
 
 
 def _head_findings(inspected: Sequence[checks.Inspected], scan: Scan, apart: Set[str]) -> Iterator[Finding]:
-    """What the heads lack; of topics whose clock is `apart` from the others that is said already."""
+    """Yield the findings about heads; topics whose clock is `apart` from the others have theirs already."""
     for topic, role, _timing in inspected:
         if topic.name in scan.counts and topic.count:
             stamps_ns = scan.stamps_ns[topic.name]
@@ -165,7 +168,7 @@ def _head_findings(inspected: Sequence[checks.Inspected], scan: Scan, apart: Set
 
 
 def _inspected(bag: Bag, topic: Topic, scan: Scan, findings: list[Finding]) -> InspectedTopic:
-    """A topic that lies is timed by the recorder's clock, and named for its lie."""
+    """Return the inspected topic; if its stamps are invalid, it is timed by the recorder's clock and reported."""
     stamps_ns = scan.stamps_ns.get(topic.name, NO_STAMPS)
     has_header = bool(stamps_ns.any())
     is_sensor = role_of(TopicFacts(topic.name, topic.type, None)) != "other"
@@ -179,14 +182,14 @@ def _inspected(bag: Bag, topic: Topic, scan: Scan, findings: list[Finding]) -> I
             facts = _cloud_facts(bag, facts, topic, findings)
         if topic.type == IMAGE and topic.encoding == "cdr" and topic.count:
             findings += checks.picture_findings(bag, topic)
-    except StoneError as error:  # it costs this topic; what labels need and lack then, other findings say
+    except StoneError as error:  # the topic is lost; other findings name what labels need and lack then
         findings.append(Finding(error.code, "warning", topic.name, str(error)))
         facts = replace(facts, problem=str(error))
     return InspectedTopic(topic, role_of(facts), timing, facts.point_count, facts.problem)
 
 
 def _cloud_facts(bag: Bag, facts: TopicFacts, topic: Topic, findings: list[Finding]) -> TopicFacts:
-    """What one cloud, of the middle of the recording, adds."""
+    """Return the facts with those of one cloud from the middle of the recording."""
     cloud = sample_cloud(bag, topic)
     fields = frozenset(cloud.points.dtype.names or ())
     known = replace(facts, point_fields=fields, point_count=len(cloud.points))
@@ -197,7 +200,9 @@ def _cloud_facts(bag: Bag, facts: TopicFacts, topic: Topic, findings: list[Findi
 
 
 def _candidates(bag: Bag, topics: tuple[InspectedTopic, ...]) -> tuple[Candidate, ...]:
-    """Of cameras and radars the frame of the first message tells where they sit; no robot has more than are asked."""
+    """Return the topics as candidates; for a limited number of cameras and radars with the frame of their first
+    message.
+    """
     placed = [topic.topic for topic in topics if topic.role in ("camera", "radar") and topic.topic.count]
     frame_ids = {topic.name: frame_id_of(bag, topic) for topic in placed[:MOST_FRAMES]}
     return tuple(
@@ -216,9 +221,9 @@ def _candidates(bag: Bag, topics: tuple[InspectedTopic, ...]) -> tuple[Candidate
 
 
 def frame_id_of(bag: Bag, topic: Topic) -> str:
-    """Return the frame of a topic's first message, of which only the head is read: a raw picture has megabytes.
+    """Return the frame of a topic's first message, reading only its head: a raw picture has megabytes.
 
-    It is "" if the head cannot be read, which the scan has named already.
+    The frame is "" if the head cannot be read, which the scan reports.
     """
     try:
         head = next((payload for _topic, index, payload in bag.heads([topic.name]) if not index), memoryview(b""))
@@ -229,10 +234,8 @@ def frame_id_of(bag: Bag, topic: Topic) -> str:
         return ""
 
 
-# The stored record of an inspection: the same as `stone inspect --json`, bounded.
-#
-# **Conventions.** A hostile recording may declare a hundred thousand topics with endless names; what is cut is
-# counted.
+# The stored record of an inspection, like `stone inspect --json` but bounded: a hostile recording may declare a hundred
+# thousand topics with endless names. The numbers of omitted entries are recorded.
 
 
 MOST_TOPICS, MOST_GAPS, MOST_FINDINGS = 300, 20, 200
@@ -240,7 +243,7 @@ LONGEST_TEXT = 300
 
 
 def inspection_record(inspection: Inspection) -> dict[str, Any]:
-    """`duration_ns`, `topics`, `findings` and how many of the last two there were."""
+    """Return `duration_ns`, `topics`, `findings` and the full number of the last two."""
     frame_ids = {candidate.name: candidate.frame_id for candidate in inspection.candidates}
     return {
         "duration_ns": inspection.duration_ns,

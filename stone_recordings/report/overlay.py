@@ -1,9 +1,9 @@
-"""The LiDAR's points drawn on each camera's picture, coloured by range: a calibration that anyone can judge by eye.
+"""The LiDAR's points drawn on each camera's picture, coloured by range, to judge a calibration by eye.
 
-**Conventions.** One picture per camera, of a frame in the middle of those that have one, the motion between sweep and
-exposure undone. Near is red and drawn last, far is blue, on a logarithmic scale that is drawn into the picture. The
-picture is scaled to the calibrated size; where the sizes differ (CAL-403) the misfit is seen. A picture that cannot be
-decoded is left out: `picture_findings` has said so.
+**Conventions.** One picture per camera, of a frame in the middle of those with a picture, compensated for the motion
+between sweep and exposure. Near points are red and drawn last, far points blue, on a logarithmic scale that is part of
+the picture. The picture is scaled to the calibrated size; different sizes (CAL-403) show as a misfit. An undecodable
+picture is left out; `picture_findings` reports it.
 """
 
 import re
@@ -29,7 +29,7 @@ JPEG_QUALITY = 85
 NEAREST_M, FARTHEST_M = 1.0, 60.0
 PIXELS_PER_DOT = 30
 READABLE = 20
-"""The picture is this many lines of its text high: it is looked at in a third of its size."""
+"""The height of the picture in lines of its text: a page shows it at a third of its size."""
 TICKS_M = (1, 3, 10, 30, 60)
 # Google's Turbo as polynomials of degree 5 in [0, 1] (A. Mikhailov and R. du Bois, 2019), constant term first.
 TURBO = np.array(
@@ -42,9 +42,9 @@ TURBO = np.array(
 
 
 def overlays_of(bag: Bag, sequence: Sequence, sweeps: BagSweeps) -> Iterator[tuple[str, str, bytes]]:
-    """(name, media type, bytes) of each camera: "overlay_CAM_FRONT.jpg", "image/jpeg". None without cameras.
+    """Yield (name, media type, bytes) of each camera: "overlay_CAM_FRONT.jpg", "image/jpeg". None without cameras.
 
-    Raises what reading the bag raises (BAG-*) and what `sweeps.sweep_in` raises.
+    Raises the errors of reading the bag (BAG-*) and of `sweeps.sweep_in`.
     """
     types = {topic.name: topic.type for topic in bag.topics}
     given: set[str] = set()
@@ -60,7 +60,7 @@ def overlays_of(bag: Bag, sequence: Sequence, sweeps: BagSweeps) -> Iterator[tup
 
 
 def drawn(pixels: NDArray[np.uint8], pair: CameraSweepPair) -> bytes:
-    """A JPEG of the picture (H, W, 3) with the pair's points on it."""
+    """Return a JPEG of the picture (H, W, 3) with the pair's points on it."""
     shown = pixels.copy()
     if pair.mount.intrinsics is not None:
         _paint(shown, pair, pair.mount.intrinsics)
@@ -72,22 +72,22 @@ def drawn(pixels: NDArray[np.uint8], pair: CameraSweepPair) -> bytes:
 
 
 def range_colours(range_m: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Red, green, blue (N, 3) of ranges (N,): red at 1 m and nearer, blue at 60 m and beyond."""
+    """Return red, green, blue (N, 3) of ranges (N,): red at 1 m and nearer, blue at 60 m and beyond."""
     ratio = np.log(np.clip(range_m, NEAREST_M, FARTHEST_M) / NEAREST_M) / np.log(FARTHEST_M / NEAREST_M)
     powers = (0.95 - 0.9 * ratio)[:, None] ** np.arange(TURBO.shape[1])
     return np.asarray(np.clip(powers @ TURBO.T, 0, 1) * 255, np.uint8)
 
 
 def _paint(pixels: NDArray[np.uint8], pair: CameraSweepPair, intrinsics: CameraIntrinsics) -> None:
-    """Square dots, far ones first: of those that meet in one pixel numpy keeps the last."""
+    """Draw square dots, far ones first: if several meet in one pixel, numpy keeps the last."""
     height_px, width_px = pixels.shape[:2]
     points_camera = pair.points_camera
-    found, is_in_image = project(points_camera, intrinsics)
+    projected, is_in_image = project(points_camera, intrinsics)
     is_in_image[np.flatnonzero(is_in_image)] = _thinned(int(is_in_image.sum()), height_px * width_px)
     range_m = np.linalg.norm(points_camera[is_in_image], axis=1)
     order = np.argsort(-range_m, kind="stable")
     scale = (width_px / intrinsics.width_px, height_px / intrinsics.height_px)
-    places = ((found[is_in_image][order] + 0.5) * scale).astype(np.int64)
+    places = ((projected[is_in_image][order] + 0.5) * scale).astype(np.int64)
     reach = np.arange(-max(width_px // 900, 1), max(width_px // 900, 1) + 1)
     dot = np.stack(np.meshgrid(reach, reach), axis=-1).reshape(-1, 2)
     spread = np.clip((places[:, None] + dot).reshape(-1, 2), 0, (width_px - 1, height_px - 1))
@@ -95,13 +95,13 @@ def _paint(pixels: NDArray[np.uint8], pair: CameraSweepPair, intrinsics: CameraI
 
 
 def _thinned(count: int, area_px: int) -> NDArray[np.bool_]:
-    """Every n-th of `count` points, so that dots leave most of the picture to be seen."""
+    """Return a mask of every n-th of `count` points, so that most of the picture stays visible."""
     step = 1 + count * PIXELS_PER_DOT // area_px
     return np.asarray(np.arange(count) % step == 0)
 
 
 def _scale(image: Image.Image, name: str) -> None:
-    """The colours' legend along the lower edge, the channel in the upper left corner."""
+    """Draw the colours' legend along the lower edge, and the channel in the upper left corner."""
     width_px, height_px = image.size
     high_px, wide_px = max(4, height_px // 60), width_px // 2
     left_px, top_px = width_px // 40, height_px - 3 * high_px
@@ -117,7 +117,7 @@ def _scale(image: Image.Image, name: str) -> None:
 
 
 def _file_name(channel: str, number: int, given: set[str]) -> str:
-    """Plain and unlike those before, whatever the calibration calls its cameras."""
+    """Return a plain file name that differs from the earlier ones, whatever the camera's name."""
     plain = re.sub(r"[^A-Za-z0-9_-]+", "_", channel)[:60]
     name = f"overlay_{plain}.jpg"
     return f"overlay_{plain}_{number}.jpg" if name in given else name

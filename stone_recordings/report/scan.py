@@ -1,9 +1,9 @@
 """One pass over the messages of a recording: header stamps, and copies of selected small messages.
 
-**Conventions.** Storage order, so each chunk is inflated once. A message that cannot be read, or lies in a damaged
-chunk, is remembered with its problem; a topic that has no other is refused. Of a topic that is looked at,
-at most `MOST_KEPT` messages in its middle are copied, and of all together at most `MOST_KEPT_BYTES`, shared alike:
-memory does not grow with the recording.
+**Conventions.** Storage order, so each chunk is inflated once. An unreadable message, or one in a damaged chunk, is
+recorded with its problem; a topic without any other message is refused. At most `MOST_KEPT` messages in the middle of a
+selected topic are copied, and at most `MOST_KEPT_BYTES` of all topics, in equal shares: memory does not grow with the
+recording.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -31,12 +31,11 @@ class KeptMessage:
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """By topic: header stamps (N,) in log order, kept messages in log order, or why the topic was given up.
+    """By topic: header stamps (N,) in log order, kept messages in log order, or the reason why the topic was given up.
 
-    `kept_from` is the index in the topic of its first kept message. `problems` are the messages that cannot be read:
-    their stamps are the log times, moved by as much as the others' are apart, and they are never among the kept.
-    `counts` says what the heads lack; `recorded` is what synchronisation reads of the recording, where that was read
-    in the same pass.
+    `kept_from` is the index in the topic of its first kept message. `problems` are the unreadable messages: their
+    stamps are the log times, moved by the others' median distance, and they are never among the kept. `counts` are
+    missing values in the heads; `recorded` is synchronisation's reading, if it took part in the same pass.
     """
 
     stamps_ns: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
@@ -49,9 +48,10 @@ class Scan:
 
 
 def scan_of(bag: Bag, kept_bytes: Callable[[Topic], int], beside: RecordedReading | None = None) -> Scan:
-    """`kept_bytes` says how much of a topic's messages to copy, 0 for nothing; `beside` takes its own in the same pass.
+    """Scan a bag; `kept_bytes` returns how much of a topic's messages to copy, 0 for none.
 
-    Touches a page per message, never a whole cloud. Raises: the `BAG-*` refusals.
+    `beside` takes its own messages in the same pass. Touches a page per message, never a whole cloud. Raises the
+    `BAG-*` refusals.
     """
     stamped = {topic.name: topic for topic in bag.topics if topic.encoding == "cdr" and begins_with_header(topic)}
     stamps_ns = {name: np.zeros(topic.count, np.int64) for name, topic in stamped.items()}
@@ -74,7 +74,7 @@ def scan_of(bag: Bag, kept_bytes: Callable[[Topic], int], beside: RecordedReadin
     refused = {
         name: next(iter(own.values())) for name, own in errors.items() if own and len(own) == stamped[name].count
     }
-    damaged = bag.damaged  # of chunks of other topics alone, which the pass did not meet, this is what reads them
+    damaged = bag.damaged  # this reads damaged chunks of other topics alone, which the pass did not meet
     problems = {name: _problems(errors[name], damaged.get(name, {})) for name in stamped if name not in refused}
     for name, own in problems.items():
         stamps_ns[name] = _filled(stamps_ns[name], bag.log_times_ns(name), list(own))
@@ -90,7 +90,7 @@ def scan_of(bag: Bag, kept_bytes: Callable[[Topic], int], beside: RecordedReadin
 
 
 def _heads(bag: Bag, names: tuple[str, ...], beside: RecordedReading | None) -> Iterator[tuple[str, int, memoryview]]:
-    """Those of the named topics and of what is read beside, which takes its own."""
+    """Yield the heads of the named topics; `beside` takes its own in the same pass."""
     if beside is None:
         yield from bag.heads(names, is_checked=True)
         return
@@ -109,7 +109,7 @@ def _problems(
 
 
 def _filled(stamps_ns: NDArray[np.int64], log_times_ns: NDArray[np.int64], missing: list[int]) -> NDArray[np.int64]:
-    """With the stamps that the missing ones would have by the recorder's clock."""
+    """Return the stamps, with those that the missing ones would have by the recorder's clock."""
     if not missing or len(missing) == len(stamps_ns):
         return stamps_ns
     apart_ns = int(np.median(np.delete(stamps_ns - log_times_ns, missing)))
@@ -119,7 +119,7 @@ def _filled(stamps_ns: NDArray[np.int64], log_times_ns: NDArray[np.int64], missi
 
 
 def _middle(count: int, most: int) -> range:
-    """The indices that are kept."""
+    """Return the indices that are kept."""
     most = min(most, MOST_KEPT)
     first = max(0, (count - most) // 2)
     return range(first, min(count, first + most))

@@ -1,5 +1,5 @@
-"""Three pictures of a recording: what its cameras saw, one sweep from above, and where the robot went.
+"""Three pictures of a recording: its cameras' images, one sweep from above, and the robot's track.
 
-**Conventions.** `pictures.previews_of` gives them. Each is a function of the recording alone: equal recordings, equal
-bytes. What cannot be read is left out; why, the quality report says.
+**Conventions.** `pictures.previews_of` yields them. Each is a function of the recording alone: equal recordings give
+equal bytes. Unreadable parts are left out; the quality report gives the reason.
 """

@@ -1,7 +1,7 @@
 """One picture of every camera at the middle of the recording, labelled, in the order of the ring: front above back.
 
-**Conventions.** Tiles are 480 pixels wide, three in a row, as high as the first picture's shape asks; another shape is
-fitted in. A camera whose pictures cannot be read has a tile that says why. RGB, JPEG.
+**Conventions.** Tiles are 480 pixels wide, three in a row, with the first picture's aspect ratio; other pictures are
+fitted in. A camera with unreadable pictures has a tile with the reason. RGB, JPEG.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ LEAST_RATIO, USUAL_RATIO, MOST_RATIO = 0.4, 0.625, 1.5
 LABEL_PX, LONGEST_LABEL = 18, 36
 JPEG_QUALITY = 85
 BACKGROUND, TILE, INK, SOFT = (18, 21, 15), (36, 41, 32), (255, 255, 255), (190, 196, 184)
-# Where to look when the middle cannot be read.
+# Positions to read if the middle cannot be read.
 PLACES = (0.5, 0.25, 0.75)
 
 
@@ -39,7 +39,7 @@ class _Tile:
 
 
 def camera_strip(bag: Bag, inspection: Inspection) -> bytes | None:
-    """None for a recording without cameras."""
+    """Return the strip; None for a recording without cameras."""
     cameras = cameras_of(inspection)
     if not cameras:
         return None
@@ -49,8 +49,8 @@ def camera_strip(bag: Bag, inspection: Inspection) -> bytes | None:
     rows, columns = -(-len(tiles) // COLUMNS), min(COLUMNS, len(tiles))
     size = (columns * (TILE_WIDTH_PX + GAP_PX) - GAP_PX, rows * (height_px + GAP_PX) - GAP_PX)
     sheet = Image.new("RGB", size, BACKGROUND)
-    for place, tile in enumerate(tiles):
-        row, column = divmod(place, COLUMNS)
+    for index, tile in enumerate(tiles):
+        row, column = divmod(index, COLUMNS)
         sheet.paste(_drawn(tile, height_px), (column * (TILE_WIDTH_PX + GAP_PX), row * (height_px + GAP_PX)))
     stream = BytesIO()
     sheet.save(stream, "JPEG", quality=JPEG_QUALITY, optimize=True)
@@ -58,11 +58,11 @@ def camera_strip(bag: Bag, inspection: Inspection) -> bytes | None:
 
 
 def _tile(bag: Bag, topic: Topic, label: str, span: RecordingSpan) -> _Tile:
-    """The picture nearest to the middle in time, else one of a quarter off."""
+    """Return the picture nearest to the middle in time, else one a quarter away."""
     times_ns = bag.log_times_ns(topic.name)
     reason = ""
-    for place in PLACES:
-        asked_ns = span.start_ns + round(place * span.length_ns)
+    for share in PLACES:
+        asked_ns = span.start_ns + round(share * span.length_ns)
         index = min(int(np.searchsorted(times_ns, asked_ns)), len(times_ns) - 1)
         try:
             return _Tile(label, picture_of(topic.type, bag.message(topic.name, index).payload, TILE_WIDTH_PX), "")
@@ -72,7 +72,7 @@ def _tile(bag: Bag, topic: Topic, label: str, span: RecordingSpan) -> _Tile:
 
 
 def _ratio(tiles: list[_Tile]) -> float:
-    """Height to width of the first picture, within reason."""
+    """Return height to width of the first picture, bounded."""
     shapes = [tile.pixels.shape for tile in tiles if tile.pixels is not None]
     ratio = shapes[0][0] / shapes[0][1] if shapes else USUAL_RATIO
     return min(max(ratio, LEAST_RATIO), MOST_RATIO)
@@ -98,6 +98,6 @@ def _drawn(tile: _Tile, height_px: int) -> Image.Image:
 
 
 def _font(size_px: int) -> ImageFont.FreeTypeFont:
-    """The one that matplotlib brings along, so that it is the same everywhere."""
+    """Return matplotlib's own font, which is the same on every machine."""
     file = Path(mpl.get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")
     return ImageFont.truetype(file, size_px, layout_engine=ImageFont.Layout.BASIC)

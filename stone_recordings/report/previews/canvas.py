@@ -1,4 +1,4 @@
-"""The square, dark sheet that previews are drawn on: it looks the same in a light and in a dark page.
+"""The square, dark sheet of the previews: it looks the same in a light and in a dark page.
 
 **Conventions.** Figures are made inside `quality.plots.drawing_style`. Text is ours or plain numbers.
 """
@@ -18,7 +18,7 @@ def square_figure() -> Figure:
 
 
 def dressed(axes: Axes, labels: tuple[str, str], title: str) -> None:
-    """Equal scales, quiet axes, `labels` of x and y in metres."""
+    """Give axes equal scales, a quiet style, and `labels` of x and y in metres."""
     axes.set_facecolor(BACKGROUND)
     axes.set_aspect("equal", adjustable="box")
     axes.tick_params(colors=SOFT, labelsize=TEXT_POINTS, length=0)
@@ -30,7 +30,7 @@ def dressed(axes: Axes, labels: tuple[str, str], title: str) -> None:
 
 
 def png(figure: Figure) -> bytes:
-    """Without the name of the program, whose version would change the bytes."""
+    """Return the figure as PNG without the program's name, whose version would change the bytes."""
     stream = BytesIO()
     figure.savefig(stream, format="png", dpi=DOTS_PER_IN, metadata={"Software": None})
     return stream.getvalue()

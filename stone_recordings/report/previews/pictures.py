@@ -1,4 +1,4 @@
-"""The previews of a recording, by name: the first thing an engineer sees of it."""
+"""The previews of a recording, by name: an engineer's first view of it."""
 
 from collections.abc import Iterator
 
@@ -15,10 +15,10 @@ CAMERAS, SWEEP, TRACK = "cameras.jpg", "sweep.png", "track.png"
 def previews_of(
     bag: Bag, inspection: Inspection, sampled: SampledMessages | None = None
 ) -> Iterator[tuple[str, str, bytes]]:
-    """(name, media type, bytes) of those the recording has something for, in the order of their names.
+    """Yield (name, media type, bytes) of the previews that the recording allows, in the order of their names.
 
-    A few messages are read whatever the recording's length, and none that was `sampled` before. One picture is in
-    memory at a time.
+    A few messages are read, independent of the recording's length, and none that was `sampled` before. One picture is
+    in memory at a time.
     """
     if (strip := camera_strip(bag, inspection)) is not None:
         yield CAMERAS, "image/jpeg", strip

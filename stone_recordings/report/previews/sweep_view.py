@@ -1,7 +1,8 @@
-"""One sweep from above, coloured by height, with rings of distance: whether the LiDAR sees what it should.
+"""One sweep from above, coloured by height, with rings of distance, to check the LiDAR's view.
 
-**Conventions.** LiDAR frame in metres, x to the right and y up as the sensor has them (its mount is not known yet), the
-sensor in the middle. Height is z relative to the median of the points within `NEAR_M`, which is near the ground. PNG.
+**Conventions.** LiDAR frame in metres, x to the right and y up as in the sensor's frame (its mount is unknown here),
+the sensor in the middle. Height is z relative to the median of the points within `NEAR_M`, which is near the ground.
+PNG.
 """
 
 import numpy as np
@@ -42,7 +43,7 @@ PLACES = (0.5, 0.25, 0.75, 0.0)
 
 
 def sweep_view(bag: Bag, inspection: Inspection) -> bytes | None:
-    """None where no sweep can be read or none has points."""
+    """Return the view; None if no sweep can be read or none has points."""
     points_lidar = _sweep(bag, inspection)
     if points_lidar is None:
         return None
@@ -59,11 +60,15 @@ def sweep_view(bag: Bag, inspection: Inspection) -> bytes | None:
 
 
 def from_above(points: NDArray[np.float32], radius_m: float) -> NDArray[np.float32]:
-    """The highest z in each pixel of (RASTER_PX, RASTER_PX) over [−radius, radius)², y upwards; NaN where none is."""
+    """Return the highest z in each pixel of (RASTER_PX, RASTER_PX) over [−radius, radius)², y upwards; NaN without
+    points.
+    """
     raster = np.full((RASTER_PX, RASTER_PX), np.nan, np.float32)
     columns, rows = np.floor((points[:, :2].astype(np.float64) + radius_m) * (RASTER_PX / (2 * radius_m))).T
     is_inside = (columns >= 0) & (columns < RASTER_PX) & (rows >= 0) & (rows < RASTER_PX)
-    order = np.flatnonzero(is_inside)[np.argsort(points[is_inside, 2], kind="stable")]  # of one pixel's, the last stays
+    order = np.flatnonzero(is_inside)[
+        np.argsort(points[is_inside, 2], kind="stable")
+    ]  # the last point of a pixel stays
     row, column, height = rows[order].astype(np.intp), columns[order].astype(np.intp), points[order, 2]
     for down, right in SPLAT:
         raster[np.minimum(row + down, RASTER_PX - 1), np.minimum(column + right, RASTER_PX - 1)] = height
@@ -72,11 +77,11 @@ def from_above(points: NDArray[np.float32], radius_m: float) -> NDArray[np.float
 
 
 def _sweep(bag: Bag, inspection: Inspection) -> NDArray[np.float32] | None:
-    """(N, 3) of the first LiDAR's sweep in the middle, else of another one that can be read."""
+    """Return the points (N, 3) of the first LiDAR's sweep in the middle, else of another readable sweep."""
     for topic in of_role(inspection, "lidar")[:1]:
-        for place in PLACES:
+        for share in PLACES:
             try:
-                cloud = cloud_at(bag, topic.name, int(place * (topic.count - 1)))
+                cloud = cloud_at(bag, topic.name, int(share * (topic.count - 1)))
                 points_lidar = lidar_points(cloud).points_lidar
             except StoneError:
                 continue  # the quality report names it
@@ -105,29 +110,29 @@ def _draw(figure: Figure, raster: NDArray[np.float32], radius_m: float, title: s
 
 
 def _heights(raster: NDArray[np.float32]) -> Normalize:
-    """From the lowest to the highest of nearly all pixels, at least `LEAST_SPAN_M`, in whole halves of a metre."""
+    """Return the colour range: nearly all pixels, at least `LEAST_SPAN_M`, in whole halves of a metre."""
     low_m, high_m = np.nanquantile(raster, HEIGHT_SHARES) if not np.isnan(raster).all() else (0.0, 0.0)
     low_m = float(np.floor(low_m * 2) / 2)
     return Normalize(low_m, max(float(np.ceil(high_m * 2) / 2), low_m + LEAST_SPAN_M), clip=True)
 
 
 def _arrows(axes: Axes, length: float) -> None:
-    """The sensor's axes, from the middle."""
+    """Draw the sensor's axes from the middle."""
     for end, letter in (((length, 0.0), "x"), ((0.0, length), "y")):
         style = {"arrowstyle": "-|>", "color": INK, "linewidth": 2.2, "shrinkA": 0, "shrinkB": 0}
         axes.annotate("", end, (0, 0), arrowprops=style)
-        place = (end[0] * 1.35, end[1] * 1.35)
-        axes.annotate(letter, place, color=INK, fontsize=TEXT_POINTS, ha="center", va="center", bbox=PLATE)
+        tip = (end[0] * 1.35, end[1] * 1.35)
+        axes.annotate(letter, tip, color=INK, fontsize=TEXT_POINTS, ha="center", va="center", bbox=PLATE)
 
 
 def _rings(axes: Axes, radius_m: float) -> None:
     step_m = next(step for step in (5.0, 10.0, 20.0, 50.0) if radius_m / step <= 4)
     for distance_m in np.arange(step_m, radius_m * 1.001, step_m):
         axes.add_patch(Circle((0, 0), float(distance_m), fill=False, color=LINE, linewidth=1.0))
-        place = (0.7071 * float(distance_m), -0.7071 * float(distance_m))
+        label = (0.7071 * float(distance_m), -0.7071 * float(distance_m))
         axes.annotate(
             f"{distance_m:.0f} m",
-            place,
+            label,
             color=INK,
             fontsize=TEXT_POINTS - 1,
             ha="center",

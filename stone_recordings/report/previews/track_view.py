@@ -1,4 +1,4 @@
-"""The track on a plot: north up, its length in the title, coloured by how well the receiver knew where it was.
+"""The track on a plot: north up, its length in the title, coloured by the accuracy that the receiver reports.
 
 **Conventions.** Metres, equal scales. Start is a ring, end a square.
 """
@@ -27,11 +27,9 @@ from stone_recordings.report.quality.report import BESTPOS, INSPVAX, WORD_OF_TYP
 from stone_recordings.report.quality.sampling import TINY, SampledMessages, TopicSampling, of_role, sample
 from stone_recordings.topics.roles import Role
 
-# The track of the robot, from a few hundred positions of the recording.
-#
-# **Conventions.** The first of INS, odometry, satellite fixes and TF that has two positions. Metres: east and north of
-# the first usable position for what speaks of latitudes, the source's own fixed frame otherwise. Nothing is smoothed;
-# what lies further than `LAST_M` from the middle of the others along either axis is no place the robot drove to.
+# The robot's track from a few hundred positions: the first of INS, odometry, satellite fixes and TF with two positions.
+# Metres: east and north of the first usable position for sources in latitudes, else the source's own fixed frame.
+# Nothing is smoothed; positions farther than `LAST_M` from the middle of the others along either axis are dropped.
 
 
 SOURCE_ROLES: tuple[Role, ...] = ("ins", "odometry", "gnss", "tf")
@@ -40,7 +38,7 @@ LAST_M = 20_000.0
 
 @dataclass(frozen=True, eq=False)
 class RecordedTrack:
-    """`points_m` (N, 2), N at least 2; `words` (N) where the source says how good its positions are, else ()."""
+    """`points_m` (N, 2), N at least 2; `words` (N) if the source reports the quality of its positions, else ()."""
 
     source: str
     points_m: NDArray[np.float64]
@@ -50,7 +48,7 @@ class RecordedTrack:
 
 @dataclass(frozen=True)
 class _Position:
-    """Latitude, longitude in degrees and 0, or x, y in metres; `group` is the pair of frames it belongs to."""
+    """Latitude, longitude in degrees and 0, or x, y in metres; `group` is the pair of frames of the position."""
 
     first: float
     second: float
@@ -62,7 +60,7 @@ Reader = Callable[[Topic, RawMessage], list[_Position]]
 
 
 def track_of(bag: Bag, inspection: Inspection, sampled: SampledMessages | None = None) -> RecordedTrack | None:
-    """None where nothing tells two positions; what was `sampled` before is not read again."""
+    """Return the track; None with fewer than two positions. Messages that were `sampled` before are not read again."""
     messages = sampled or SampledMessages(bag)
     for role in SOURCE_ROLES:
         for topic in of_role(inspection, role):
@@ -79,31 +77,35 @@ def _track(messages: SampledMessages, topic: Topic) -> RecordedTrack | None:
         [TopicSampling(topic, lambda at_ns, payload: seen.extend(read(topic, RawMessage(at_ns, 0, payload))), TINY)],
         messages,
     )
-    usable = [one for one in _of_one_group(seen) if _is_place(one, is_geodetic)]
+    usable = [position for position in _of_one_group(seen) if _is_place(position, is_geodetic)]
     if len(usable) < 2:
         return None
-    values = np.array([(one.first, one.second) for one in usable], np.float64)
+    values = np.array([(position.first, position.second) for position in usable], np.float64)
     points_m = _east_north_m(values) if is_geodetic else values
     is_near = np.max(np.abs(points_m - np.median(points_m, axis=0)), axis=1) <= LAST_M
     if is_near.sum() < 2:
         return None
-    words = tuple(one.word for one, kept in zip(usable, is_near, strict=True) if kept and one.word is not None)
+    words = tuple(
+        position.word for position, kept in zip(usable, is_near, strict=True) if kept and position.word is not None
+    )
     has_words = len(words) == int(is_near.sum())
     return RecordedTrack(topic.type.rpartition("/")[2], points_m[is_near], words if has_words else (), is_geodetic)
 
 
-def _is_place(one: _Position, is_geodetic: bool) -> bool:
-    """Finite, and on Earth; receivers write 0, 0 before they know."""
-    if not np.isfinite([one.first, one.second]).all():
+def _is_place(position: _Position, is_geodetic: bool) -> bool:
+    """Return whether a position is finite and on Earth; receivers write 0, 0 before their first fix."""
+    if not np.isfinite([position.first, position.second]).all():
         return False
-    return not is_geodetic or (abs(one.first) <= 90 and abs(one.second) <= 360 and (one.first, one.second) != (0, 0))
+    return not is_geodetic or (
+        abs(position.first) <= 90 and abs(position.second) <= 360 and (position.first, position.second) != (0, 0)
+    )
 
 
 def _of_one_group(seen: list[_Position]) -> list[_Position]:
-    """Of several pairs of frames the one told most often."""
-    groups = [one.group for one in seen]
+    """Return the positions of the most frequent pair of frames."""
+    groups = [position.group for position in seen]
     chosen = max(sorted(set(groups)), key=groups.count, default=("", ""))
-    return [one for one in seen if one.group == chosen]
+    return [position for position in seen if position.group == chosen]
 
 
 def _east_north_m(degrees: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -139,7 +141,7 @@ def _transforms(_topic: Topic, message: RawMessage) -> list[_Position]:
     ]
 
 
-# How a type is read, and whether it speaks of latitude and longitude.
+# The reader of each type, and whether it gives latitude and longitude.
 READERS: dict[str, tuple[Reader, bool]] = {
     **dict.fromkeys(("novatel_oem7_msgs/msg/INSPVA", INSPVAX, BESTPOS), (_solution, True)),
     **dict.fromkeys(GNSS_TYPES, (_fix, True)),
@@ -155,7 +157,7 @@ MARGIN_RATIO, LEAST_SPAN_M = 0.08, 2.0
 
 
 def track_view(track: RecordedTrack) -> bytes:
-    """PNG."""
+    """Return the plot as PNG."""
     with drawing_style():
         figure = square_figure()
         axes = figure.add_subplot()
@@ -174,7 +176,7 @@ def _labels(track: RecordedTrack) -> tuple[str, str]:
 
 
 def _bounded(axes: Axes, track: RecordedTrack) -> None:
-    """A square around the track, so that a straight drive is not a hair."""
+    """Set a square around the track, so that a straight drive is not a hairline."""
     low, high = track.points_m.min(axis=0), track.points_m.max(axis=0)
     middle = (low + high) / 2
     half = max(float((high - low).max()), LEAST_SPAN_M) * (0.5 + MARGIN_RATIO)
@@ -192,7 +194,7 @@ def _line(axes: Axes, track: RecordedTrack) -> None:
 
 
 def _legend(figure: Figure, track: RecordedTrack) -> None:
-    """Below the plot, where no track runs."""
+    """Draw the legend below the plot, clear of the track."""
     entries = [
         Line2D([], [], color=INK, marker="o", markerfacecolor="none", linestyle="none", label="start"),
         Line2D([], [], color=INK, marker="s", linestyle="none", label="end"),

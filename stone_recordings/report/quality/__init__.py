@@ -1,5 +1,5 @@
-"""Quality of a recording: facts measured on a share of it, a score with named deductions, a page that shows both.
+"""Quality of a recording: facts measured on a sample, a score with named deductions, and a page with both.
 
 **Conventions.** `report.quality_of` measures, `page.quality_page` draws. Both are functions of the recording alone, so
-whoever repeats them gets the same bytes. Cost is bounded whatever the recording: `sampling` says by what.
+a repetition gives the same bytes. `sampling` bounds their cost for any recording.
 """

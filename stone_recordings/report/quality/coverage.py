@@ -1,9 +1,8 @@
-"""Coverage of each topic over time: when it delivered, and how often, by the recorder's clock.
+"""Coverage of each topic over time: its deliveries and their rate, by the recorder's clock.
 
-**Conventions.** An interval between two messages is covered when it is no longer than `GAP_RATIO` periods, or than the
-`HICCUP_NS` for which a busy recorder may hold back what arrived. The recording lasts from its first to its
-last message of any topic; bins divide it evenly. Sensors do not start as one: a `SETTLING_NS` of silence at either end
-counts for nothing.
+**Conventions.** An interval between two messages is covered if it is at most `GAP_RATIO` periods, or at most
+`HICCUP_NS`, for which a busy recorder may delay messages. The recording lasts from its first to its last message of any
+topic; bins divide it evenly. Sensors start at different times: a silence of `SETTLING_NS` at either end does not count.
 """
 
 import numpy as np
@@ -27,7 +26,7 @@ MOST_TOPICS, MOST_GAPS = 100, 20
 
 
 def coverage_of(bag: Bag, inspection: Inspection) -> tuple[Coverage, ...]:
-    """Of the topics that have messages, in the order of `ROLES`; at most `MOST_TOPICS`."""
+    """Return the coverage of the topics with messages, in the order of `ROLES`; at most `MOST_TOPICS`."""
     spoken = [topic for topic in inspection.topics if topic.topic.count]
     ordered = sorted(spoken, key=lambda topic: ROLES.index(topic.role))
     span = span_of(bag)
@@ -56,14 +55,14 @@ def _coverage(bag: Bag, inspected: InspectedTopic, span: RecordingSpan) -> Cover
 
 
 def _gaps(timing: Timing, times_ns: NDArray[np.int64]) -> tuple[tuple[int, int], ...]:
-    """The longest, in order of time."""
+    """Return the longest gaps, in order of time."""
     delay_ns = int(np.median(times_ns - timing.stamps_ns)) if len(timing.stamps_ns) == len(times_ns) else 0
     longest = sorted(timing.gaps, key=lambda gap: (-gap.duration_ns, gap.start_ns))[:MOST_GAPS]
     return tuple(sorted((gap.start_ns + delay_ns, gap.end_ns + delay_ns) for gap in longest))
 
 
 def covered_ratio(times_ns: NDArray[np.int64], span_ns: int, longest_ns: int) -> float:
-    """The covered share of [0, span), 0 to 1, settling left out; `times_ns` (N,) ascend, N at least 2."""
+    """Return the covered share of [0, span), 0 to 1, without settling; `times_ns` (N,) ascend, N at least 2."""
     steps_ns = np.diff(times_ns)
     first_ns, last_ns = int(times_ns[0]), int(times_ns[-1])
     head_ns = first_ns if first_ns > SETTLING_NS else 0
@@ -73,7 +72,7 @@ def covered_ratio(times_ns: NDArray[np.int64], span_ns: int, longest_ns: int) ->
 
 
 def covered_bins(times_ns: NDArray[np.int64], span_ns: int, longest_ns: int) -> NDArray[np.float64]:
-    """The covered share (COVER_BINS,) of each bin of [0, span), settling and all."""
+    """Return the covered share (COVER_BINS,) of each bin of [0, span), with settling."""
     steps_ns = np.diff(times_ns)
     so_far_ns = np.concatenate([[0], np.cumsum(np.where(steps_ns <= longest_ns, steps_ns, 0))])
     edges_ns = np.linspace(0.0, span_ns, COVER_BINS + 1)
@@ -82,10 +81,10 @@ def covered_bins(times_ns: NDArray[np.int64], span_ns: int, longest_ns: int) -> 
 
 
 def rates(times_ns: NDArray[np.int64], span_ns: int) -> NDArray[np.float64]:
-    """Messages per second in even bins of [0, span), wide enough for a handful each.
+    """Return messages per second in even bins of [0, span), wide enough for a handful each.
 
-    The count grows linearly between two messages, so that bins do not flicker by one message; a bin in which the topic
-    began or ended is judged by the part in which it spoke.
+    The count grows linearly between two messages, so that bins do not flicker by one message. A bin in which the topic
+    started or ended uses only the part with messages.
     """
     count = len(times_ns)
     bins = int(np.clip(count // MESSAGES_A_RATE_BIN, 1, MOST_RATE_BINS))
@@ -94,5 +93,5 @@ def rates(times_ns: NDArray[np.int64], span_ns: int) -> NDArray[np.float64]:
     rates_hz = np.diff(numbers) * (bins * NS_PER_S / span_ns)
     spoken_ns = np.minimum(edges_ns[1:], float(times_ns[-1])) - np.maximum(edges_ns[:-1], float(times_ns[0]))
     share = np.maximum(spoken_ns * (bins / span_ns), 0.0)
-    is_partial = (share > 0.0) & (share < 1.0)  # the topic began or ended within the bin
+    is_partial = (share > 0.0) & (share < 1.0)  # the topic started or ended within the bin
     return np.asarray(np.where(is_partial, rates_hz / np.where(is_partial, share, 1.0), rates_hz))

@@ -1,7 +1,7 @@
-"""Facts about a recording, by kind of sensor: plain numbers that go into the record, the score and the page.
+"""Facts about a recording, by kind of sensor: plain numbers for the record, the score and the page.
 
-**Conventions.** `at_ns` is log time since the recording's start, ascending; the tuples of one value that have its
-length are samples at those instants. Ratios are 0 to 1. A median over no samples is None, never 0.
+**Conventions.** `at_ns` is log time since the recording's start, ascending; a value's tuples of the same length are
+samples at those instants. Ratios are 0 to 1. A median over no samples is None, never 0.
 """
 
 from collections.abc import Sequence
@@ -15,11 +15,11 @@ RtkWord = Literal["fixed", "float", "other"]
 
 @dataclass(frozen=True)
 class Coverage:
-    """When a topic that keeps a period delivered: `covered` (per bin) and `rates_hz` divide the recording evenly.
+    """The deliveries of a periodic topic: `covered` (per bin) and `rates_hz` divide the recording evenly.
 
-    `covered_ratio` is the share of the recording in which the next message came in time; it is None, `covered` and
-    `rates_hz` are empty for topics without a period, such as latched ones. `gaps_ns` are the longest gaps between
-    stamps, as (start, end), brought to log time by the topic's median delay.
+    `covered_ratio` is the share of the recording in which the next message came in time. Topics without a period, such
+    as latched ones, have None, and empty `covered` and `rates_hz`. `gaps_ns` are the longest gaps between stamps, as
+    (start, end), shifted to log time by the topic's median delay.
     """
 
     topic: str
@@ -51,7 +51,7 @@ class CameraFacts:
 
 @dataclass(frozen=True)
 class LidarFacts:
-    """Points a cloud has slots for, the share of them that returned, and how far the median return is."""
+    """The slots for points in a cloud, the share of them that returned, and the median range of returns."""
 
     topic: str
     at_ns: tuple[int, ...]
@@ -71,7 +71,7 @@ class RadarFacts:
 
 @dataclass(frozen=True)
 class RtkFacts:
-    """What the receiver says of its solution, per sample; `stdev_m` is horizontal (the larger axis)."""
+    """The receiver's own report of its solution, per sample; `stdev_m` is horizontal (the larger axis)."""
 
     topic: str
     at_ns: tuple[int, ...]
@@ -79,13 +79,13 @@ class RtkFacts:
     stdev_m: tuple[float, ...]
 
     def share(self, word: RtkWord) -> float:
-        """0 to 1; of no samples 0."""
+        """Return the share of samples with this word, 0 to 1; 0 without samples."""
         return self.words.count(word) / max(1, len(self.words))
 
 
 @dataclass(frozen=True)
 class Facts:
-    """All that was measured; empty tuples and None where the recording has no such sensor. `start_ns` is log time."""
+    """All measured facts; empty tuples and None if the recording has no such sensor. `start_ns` is log time."""
 
     start_ns: int = 0
     coverage: tuple[Coverage, ...] = ()
@@ -107,7 +107,7 @@ class Facts:
 
 
 def middle(values: Sequence[float]) -> float | None:
-    """The median; None of nothing."""
+    """Return the median; None without values."""
     return median(values) if values else None
 
 

@@ -1,8 +1,8 @@
 """The templates of the quality page: they escape everything, so that a topic's name is never markup.
 
-**Conventions.** Names come from recordings and are hostile: control and direction characters are spelled out, long ones
-lose their middle, and each stands in a `<bdi>` of its own. What a template says passes through `plain` even where it
-does not ask for it.
+**Conventions.** Names come from recordings and are hostile: control and direction characters are spelled out, long
+names lose their middle, and each stands in a `<bdi>` of its own. All output of a template passes through `plain`, even
+if the template does not call it.
 """
 
 from dataclasses import dataclass
@@ -21,9 +21,10 @@ TEMPLATES = Path(__file__).parent / "templates"
 
 @dataclass(frozen=True)
 class HtmlTable:
-    """`columns` head it; the first cell of a row heads the row, `numeric` columns (by place) are right-aligned.
+    """`columns` are the headings; the first cell of a row is its heading, `numeric` columns (by index) are
+    right-aligned.
 
-    Cells are text, or HTML where they are `Markup`.
+    Cells are text, or HTML if they are `Markup`.
     """
 
     caption: str
@@ -34,7 +35,7 @@ class HtmlTable:
 
 @dataclass(frozen=True)
 class DrawnFigure:
-    """A picture (SVG or `<img>`) with what it shows in words; `legend` is (class of the swatch, label) of its lines."""
+    """A picture (SVG or `<img>`) with a caption; `legend` is (class of the swatch, label) of its lines."""
 
     title: str
     picture: Markup
@@ -44,24 +45,24 @@ class DrawnFigure:
 
 
 def plain(words: str, longest: int) -> str:
-    """One line that sends nothing: what does not print is spelled out, what is too long loses its middle."""
+    """Return one harmless line: unprintable characters are spelled out, a long text loses its middle."""
     if len(words) > longest:
         words = f"{words[: longest // 2]}…{words[-(longest // 2) :]}"
     return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in words)
 
 
 def text(words: str, longest: int = LONGEST_SENTENCE) -> Markup:
-    """Somebody's words as HTML text or attribute value."""
+    """Return a foreign text as HTML text or attribute value."""
     return escape(plain(words, longest))
 
 
 def name(words: str) -> Markup:
-    """A topic's or file's name."""
+    """Return a topic's or file's name as HTML."""
     return Markup('<bdi class="name">{}</bdi>').format(text(words, LONGEST_NAME))
 
 
 def number(value: float | int | None, digits: int = 1) -> Markup:
-    """With thousands apart, by a thin space that `plain` would spell out; a dash for None."""
+    """Return a number with thin spaces between thousands, which `plain` would spell out; a dash for None."""
     if value is None:
         return Markup(DASH)
     return Markup(f"{round(value, digits) + 0.0:,.{digits}f}".replace(",", "\u202f"))
@@ -72,12 +73,12 @@ def percent(ratio: float | None, digits: int = 1) -> str:
 
 
 def rendered(template: str, **values: object) -> str:
-    """The template with the values in it."""
+    """Return the template with the values in it."""
     return _TEMPLATES.get_template(template).render(**values)
 
 
 def _said(value: object) -> object:
-    """What an expression of a template puts into the page."""
+    """Return the safe form of an expression's value in a template."""
     return plain(value, LONGEST_SENTENCE) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 

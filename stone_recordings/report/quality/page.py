@@ -1,8 +1,8 @@
-"""The quality of a recording as one HTML file that needs nothing beside it: no script, no font, no link outwards.
+"""The quality of a recording as one self-contained HTML file: no script, no font, no outward link.
 
-**Conventions.** `templates/page.html` draws it, and `templates/<anchor>.html` each section. Everything a recording said
-is escaped (`markup`), and the page forbids itself to load or run anything (its Content-Security-Policy), so a name that
-slipped through would still be dead text. Equal inputs, equal bytes.
+**Conventions.** `templates/page.html` draws it, and `templates/<anchor>.html` each section. All text from a recording
+is escaped (`markup`), and the page's Content-Security-Policy forbids loading or running anything, so that unescaped
+text would still be inert. Equal inputs give equal bytes.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ from stone_recordings.report.quality.section_overview import (
 from stone_recordings.report.quality.section_sensors import cameras_section, clouds_section, rtk_section
 from stone_recordings.report.quality.section_time import coverage_section, rates_section
 
-# By anchor: in the navigation, above the section.
+# Titles by anchor: in the navigation and above the section.
 TITLES = {
     "lost": ("Score", "Score deductions"),
     "pictures": ("Overview", "Overview"),
@@ -43,7 +43,7 @@ LAST_YEAR_NS = 253_370_764_800 * NS_PER_S
 
 
 def quality_page(name: str, inspection: Inspection, quality: Quality, pictures: Sequence[Picture] = ()) -> bytes:
-    """The page of the recording called `name`, UTF-8; `pictures` are previews to show (name, media type, bytes)."""
+    """Return the page of the recording called `name`, UTF-8; `pictures` are previews (name, media type, bytes)."""
     facts, span_ns = quality.facts, inspection.duration_ns
     findings = ordered((*inspection.findings, *quality.left_out))
     sections = {
@@ -84,7 +84,7 @@ def _facts(inspection: Inspection, quality: Quality) -> list[str]:
 
 
 def _date(stamp_ns: int) -> str:
-    """Nothing where the recorder's clock was never set."""
+    """Return the date, or "" if the recorder's clock was never set."""
     if not NS_PER_S < stamp_ns < LAST_YEAR_NS:
         return ""
     return datetime.fromtimestamp(stamp_ns // NS_PER_S, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")

@@ -1,4 +1,4 @@
-"""Lines over time as SVG that is part of the page: its colours are the page's, its text is text.
+"""Lines over time as SVG inside the page, with the page's colours and real text.
 
 **Conventions.** Times are seconds since the recording's start. Only numbers and our own words enter a plot, never a
 name from the recording: a `$` would be a formula to matplotlib. Colours are placeholders that become the page's
@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
 SERIES_COLOURS = 8
-# Placeholders that no drawing would hit by chance, by the name of the page's variable.
+# Placeholders that no drawing would contain by chance, by the name of the page's variable.
 COLOURS = {
     "ink": "#010203", "soft": "#010204", "line": "#010205", "bad": "#010206", "ok": "#010207", "warn": "#010208",
     **{f"c{place}": f"#01030{place}" for place in range(SERIES_COLOURS)},
@@ -53,7 +53,7 @@ class PlotLine:
 
 @dataclass(frozen=True)
 class Frame:
-    """What surrounds the lines: `name` is unique on the page, `low` and `high` bound the values where given."""
+    """The frame of a plot: `name` is unique on the page, `low` and `high` are optional bounds of the values."""
 
     name: str
     span_s: float
@@ -65,7 +65,7 @@ class Frame:
 
 @contextmanager
 def drawing_style(salt: str = "stone") -> Iterator[None]:
-    """Matplotlib's own defaults and ours, whatever the machine's matplotlibrc says, for the length of the block."""
+    """Apply matplotlib's defaults and ours within the block, whatever the machine's matplotlibrc contains."""
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update({**STYLE, "svg.hashsalt": salt})
@@ -73,12 +73,12 @@ def drawing_style(salt: str = "stone") -> Iterator[None]:
 
 
 def series_colour(place: int) -> str:
-    """The colour of the line at `place`; they repeat after eight."""
+    """Return the colour of the line at `place`; colours repeat after eight."""
     return f"c{place % SERIES_COLOURS}"
 
 
 def time_plot(frame: Frame, lines: Sequence[PlotLine]) -> Markup:
-    """An `<svg>` element."""
+    """Return an `<svg>` element."""
     figure, axes = _empty(HEIGHT_IN)
     for line in lines:
         marker = {"marker": "o", "markersize": 2.6, "markeredgewidth": 0} if line.has_points else {}
@@ -91,7 +91,9 @@ def time_plot(frame: Frame, lines: Sequence[PlotLine]) -> Markup:
 
 
 def offset_plot(plot_name: str, offsets_ms: Sequence[tuple[float, float, str]]) -> Markup:
-    """One numbered row per (offset, jitter, colour), milliseconds: a dot at the offset, a bar as wide as the jitter."""
+    """Draw one numbered row per (offset, jitter, colour), milliseconds: a dot at the offset, a bar as wide as the
+    jitter.
+    """
     figure, axes = _empty(0.55 + 0.2 * len(offsets_ms))
     rows = range(1, len(offsets_ms) + 1)
     for row, (offset_ms, jitter_ms, colour) in zip(rows, offsets_ms, strict=True):
@@ -141,8 +143,10 @@ def _plain(value: float, _place: int) -> str:
 
 
 def _svg(figure: Figure, plot_name: str) -> Markup:
-    """Without prologue, metadata and the ids of groups, which would repeat on the page; those of markers and clips,
-    which are referred to, are salted with the plot's name."""
+    """Return the SVG without prologue, metadata and ids of groups, which would repeat on the page.
+
+    The plot's name salts the ids of markers and clips, which are referred to.
+    """
     stream = StringIO()
     with drawing_style(plot_name):
         figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
@@ -156,10 +160,8 @@ def _svg(figure: Figure, plot_name: str) -> Markup:
     return Markup(drawn)
 
 
-# Bars along the recording's time: they stretch to whatever width the page has.
-#
-# **Conventions.** x is 0 to 1000 over the recording. Bars are decoration: what they say stands beside them in words or
-# numbers.
+# Bars along the recording's time that stretch to the page's width. x is 0 to 1000 over the recording. Bars are
+# decoration: words or numbers beside them give the same information.
 
 
 WIDTH = 1000
@@ -176,40 +178,44 @@ class StripBar:
 
 
 def cover_strip(covered: Sequence[float], gaps: Sequence[tuple[float, float]]) -> tuple[StripBar, ...]:
-    """Bins filled as far as they are covered; `gaps` are (start, end) as shares of the recording, marked in red."""
+    """Return bars for bins, as opaque as they are covered; `gaps` are (start, end) as shares of the recording, in
+    red.
+    """
     bars = [_bar("cover", start / len(covered), end / len(covered), share) for start, end, share in _runs(covered)]
     return (*bars, *(_bar("gap", start, end) for start, end in gaps))
 
 
 def span_strip(first: float, last: float) -> tuple[StripBar, ...]:
-    """From the first to the last message of a topic that keeps no period, as shares of the recording."""
+    """Return a bar from the first to the last message of a topic without a period, as shares of the recording."""
     return (_bar("loose", first, last),)
 
 
 def word_strip(at: Sequence[float], swatches: Sequence[str]) -> tuple[StripBar, ...]:
-    """Consecutive samples of one swatch as one bar, each lasting to the next sample; `at` are shares, ascending."""
+    """Return consecutive samples of one swatch as one bar, each lasting to the next sample; `at` are ascending
+    shares.
+    """
     ends = [*at[1:], 1.0]
     bars: list[StripBar] = []
     start = 0
-    for place, swatch in enumerate(swatches):
-        if place + 1 == len(swatches) or swatches[place + 1] != swatch:
-            bars.append(_bar(swatch, at[start], ends[place]))
-            start = place + 1
+    for index, swatch in enumerate(swatches):
+        if index + 1 == len(swatches) or swatches[index + 1] != swatch:
+            bars.append(_bar(swatch, at[start], ends[index]))
+            start = index + 1
     return tuple(bars)
 
 
 def _bar(swatch: str, start: float, end: float, opacity: float = 1.0) -> StripBar:
-    """At least 2 of the 1000 wide, so that it is seen."""
+    """Return a bar at least 2 of the 1000 wide, so that it is visible."""
     left = min(max(0.0, start), 1.0) * WIDTH
     return StripBar(swatch, left, max(2.0, min(max(0.0, end), 1.0) * WIDTH - left), opacity)
 
 
 def _runs(covered: Sequence[float]) -> list[tuple[int, int, float]]:
-    """(first bin, bin after the last, share) of equal neighbours; empty bins are left out."""
+    """Return (first bin, bin after the last, share) of equal neighbours; empty bins are left out."""
     runs: list[tuple[int, int, float]] = []
-    for place, share in enumerate(round(value, 2) for value in covered):
-        if runs and runs[-1][1] == place and runs[-1][2] == share:
-            runs[-1] = (runs[-1][0], place + 1, share)
+    for index, share in enumerate(round(value, 2) for value in covered):
+        if runs and runs[-1][1] == index and runs[-1][2] == share:
+            runs[-1] = (runs[-1][0], index + 1, share)
         elif share > 0:
-            runs.append((place, place + 1, share))
+            runs.append((index, index + 1, share))
     return runs

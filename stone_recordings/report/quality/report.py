@@ -1,7 +1,7 @@
 """The quality report: measures a recording's topics and messages, and scores it.
 
-**Conventions.** Topics have the roles that the inspection gave them. What cannot be read is left out with its reason,
-as a finding; it is never a failure.
+**Conventions.** Topics have the roles of the inspection. Unreadable parts are left out and reported in a finding; they
+never cause a failure.
 """
 
 from collections.abc import Sequence
@@ -32,17 +32,16 @@ from stone_recordings.report.quality.sampling import (
 )
 from stone_recordings.report.quality.score import Deduction, deductions_of, score_of
 
-# Share of a LiDAR's and a radar's messages that is valid measurement.
-#
-# **Conventions.** A slot without a return is NaN or (0, 0, 0) (`stone_recordings.messages.lidar`); drivers that leave
-# such slots out have a valid share of 1. Ranges are from the sensor.
+# Share of valid measurements in a LiDAR's and a radar's messages. A slot without a return is NaN or (0, 0, 0)
+# (`stone_recordings.messages.lidar`); drivers that leave such slots out have a valid share of 1. Ranges are from the
+# sensor.
 
 
 MOST_RANGE_M = 1e4
 
 
 class LidarLook:
-    """Collects what the clouds of one topic hold."""
+    """Collects facts about the clouds of one topic."""
 
     def __init__(self, topic: Topic) -> None:
         self._topic = topic
@@ -60,7 +59,7 @@ class LidarLook:
         self._seen.append((at_ns, slots, len(points_lidar) / max(1, slots), range_m))
 
     def facts(self) -> LidarFacts | None:
-        """None where not one cloud could be seen."""
+        """The facts; None if no cloud could be read."""
         if not self._seen:
             return None
         at_ns, slots, valid_ratio, range_m = zip(*self._seen, strict=True)
@@ -68,14 +67,14 @@ class LidarLook:
 
 
 def _median_range_m(points_lidar: NDArray[np.float32]) -> float:
-    """At most `MOST_RANGE_M`, whatever the message says; 0 for no points."""
+    """Return the median range, at most `MOST_RANGE_M`; 0 for no points."""
     within = np.nan_to_num(np.abs(points_lidar), nan=MOST_RANGE_M, posinf=MOST_RANGE_M)
     ranges_m = np.linalg.norm(np.minimum(within, MOST_RANGE_M).astype(np.float64), axis=1)
     return min(float(np.median(ranges_m)), MOST_RANGE_M) if len(ranges_m) else 0.0
 
 
 class RadarLook:
-    """Collects how many detections the messages of one topic hold."""
+    """Collects the number of detections in the messages of one topic."""
 
     def __init__(self, topic: Topic) -> None:
         self._topic = topic
@@ -90,18 +89,17 @@ class RadarLook:
         self._seen.append((at_ns, int(np.count_nonzero(detections.is_valid))))
 
     def facts(self) -> RadarFacts | None:
-        """None where not one message could be seen."""
+        """The facts; None if no message could be read."""
         if not self._seen:
             return None
         at_ns, detections = zip(*self._seen, strict=True)
         return RadarFacts(self._topic.name, at_ns, detections)
 
 
-# Sharpness and exposure of each camera's pictures.
-#
-# **Conventions.** Pictures are scaled to at most `WIDTH_PX` first, so that cameras of other sizes compare and a JPEG
-# is decoded at a fraction of its size. Luminance is Rec. 601 of 8-bit RGB. Source of the measure: Pech-Pacheco et al.,
-# "Diatom autofocusing in brightfield microscopy", ICPR 2000 (variance of the Laplacian).
+# Sharpness and exposure of each camera's pictures. Pictures are first scaled to at most `WIDTH_PX`, so that cameras of
+# different sizes compare and a JPEG is decoded at a fraction of its size. Luminance is Rec. 601 of 8-bit RGB. Source of
+# the measure: Pech-Pacheco et al., "Diatom autofocusing in brightfield microscopy", ICPR 2000 (variance of the
+# Laplacian).
 
 
 WIDTH_PX = 640
@@ -111,7 +109,7 @@ REC_601 = np.array([0.299, 0.587, 0.114], np.float32)
 
 @dataclass(frozen=True)
 class PictureFacts:
-    """Of one picture; see `CameraFacts`."""
+    """The facts of one picture; see `CameraFacts`."""
 
     size_px: tuple[int, int]
     sharpness: float
@@ -121,7 +119,7 @@ class PictureFacts:
 
 
 class CameraLook:
-    """Collects what the pictures of one topic are like."""
+    """Collects facts about the pictures of one topic."""
 
     def __init__(self, topic: Topic, channel: str) -> None:
         self._topic, self._channel = topic, channel
@@ -137,7 +135,7 @@ class CameraLook:
         self._seen.append((at_ns, facts))
 
     def facts(self) -> CameraFacts | None:
-        """None where not one picture could be seen."""
+        """The facts; None if no picture could be read."""
         if not self._seen:
             return None
         pictures = [picture for _, picture in self._seen]
@@ -154,7 +152,7 @@ class CameraLook:
 
 
 def picture_facts(pixels: NDArray[np.uint8], size_px: tuple[int, int]) -> PictureFacts:
-    """Of (H, W, 3) RGB, scaled down from a picture of `size_px`."""
+    """Return the facts of (H, W, 3) RGB, scaled down from a picture of `size_px`."""
     luminance = pixels @ REC_601
     return PictureFacts(
         size_px,
@@ -166,7 +164,7 @@ def picture_facts(pixels: NDArray[np.uint8], size_px: tuple[int, int]) -> Pictur
 
 
 def sharpness(luminance: NDArray[np.float32]) -> float:
-    """Variance of the 4-neighbour Laplacian of (H, W); 0 for pictures too small to have one."""
+    """Return the variance of the 4-neighbour Laplacian of (H, W); 0 for pictures too small to have one."""
     if min(luminance.shape) < 3:
         return 0.0
     centre = luminance[1:-1, 1:-1]
@@ -174,11 +172,9 @@ def sharpness(luminance: NDArray[np.float32]) -> float:
     return float(np.var(around - 4 * centre, dtype=np.float64))
 
 
-# RTK quality: how often the receiver had a fix, and the accuracy it estimates itself.
-#
-# **Conventions.** Words by NovAtel's position types (OEM7 "Position or Velocity Type"): integer ambiguities resolved
-# are "fixed", float ones "float", everything else (single, PPP, none) "other". NavSatFix cannot tell RTK from DGPS, so
-# it is not asked.
+# RTK quality: the share of fixes, and the receiver's own estimate of its accuracy. Words follow NovAtel's position
+# types (OEM7 "Position or Velocity Type"): resolved integer ambiguities are "fixed", float ones "float", all others
+# (single, PPP, none) "other". NavSatFix does not distinguish RTK from DGPS, so it is not used.
 
 
 BESTPOS, INSPVAX = "novatel_oem7_msgs/msg/BESTPOS", "novatel_oem7_msgs/msg/INSPVAX"
@@ -208,7 +204,7 @@ class RtkLook:
             self._seen.append((at_ns, word, _horizontal_m(samples.position_stdev_m[0])))
 
     def facts(self) -> RtkFacts | None:
-        """None where the receiver never spoke."""
+        """The facts; None if the receiver sent nothing."""
         if not self._seen:
             return None
         at_ns, words, stdev_m = zip(*self._seen, strict=True)
@@ -216,14 +212,14 @@ class RtkLook:
 
 
 def decode_solution(topic: Topic, message: RawMessage) -> FixSamples | InsSamples:
-    """One sample, by the definition that the recording embeds. Raises what `decode_bestpos` raises."""
+    """Decode one sample with the definition in the recording. Raises the errors of `decode_bestpos`."""
     if topic.type == BESTPOS:
         return decode_bestpos([message], topic.schema)
     return decode_inspva([message], topic.schema)
 
 
 def _horizontal_m(stdev_m: NDArray[np.float64]) -> float:
-    """The larger of the two axes; what no receiver means (NaN, kilometres) is the largest that is kept."""
+    """Return the larger of the two axes; impossible values (NaN, kilometres) become the largest kept value."""
     larger_m = float(np.max(np.abs(stdev_m[:2])))
     return larger_m if larger_m <= MOST_STDEV_M else MOST_STDEV_M
 
@@ -233,8 +229,9 @@ MOST_LEFT_OUT = 100
 
 @dataclass(frozen=True)
 class Quality:
-    """`score` is 0 to 100; `left_out` are the findings about sampled messages that could not be read,
-    where the inspection has not named the same already."""
+    """`score` is 0 to 100; `left_out` are the findings about unreadable sampled messages, unless the inspection has
+    them.
+    """
 
     score: int
     deductions: tuple[Deduction, ...]
@@ -242,7 +239,7 @@ class Quality:
     left_out: tuple[Finding, ...]
 
     def as_record(self) -> dict[str, object]:
-        """Bounded, whatever the recording: it is kept in a row."""
+        """Return a record of bounded size: a database row holds it."""
         return {
             "score": self.score,
             "deductions": [deduction.as_record() for deduction in self.deductions],
@@ -252,8 +249,10 @@ class Quality:
 
 
 def quality_of(bag: Bag, inspection: Inspection, sampled: SampledMessages | None = None) -> Quality:
-    """Of a recording without messages the score is what its findings leave; `sampled` keeps small messages that were
-    looked at. Raises nothing for what a message says."""
+    """Measure the quality; without messages the score follows from the findings alone.
+
+    `sampled` keeps small messages that were read. Raises nothing because of a message's content.
+    """
     facts, refused = _facts(bag, inspection, sampled)
     named = {(finding.code, finding.topic) for finding in inspection.findings}
     left_out = tuple(finding for finding in refused if (finding.code, finding.topic) not in named)
@@ -266,14 +265,18 @@ def _facts(bag: Bag, inspection: Inspection, sampled: SampledMessages | None) ->
     lidars = [LidarLook(topic) for topic in of_role(inspection, "lidar")]
     radars = [RadarLook(topic) for topic in of_role(inspection, "radar")]
     fixes = [RtkLook(topic) for topic in of_role(inspection, "gnss", "ins") if topic.type in RTK_TYPES]
-    looks = [*(one.look for one in cameras), *(one.look for one in lidars), *(one.look for one in radars)]
-    looks += [one.look for one in fixes]
+    looks = [
+        *(sensor.look for sensor in cameras),
+        *(sensor.look for sensor in lidars),
+        *(sensor.look for sensor in radars),
+    ]
+    looks += [sensor.look for sensor in fixes]
     left_out = sample(bag, looks, sampled)
     facts = Facts(
         bag.start_ns,
         coverage_of(bag, inspection),
         tuple(seen for camera in cameras if (seen := camera.facts())),
-        tuple(found for lidar in lidars if (found := lidar.facts())),
+        tuple(measured for lidar in lidars if (measured := lidar.facts())),
         tuple(scans for radar in radars if (scans := radar.facts())),
         _best_rtk(fixes),
     )
@@ -281,6 +284,6 @@ def _facts(bag: Bag, inspection: Inspection, sampled: SampledMessages | None) ->
 
 
 def _best_rtk(looks: Sequence[RtkLook]) -> RtkFacts | None:
-    """Of several: the type that `RTK_TYPES` names first, then the one seen most often."""
-    found = [(RTK_TYPES.index(look.topic.type), -len(rtk.words), rtk) for look in looks if (rtk := look.facts())]
-    return min(found, key=lambda one: one[:2])[2] if found else None
+    """Return the best of several: the type that `RTK_TYPES` names first, then the one with most samples."""
+    ranked = [(RTK_TYPES.index(look.topic.type), -len(rtk.words), rtk) for look in looks if (rtk := look.facts())]
+    return min(ranked, key=lambda entry: entry[:2])[2] if ranked else None

@@ -1,8 +1,8 @@
 """Sampling of messages for quality measurements: the same instants from every topic.
 
 **Conventions.** `at_ns` is log time since the recording's start. Instants divide the recording evenly. About 1 % of a
-topic's messages are looked at, within the bounds of its kind: 16 to 32 of those that take milliseconds each, a few
-hundred of the small ones. A message that lies is left out and counted, and its topic named for it.
+topic's messages are sampled, within the bounds of its kind: 16 to 32 of those that take milliseconds each, a few
+hundred of the small ones. An invalid message is left out and counted, and a finding names its topic.
 """
 
 from collections import Counter
@@ -21,7 +21,7 @@ from stone_recordings.topics.roles import Role
 # A power of two, so that the instants of fewer samples are among those of more.
 INSTANTS = 512
 SAMPLED_SHARE = 0.01
-# Several topics of small messages, and what they may weigh: 16 MB.
+# Several topics of small messages, and the bytes that they may take: 16 MB.
 MOST_KEPT, LONGEST_KEPT_BYTES = 4096, 4096
 
 
@@ -34,15 +34,15 @@ class Effort:
 
 
 HEAVY, LIGHT, TINY = Effort(16, 32), Effort(128, 128), Effort(INSTANTS, INSTANTS)
-# Of a recording in place its share alone is read, be it short: raw pictures have megabytes each.
+# For a recording in place, however short: only its share is read, because raw pictures have megabytes each.
 SPARING = Effort(1, 16)
 
 
 @dataclass(frozen=True)
 class TopicSampling:
-    """`see` is shown (at_ns, payload) of sampled messages of `topic`; it may refuse one by raising a StoneError.
+    """`see` receives (at_ns, payload) of sampled messages of `topic`; it may refuse one by raising a StoneError.
 
-    A payload is valid during the call only as far as memory goes: whoever keeps it keeps its chunk.
+    A payload is a view that is valid during the call; keeping it keeps its whole chunk in memory.
     """
 
     topic: Topic
@@ -52,9 +52,9 @@ class TopicSampling:
 
 @dataclass(frozen=True, eq=False)
 class SampledMessages:
-    """Reads messages of a recording and keeps copies of small ones: who samples a topic again inflates no chunk.
+    """Reads messages of a recording and keeps copies of small ones, so that sampling a topic again inflates no chunk.
 
-    With `is_sparing`, as few messages that take milliseconds each are sampled as a share of the recording allows.
+    With `is_sparing`, the number of samples that take milliseconds each is limited to a share of the recording.
     """
 
     bag: Bag
@@ -62,7 +62,7 @@ class SampledMessages:
     _kept: dict[tuple[str, int], RawMessage] = field(default_factory=dict)
 
     def message(self, topic: str, index: int) -> RawMessage:
-        """Raises as `Bag.message`."""
+        """Return the message; raises the errors of `Bag.message`."""
         if (kept := self._kept.get((topic, index))) is not None:
             return kept
         read = self.bag.message(topic, index)
@@ -75,7 +75,7 @@ class SampledMessages:
 
 @dataclass(frozen=True)
 class RecordingSpan:
-    """Log times of the first and the last message of a recording; asked once, since it takes a look at every topic."""
+    """Log times of the first and the last message of a recording; computed once, because it reads every topic."""
 
     start_ns: int
     length_ns: int
@@ -88,7 +88,7 @@ def span_of(bag: Bag) -> RecordingSpan:
 
 @dataclass
 class _Refusals:
-    """Of one topic: how many samples were taken and which were refused, by code, with the first sentence of each."""
+    """For one topic, the number of samples, and the refused ones by code, with the first sentence of each."""
 
     taken: int = 0
     counts: Counter[str] = field(default_factory=Counter)
@@ -102,9 +102,9 @@ class _Refusals:
 
 
 def sample(bag: Bag, looks: Sequence[TopicSampling], sampled: SampledMessages | None = None) -> tuple[Finding, ...]:
-    """Show every look its samples, in log order; what was refused is returned, one finding per topic and code.
+    """Pass every look its samples, in log order; return one finding per topic and code for the refused ones.
 
-    `sampled` spares reading again what was sampled of the same recording before.
+    Messages that `sampled` holds are not read again.
     """
     span, messages = span_of(bag), sampled or SampledMessages(bag)
     looks = [replace(look, effort=SPARING) if messages.is_sparing and look.effort == HEAVY else look for look in looks]
@@ -118,7 +118,7 @@ def sample(bag: Bag, looks: Sequence[TopicSampling], sampled: SampledMessages | 
 
 
 def _indices(bag: Bag, look: TopicSampling, span: RecordingSpan) -> dict[int, int]:
-    """Which message of the topic is shown at which instant; none twice, all of a topic that has few."""
+    """Return the topic's message index by instant; no message twice, all messages of a short topic."""
     times_ns = bag.log_times_ns(look.topic.name)
     count = len(times_ns)
     if not count:
@@ -128,9 +128,9 @@ def _indices(bag: Bag, look: TopicSampling, span: RecordingSpan) -> dict[int, in
         return {index * INSTANTS // count: index for index in range(count)}
     instants = np.arange(INSTANTS // samples // 2, INSTANTS, INSTANTS // samples)
     asked_ns = span.start_ns + ((2 * instants + 1) * (max(1, span.length_ns) / (2 * INSTANTS))).astype(np.int64)
-    found = np.minimum(np.searchsorted(times_ns, asked_ns), count - 1)
-    _distinct, first = np.unique(found, return_index=True)
-    return {int(instants[row]): int(found[row]) for row in first}
+    nearest = np.minimum(np.searchsorted(times_ns, asked_ns), count - 1)
+    _distinct, first = np.unique(nearest, return_index=True)
+    return {int(instants[row]): int(nearest[row]) for row in first}
 
 
 def _samples(count: int, effort: Effort) -> int:
@@ -141,7 +141,7 @@ def _samples(count: int, effort: Effort) -> int:
 
 
 def _show(messages: SampledMessages, look: TopicSampling, index: int, start_ns: int) -> StoneError | None:
-    """Why the message was refused, if it was."""
+    """Return the reason why the message was refused, or None."""
     try:
         message = messages.message(look.topic.name, index)
         look.see(message.log_time_ns - start_ns, message.payload)
@@ -154,14 +154,12 @@ def _findings(looks: Sequence[TopicSampling], refusals: Sequence[_Refusals]) -> 
     for look, refused in zip(looks, refusals, strict=True):
         is_lost = refused.counts.total() == refused.taken
         for code, count in sorted(refused.counts.items()):
-            said = f"{count} of {refused.taken} sampled messages are left out: {refused.sentences[code]}"
-            yield Finding(code, "error" if is_lost else "warning", look.topic.name, said)
+            sentence = f"{count} of {refused.taken} sampled messages are left out: {refused.sentences[code]}"
+            yield Finding(code, "error" if is_lost else "warning", look.topic.name, sentence)
 
 
-# The topics whose quality is measured, and the names of the cameras.
-#
-# **Conventions.** Roles are those of the inspection. A number is bounded: nobody mounts more, and a recording that
-# declares thousands of cameras is not worth hours.
+# The topics whose quality is measured, and the names of the cameras. Roles are those of the inspection. The number is
+# bounded: no robot has more, and thousands of declared cameras would take hours.
 
 
 MOST_TOPICS_OF_A_ROLE = 12
@@ -169,13 +167,13 @@ CAMERA_RING = ("CAM_FRONT_LEFT", "CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_BACK_LEFT"
 
 
 def of_role(inspection: Inspection, *roles: Role) -> list[Topic]:
-    """The first topics of these roles that have messages which can be decoded at all."""
-    found = [one.topic for one in inspection.topics if one.role in roles and one.topic.count]
-    return [topic for topic in found if topic.encoding == "cdr"][:MOST_TOPICS_OF_A_ROLE]
+    """Return the first topics of these roles with decodable messages."""
+    topics = [item.topic for item in inspection.topics if item.role in roles and item.topic.count]
+    return [topic for topic in topics if topic.encoding == "cdr"][:MOST_TOPICS_OF_A_ROLE]
 
 
 def cameras_of(inspection: Inspection) -> list[tuple[Topic, str]]:
-    """Topic and channel ("" where nothing names one): front above back, left to right, then the others by name."""
+    """Return topic and channel ("" if unnamed): front above back, left to right, then the others by name."""
     channel_of_topic = {
         topic: part for part, topic in inspection.assignment.channels.items() if part.startswith("CAM_")
     }
@@ -183,7 +181,7 @@ def cameras_of(inspection: Inspection) -> list[tuple[Topic, str]]:
         (topic, channel_of_topic.get(topic.name) or channel_of_words("camera", topic.name) or "")
         for topic in of_role(inspection, "camera")
     ]
-    return sorted(named, key=lambda one: (_place(one[1]), one[0].name))
+    return sorted(named, key=lambda named_topic: (_place(named_topic[1]), named_topic[0].name))
 
 
 def _place(channel: str) -> int:

@@ -1,8 +1,8 @@
-"""The score of a recording: 100 less what is wrong with it, every deduction by code, with its points and its reason.
+"""The score of a recording: 100 minus deductions, each with its code, its points and its reason.
 
-**Conventions.** A deduction is measured (coverage, RTK, pictures, clouds) or follows from a finding; a finding whose
-matter is measured costs nothing twice. Points are whole, a code costs at most its limit, the score is 0 to 100. What
-the points weigh is a judgement, written down here and nowhere else: 5 is a nuisance, 10 costs frames, 30 costs labels.
+**Conventions.** A deduction is measured (coverage, RTK, pictures, clouds) or follows from a finding; a finding about a
+measured quantity costs nothing a second time. Points are whole, a code costs at most its limit, the score is 0 to 100.
+The weights are a judgement with this one home: 5 is a nuisance, 10 costs frames, 30 costs labels.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -12,7 +12,7 @@ from stone.findings import Finding
 from stone_recordings.report.quality.facts import CameraFacts, Coverage, Facts, LidarFacts, RadarFacts, RtkFacts, middle
 
 FULL_SCORE = 100
-# Code: points for each finding, and the most that the code costs.
+# By code: points for each finding, and the limit of the code.
 POINTS_OF_CODE: Mapping[str, tuple[int, int]] = {
     "BAG-010": (10, 20),
     "TOP-101": (40, 40),
@@ -39,7 +39,7 @@ USUAL_VALID_RATIO, EMPTY_RADAR_RATIO = 0.2, 0.2
 
 @dataclass(frozen=True)
 class Deduction:
-    """What the recording loses by one code, and why in one sentence."""
+    """The recording's loss for one code, and the reason in one sentence."""
 
     code: str
     points: int
@@ -50,14 +50,19 @@ class Deduction:
 
 
 def score_of(deductions: Iterable[Deduction]) -> int:
-    """0 to 100."""
+    """Return the score, 0 to 100."""
     return max(0, FULL_SCORE - sum(deduction.points for deduction in deductions))
 
 
 def deductions_of(findings: Sequence[Finding], facts: Facts) -> tuple[Deduction, ...]:
-    """Largest first, then by code; only what costs points."""
-    found = [*_measured(facts), *_found(findings)]
-    return tuple(sorted((one for one in found if one.points), key=lambda one: (-one.points, one.code)))
+    """Return the deductions that cost points, largest first, then by code."""
+    deductions = [*_measured(facts), *_found(findings)]
+    return tuple(
+        sorted(
+            (deduction for deduction in deductions if deduction.points),
+            key=lambda deduction: (-deduction.points, deduction.code),
+        )
+    )
 
 
 def _measured(facts: Facts) -> Iterator[Deduction]:

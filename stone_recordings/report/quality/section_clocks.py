@@ -1,6 +1,6 @@
-"""What the clocks say: how far stamps are from the recording of their messages, how much they drift and scatter.
+"""The section on clocks: the delay from stamp to recording of each sensor, its drift and its scatter.
 
-**Conventions.** As in `stone_recordings.clocks.report`: None is "cannot be told" and shows as a dash.
+**Conventions.** As in `stone_recordings.clocks.report`: None means unknown and shows as a dash.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ TOLD = (
 
 @dataclass(frozen=True)
 class ClocksSection:
-    """`figure` has its table; None of it where no clock can be told, `lag` where no other gyro turned."""
+    """`figure` has its table; None without a measurable clock, `lag` is empty if no other gyro turned."""
 
     figure: DrawnFigure | None
     table: HtmlTable | None
@@ -32,7 +32,7 @@ class ClocksSection:
 
 
 def clocks_section(clocks: ClockReport) -> ClocksSection | None:
-    """None where nothing can be told."""
+    """Return the section; None without a measurable clock."""
     known = [clock for clock in clocks.topics if clock.offset_ns is not None and clock.role in ROLE_COLOUR]
     stamped = sorted(known, key=lambda clock: ROLES.index(clock.role))[:MOST_ROWS]
     if not stamped:
@@ -49,7 +49,7 @@ def _row(clock: TopicClock) -> tuple[float, float, str]:
 def _table(stamped: Sequence[TopicClock]) -> HtmlTable:
     rows = tuple(
         (
-            f"{place}",
+            f"{row}",
             name(clock.topic),
             clock.stamp_source,
             _ms(clock.offset_ns) + _constant(clock),
@@ -57,7 +57,7 @@ def _table(stamped: Sequence[TopicClock]) -> HtmlTable:
             _jitter(clock),
             str(clock.steps_back),
         )
-        for place, clock in enumerate(stamped, start=1)
+        for row, clock in enumerate(stamped, start=1)
     )
     columns = ("row", "topic", "stamped by", "offset, ms", "drift, ppm", "jitter, ms", "back")
     return HtmlTable("Offset, drift and jitter by topic", columns, rows, frozenset({0, 3, 4, 5, 6}))

@@ -1,6 +1,6 @@
-"""The page's first words: the score and its verdict, the pictures, and the findings.
+"""The overview of the page: the score and its verdict, the pictures, and the findings.
 
-**Conventions.** The words for a score are as the thresholds in `VERDICTS` say.
+**Conventions.** The words for a score follow the thresholds in `VERDICTS`.
 """
 
 from base64 import b64encode
@@ -30,23 +30,23 @@ Picture = tuple[str, str, bytes]
 
 
 def verdict_of(score: int) -> tuple[str, str]:
-    """The class of the ring, and the word."""
+    """Return the class of the ring, and the word."""
     return next((tone, word) for least, tone, word in VERDICTS if score >= least)
 
 
 def pictures_section(pictures: Sequence[Picture]) -> dict[str, list[DrawnFigure]]:
-    """The previews of the recording, inside the page: those over its whole width, and the others."""
+    """Return the previews of the recording: those over the page's whole width, and the others."""
     shown = {"wide": list(_figures(pictures, is_wide=True)), "others": list(_figures(pictures, is_wide=False))}
     return shown if any(shown.values()) else {}
 
 
 def ordered(findings: Sequence[Finding]) -> list[Finding]:
-    """With the most harm to labels first, of equal harm errors first."""
+    """Return the findings with the most harm to labels first; for equal harm errors first."""
     return sorted(findings, key=lambda finding: harm_rank(finding.code, finding.severity))
 
 
 def codes_section(findings: Iterable[Finding], deductions: Iterable[Deduction]) -> list[CodeMeaning]:
-    """What the codes of these findings and deductions mean, each once, in order of code."""
+    """Return the meaning of each code of these findings and deductions, once, in order of code."""
     codes = {finding.code for finding in findings} | {deduction.code for deduction in deductions}
     return [CATALOGUE[code] for code in sorted(codes) if code in CATALOGUE]
 
@@ -54,6 +54,6 @@ def codes_section(findings: Iterable[Finding], deductions: Iterable[Deduction]) 
 def _figures(pictures: Sequence[Picture], *, is_wide: bool) -> Iterator[DrawnFigure]:
     for file_name, media_type, content in pictures:
         if file_name in TOLD and (file_name == WIDE) == is_wide:
-            title, told = TOLD[file_name]
+            title, caption = TOLD[file_name]
             source = f"data:{media_type};base64,{b64encode(content).decode()}"
-            yield DrawnFigure(title, Markup('<img src="{}" alt="">').format(source), told)
+            yield DrawnFigure(title, Markup('<img src="{}" alt="">').format(source), caption)

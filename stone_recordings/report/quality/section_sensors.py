@@ -1,6 +1,6 @@
-"""What the messages of each kind of sensor hold, over time.
+"""The content of the messages of each kind of sensor, over time.
 
-**Conventions.** Samples, not every message: the captions say how many. Lines are told apart by a legend in the page,
+**Conventions.** Samples, not every message: the captions give their number. A legend in the page distinguishes lines,
 since names never enter a plot.
 """
 
@@ -20,7 +20,7 @@ SensorT = TypeVar("SensorT", CameraFacts, LidarFacts, RadarFacts)
 
 @dataclass(frozen=True)
 class RtkSection:
-    """How the receiver's solution went: `bars` by its words, `deviation` by its own estimate."""
+    """The receiver's solution over time: `bars` by its words, `deviation` by its own estimate."""
 
     facts: RtkFacts
     bars: tuple[StripBar, ...]
@@ -41,11 +41,11 @@ def rtk_section(rtk: RtkFacts | None, duration_ns: int) -> RtkSection | None:
         return None
     line = PlotLine(_seconds(rtk.at_ns), tuple(100 * value for value in rtk.stdev_m), "c3")
     plot = time_plot(Frame("stdev", duration_ns / NS_PER_S, "standard deviation, cm", low=0.0), [line])
-    told = Markup("Horizontal standard deviation that the receiver reports, median {} cm.").format(
+    caption = Markup("Horizontal standard deviation that the receiver reports, median {} cm.").format(
         number(100 * (middle(rtk.stdev_m) or 0.0))
     )
     bars = word_strip([at_ns / max(1, duration_ns) for at_ns in rtk.at_ns], rtk.words)
-    return RtkSection(rtk, bars, DrawnFigure("Reported position accuracy", plot, told))
+    return RtkSection(rtk, bars, DrawnFigure("Reported position accuracy", plot, caption))
 
 
 def cameras_section(cameras: Sequence[CameraFacts], duration_ns: int) -> CamerasSection | None:
@@ -60,14 +60,14 @@ def cameras_section(cameras: Sequence[CameraFacts], duration_ns: int) -> Cameras
     of_blur = "Variance of the Laplacian; a camera far below the others has a dirty lens or is out of focus."
     of_light = "Mean brightness of the image from black (0) to white (100); jumps are auto-exposure hunting."
     figures = (DrawnFigure("Sharpness", sharp, of_blur), DrawnFigure("Exposure", bright, of_light))
-    legend = tuple((series_colour(place), camera.channel or name(camera.topic)) for place, camera in enumerate(cameras))
+    legend = tuple((series_colour(index), camera.channel or name(camera.topic)) for index, camera in enumerate(cameras))
     return CamerasSection(legend, figures, _camera_table(cameras))
 
 
 def clouds_section(
     lidars: Sequence[LidarFacts], radars: Sequence[RadarFacts], duration_ns: int
 ) -> tuple[DrawnFigure, ...]:
-    """None, one or both of the figures."""
+    """Return none, one or both of the figures."""
     span_s = duration_ns / NS_PER_S
     return (*([_lidars(lidars, span_s)] if lidars else []), *([_radars(radars, span_s)] if radars else []))
 
@@ -103,8 +103,8 @@ def _lidars(lidars: Sequence[LidarFacts], span_s: float) -> DrawnFigure:
     )
     columns = ("topic", "points a sweep", "returned", "median range, m")
     table = HtmlTable("Medians over the sampled sweeps", columns, rows, frozenset({1, 2, 3}))
-    told = f"Share of a sweep's points with a return, in {len(lidars[0].at_ns)} sweeps; the sky gives none."
-    return DrawnFigure("LiDAR returns", plot, told, _legend(lidars), table)
+    caption = f"Share of a sweep's points with a return, in {len(lidars[0].at_ns)} sweeps; the sky gives none."
+    return DrawnFigure("LiDAR returns", plot, caption, _legend(lidars), table)
 
 
 def _radars(radars: Sequence[RadarFacts], span_s: float) -> DrawnFigure:
@@ -115,20 +115,21 @@ def _radars(radars: Sequence[RadarFacts], span_s: float) -> DrawnFigure:
         for radar in radars
     )
     table = HtmlTable("Valid detections a scan", ("topic", "usual", "fewest", "most"), rows, frozenset({1, 2, 3}))
-    told = f"Valid detections in {len(radars[0].at_ns)} scans of each radar."
-    return DrawnFigure("Radar detections", plot, told, _legend(radars), table)
+    caption = f"Valid detections in {len(radars[0].at_ns)} scans of each radar."
+    return DrawnFigure("Radar detections", plot, caption, _legend(radars), table)
 
 
 def _lines(
     seen: Sequence[SensorT], values: Callable[[SensorT], tuple[float, ...]], has_points: bool = True
 ) -> list[PlotLine]:
     return [
-        PlotLine(_seconds(one.at_ns), values(one), series_colour(place), has_points) for place, one in enumerate(seen)
+        PlotLine(_seconds(sensor.at_ns), values(sensor), series_colour(index), has_points)
+        for index, sensor in enumerate(seen)
     ]
 
 
 def _legend(seen: Sequence[SensorT]) -> tuple[tuple[str, str], ...]:
-    return tuple((series_colour(place), name(one.topic)) for place, one in enumerate(seen))
+    return tuple((series_colour(index), name(sensor.topic)) for index, sensor in enumerate(seen))
 
 
 def _seconds(at_ns: Sequence[int]) -> tuple[float, ...]:

@@ -1,4 +1,4 @@
-"""When every topic delivered and how fast, on one time axis.
+"""The deliveries and rates of every topic, on one time axis.
 
 **Conventions.** As in `coverage`: time is the recorder's, rates are messages per second.
 """
@@ -20,7 +20,7 @@ ROLE_COLOUR = {"lidar": "c0", "camera": "c1", "radar": "c2", "ins": "c3", "imu":
 
 @dataclass(frozen=True)
 class CoverageRow:
-    """A topic, what is said of it, and when it delivered."""
+    """A topic, its caption, and its deliveries."""
 
     topic: str
     told: Markup
@@ -29,7 +29,7 @@ class CoverageRow:
 
 @dataclass(frozen=True)
 class CoverageSection:
-    """`left_out` are topics that have no row."""
+    """`left_out` are topics without a row."""
 
     rows: tuple[CoverageRow, ...]
     left_out: int
@@ -38,14 +38,14 @@ class CoverageSection:
 
 @dataclass(frozen=True)
 class RatesSection:
-    """The rates of sensors, and the same against what is usual for each; `legend` is by role."""
+    """The rates of sensors, and the same relative to each one's usual rate; `legend` is by role."""
 
     legend: tuple[tuple[str, str], ...]
     figures: tuple[DrawnFigure, ...]
 
 
 def coverage_section(coverage: Sequence[Coverage], topics_total: int, duration_ns: int) -> CoverageSection | None:
-    """None where nothing was recorded."""
+    """Return the section; None for an empty recording."""
     if not coverage:
         return None
     rows = tuple(_row(topic, max(1, duration_ns)) for topic in coverage)
@@ -53,7 +53,7 @@ def coverage_section(coverage: Sequence[Coverage], topics_total: int, duration_n
 
 
 def rates_section(coverage: Sequence[Coverage], duration_ns: int) -> RatesSection | None:
-    """None where no sensor keeps a period."""
+    """Return the section; None if no sensor is periodic."""
     steady = [topic for topic in coverage if topic.rates_hz and topic.role in SENSOR_ROLES][:MOST_LINES]
     return _rates(steady, duration_ns / NS_PER_S) if steady else None
 
@@ -61,12 +61,12 @@ def rates_section(coverage: Sequence[Coverage], duration_ns: int) -> RatesSectio
 def _row(topic: Coverage, span_ns: int) -> CoverageRow:
     if topic.covered_ratio is None:
         bars = span_strip(topic.first_ns / span_ns, topic.last_ns / span_ns)
-        told = text(f"{topic.count} message{'' if topic.count == 1 else 's'}")
+        caption = text(f"{topic.count} message{'' if topic.count == 1 else 's'}")
     else:
         bars = cover_strip(topic.covered, [(start / span_ns, end / span_ns) for start, end in topic.gaps_ns])
         gaps = f" · {len(topic.gaps_ns)} gap{'s' if len(topic.gaps_ns) > 1 else ''}" if topic.gaps_ns else ""
-        told = Markup("{} Hz · {}{}").format(number(topic.rate_hz), percent(topic.covered_ratio), gaps)
-    return CoverageRow(topic.topic, Markup("{} · {}").format(topic.role, told), bars)
+        caption = Markup("{} Hz · {}{}").format(number(topic.rate_hz), percent(topic.covered_ratio), gaps)
+    return CoverageRow(topic.topic, Markup("{} · {}").format(topic.role, caption), bars)
 
 
 def _table(coverage: Sequence[Coverage]) -> HtmlTable:
@@ -92,8 +92,8 @@ def _rates(steady: Sequence[Coverage], span_s: float) -> RatesSection:
     relative = [replace(line, values=_share(topic)) for line, topic in zip(lines, steady, strict=True)]
     usual_hz = [topic.rate_hz or 1.0 for topic in steady]
     frame = Frame("rates", span_s, "messages per second", min(usual_hz) / 4, 2.5 * max(usual_hz), is_log=True)
-    told = f"One line for each of {len(steady)} sensors; a flat line is a constant rate."
-    absolute = DrawnFigure("Messages per second", time_plot(frame, lines), told, table=_rate_table(steady))
+    caption = f"One line for each of {len(steady)} sensors; a flat line is a constant rate."
+    absolute = DrawnFigure("Messages per second", time_plot(frame, lines), caption, table=_rate_table(steady))
     share_plot = time_plot(Frame("relative-rates", span_s, "of the usual rate, %", 0.0, 200.0), relative)
     of_usual = "The same relative to each sensor's usual rate: a dip is loss, a peak a burst."
     legend = tuple((ROLE_COLOUR[role], role) for role in ROLE_COLOUR if any(topic.role == role for topic in steady))
@@ -109,15 +109,17 @@ def _rate_table(steady: Sequence[Coverage]) -> HtmlTable:
 
 
 def _share(topic: Coverage) -> tuple[float, ...]:
-    """In percent, of at most twice the usual."""
+    """Return the rates in percent, at most twice the usual."""
     return tuple(min(200.0, 100.0 * rate_hz / (topic.rate_hz or 1.0)) for rate_hz in topic.rates_hz)
 
 
 def _seen(topic: Coverage) -> tuple[float, ...]:
-    """A logarithm has no zero: silence is drawn far below the frame, at a thousandth of what is usual."""
+    """Return the rates for a logarithmic axis: silence is drawn far below the frame, at a thousandth of the usual
+    rate.
+    """
     least_hz = (topic.rate_hz or 1.0) / 1000
     return tuple(max(rate_hz, least_hz) for rate_hz in topic.rates_hz)
 
 
 def _middles(bins: int, span_s: float) -> tuple[float, ...]:
-    return tuple((place + 0.5) * span_s / bins for place in range(bins))
+    return tuple((index + 0.5) * span_s / bins for index in range(bins))

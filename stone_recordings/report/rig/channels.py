@@ -1,8 +1,8 @@
-"""The channels of a recording against the sensors of a calibration: which topic is whose, and what is of nobody.
+"""The topics of a recording compared with the sensors of a calibration: matches, and both kinds of misfits.
 
-**Conventions.** Cameras, radars and IMUs are their mounts' as association has it (`stone_recordings.sync.association`),
-an INS is the calibration's INS, and the LiDAR's topic is that of the part `lidar`. CAL-412: a topic of no sensor;
-CAL-437: a sensor of no topic.
+**Conventions.** Cameras, radars and IMUs match as in association (`stone_recordings.sync.association`), an INS matches
+the calibration's INS, and the LiDAR's topic is that of the part `lidar`. CAL-412: a topic without a sensor; CAL-437: a
+sensor without a topic.
 """
 
 from collections.abc import Iterable
@@ -24,7 +24,7 @@ MOST_TOPICS = 64
 
 @dataclass(frozen=True)
 class ChannelMatch:
-    """A topic of a sensor; `sensor` is the channel the calibration knows it by, None where it knows none."""
+    """A topic of a sensor; `sensor` is its channel in the calibration, None if the calibration has none."""
 
     topic: str
     role: Role
@@ -36,12 +36,14 @@ class ChannelMatch:
 
 
 def channel_matches(bag: Bag, calibration: Calibration, profile: TopicProfile) -> tuple[ChannelMatch, ...]:
-    """Every topic of a LiDAR, camera, radar, IMU or INS that has messages. Raises what inspecting raises (BAG-*)."""
+    """Return every topic of a LiDAR, camera, radar, IMU or INS with messages. Raises the errors of inspecting
+    (BAG-*).
+    """
     inspection = inspect_in(bag, profile)
     channels = {topic: part for part, topic in inspection.assignment.channels.items()}
-    found = [topic for topic in inspection.topics if topic.role in PLACED_ROLES and topic.topic.count]
+    topics = [topic for topic in inspection.topics if topic.role in PLACED_ROLES and topic.topic.count]
     matches = list[ChannelMatch]()
-    for topic in found[:MOST_TOPICS]:
+    for topic in topics[:MOST_TOPICS]:
         frame_id = frame_id_of(bag, topic.topic)
         named = calibration.mount(channels.get(topic.topic.name, ""))
         mount = named if named is not None and named.kind == topic.role else None
@@ -61,7 +63,7 @@ def _mount(calibration: Calibration, topic: str, role: Role, frame_id: str) -> M
 
 
 def channel_findings(matches: Iterable[ChannelMatch], calibration: Calibration) -> tuple[Finding, ...]:
-    """A warning for each topic without a sensor, a note for each sensor without a topic."""
+    """Return a warning for each topic without a sensor, a note for each sensor without a topic."""
     matched = tuple(matches)
     findings = [_unknown(match) for match in matched if match.sensor is None]
     seen = {match.sensor for match in matched}

@@ -1,8 +1,8 @@
-"""The drawing of a rig as a file: from above and from the right, to scale, with what each sensor sees.
+"""The drawing of a rig as a file: from above and from the right, to scale, with each sensor's field of view.
 
 **Conventions.** Metres in the ego frame: from above forward is up and left is left, from the right forward is right and
 up is up. A sensor's own axes are short lines, x red, y green, z blue. Wedges are the fields of view of lenses; a
-radar's is not known and drawn as most have it, dashed. Sensors farther than `FARTHEST_M` are named and not drawn.
+radar's is unknown and drawn at a usual width, dashed. Sensors farther than `FARTHEST_M` are named and not drawn.
 """
 
 from dataclasses import dataclass
@@ -31,9 +31,9 @@ COLOURS: dict[SensorKind, str] = {
 AXIS_COLOURS = ("#ff7a6e", "#6ecb87", "#6d8cf2")
 RADAR_FIELD_DEG = 110.0
 FARTHEST_M = 30.0
-# What looks less than this along a view is drawn without a wedge there.
+# A sensor whose direction lies less than this in a view's plane has no wedge there.
 IN_PLANE = 0.6
-# Of the largest side of what is drawn: how far fields of view and axes reach, and the room around.
+# Shares of the drawing's largest side: the reach of fields of view and axes, and the margin.
 REACH_RATIO, AXIS_RATIO, MARGIN_RATIO = 0.3, 0.07, 0.14
 LEAST_SIDE_M = 1.0
 LONGEST_NAME = 28
@@ -41,7 +41,7 @@ LONGEST_NAME = 28
 
 @dataclass(frozen=True)
 class RigSide:
-    """One view: `right_up` (2, 3) is what of the ego frame goes right and up."""
+    """One view: `right_up` (2, 3) are the directions of the ego frame that point right and up."""
 
     title: str
     labels: tuple[str, str]
@@ -57,7 +57,7 @@ RIGHT = RigSide("from the right", ("forward, m", "up, m"), np.array([[1.0, 0.0, 
 
 
 def rig_figure(calibration: Calibration, is_footprint_given: bool, picture: PictureFormat = "svg") -> bytes:
-    """SVG or PNG; equal calibrations give equal bytes."""
+    """Return SVG or PNG; equal calibrations give equal bytes."""
     placed = placed_sensors(calibration)
     near = [sensor for sensor in placed if np.abs(sensor.at_m).max() <= FARTHEST_M]
     far = [sensor.mount.name for sensor in placed if sensor not in near]
@@ -76,7 +76,7 @@ def rig_figure(calibration: Calibration, is_footprint_given: bool, picture: Pict
 
 
 def _side_m(calibration: Calibration, near: list[PlacedSensor]) -> float:
-    """The largest side of the robot and its sensors."""
+    """Return the largest side of the robot and its sensors."""
     half = np.array([calibration.footprint.length_m, calibration.footprint.width_m, 0.0]) / 2
     corners = [half, -half, *(sensor.at_m for sensor in near)]
     corners += [np.array(corner) for box in _near_boxes(calibration) for corner in box]
@@ -89,7 +89,7 @@ def _near_boxes(calibration: Calibration) -> list[tuple[tuple[float, float, floa
 
 
 def _body(axes: Axes, side: RigSide, calibration: Calibration, is_given: bool) -> None:
-    """The footprint, on the ground from the right; the robot's own boxes; the ground; the ego origin."""
+    """Draw the footprint, on the ground from the right; the robot's own boxes; the ground; the ego origin."""
     for low, high in _near_boxes(calibration):
         _rectangle(axes, side, (np.array(low), np.array(high)), facecolor=LINE, edgecolor=LINE, alpha=0.55)
     half = np.array([calibration.footprint.length_m, calibration.footprint.width_m, 0.0]) / 2
@@ -128,7 +128,7 @@ def _sensors(axes: Axes, side: RigSide, near: list[PlacedSensor], side_m: float)
 def _bounds(
     axes: Axes, places: list[tuple[float, float]], room_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """A square around the sensors and the footprint, set on the axes."""
+    """Set a square around the sensors and the footprint on the axes, and return its corners."""
     patches = [patch.get_bbox().get_points() for patch in axes.patches if isinstance(patch, Rectangle)]
     points = np.concatenate([np.array(places).reshape(-1, 2), *patches])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -140,7 +140,7 @@ def _bounds(
 
 
 def _field(axes: Axes, side: RigSide, sensor: PlacedSensor, reach_m: float) -> None:
-    """The wedge of a camera's lens or a radar; nothing where it looks at the reader or away."""
+    """Draw the wedge of a camera's lens or a radar; nothing if it points towards the viewer or away."""
     right, up = side.flat(sensor.looks)
     if sensor.mount.kind not in ("camera", "radar") or np.hypot(right, up) < IN_PLANE:
         return
@@ -167,11 +167,11 @@ def _own_axes(axes: Axes, side: RigSide, sensor: PlacedSensor, length_m: float) 
 
 def _footer(calibration: Calibration, is_given: bool, far: list[str]) -> str:
     footprint = calibration.footprint
-    said = f"footprint {footprint.length_m:g} x {footprint.width_m:g} m"
-    said += "" if is_given else " (the default: none is given)"
+    footer = f"footprint {footprint.length_m:g} x {footprint.width_m:g} m"
+    footer += "" if is_given else " (the default: none is given)"
     if not calibration.self_boxes_ego:
-        said += ", no self boxes"
-    return said + (f", too far away to draw: {', '.join(map(_plain, far[:4]))}" if far else "")
+        footer += ", no self boxes"
+    return footer + (f", too far away to draw: {', '.join(map(_plain, far[:4]))}" if far else "")
 
 
 def _legend(figure: Figure, footer: str, near: list[PlacedSensor]) -> None:
@@ -188,41 +188,39 @@ def _legend(figure: Figure, footer: str, near: list[PlacedSensor]) -> None:
 
 
 def _plain(name: str) -> str:
-    """Somebody else's name in letters that the font has, and no more of it than there is room for."""
+    """Return a foreign name in letters that the font has, cut to the available room."""
     shown = one_line(name)
     shown = shown if len(shown) <= LONGEST_NAME else shown[: LONGEST_NAME - 3] + "..."
     return shown.encode("ascii", "replace").decode()
 
 
 def _written(figure: Figure, picture: PictureFormat) -> bytes:
-    """Without dates and versions, which would change the bytes."""
+    """Return the figure without dates and versions, which would change the bytes."""
     stream = BytesIO()
     metadata = {"Software": None} if picture == "png" else {"Date": None, "Creator": None}
     figure.savefig(stream, format=picture, dpi=DOTS_PER_IN, metadata=metadata)
     return stream.getvalue()
 
 
-# Places for the names on a drawing, so that no two stand on each other.
-#
-# **Conventions.** In the drawing's own unit; a letter and a line are shares of its side. The first name gets the
-# nearest place, so who comes first is best placed.
+# Positions for the names on a drawing, so that no two overlap: in the drawing's own unit; a letter and a line are
+# shares of its side. The first name gets the nearest position.
 
 
 LETTER_RATIO, LINE_RATIO = 0.0165, 0.036
-# Where a name is tried around its place: so many directions, on rings that grow by a line.
+# Candidate positions around a point: the number of directions, and of rings that grow by a line.
 DIRECTIONS, RINGS = 16, 8
 
 
 @dataclass(frozen=True)
 class Label:
-    """A name and what it is of."""
+    """A name and the point that it belongs to."""
 
     text: str
     at: tuple[float, float]
 
 
 def spread(labels: list[Label], side: float) -> list[tuple[Label, tuple[float, float]]]:
-    """The middle of each name's text, on a drawing `side` wide; where there is no room, the last place tried."""
+    """Return the middle of each name's text, on a drawing `side` wide; without room, the last candidate."""
     boxes = [(*label.at, LINE_RATIO * side / 2, LINE_RATIO * side / 2) for label in labels]
     placed = list[tuple[Label, tuple[float, float]]]()
     centre = np.mean([label.at for label in labels], axis=0) if labels else np.zeros(2)
@@ -242,7 +240,9 @@ def spread(labels: list[Label], side: float) -> list[tuple[Label, tuple[float, f
 
 
 def _around(outward: NDArray[np.float64]) -> list[tuple[float, float]]:
-    """Directions, nearest ring first, on each of them outward first; up where nothing is outward."""
+    """Return directions, nearest ring first, on each ring the outward one first; up if there is no outward
+    direction.
+    """
     first = np.arctan2(outward[1], outward[0]) if np.hypot(*outward) > 0 else np.pi / 2
     steps = np.arange(DIRECTIONS)
     turns = first + np.where(steps % 2, -1, 1) * ((steps + 1) // 2) * 2 * np.pi / DIRECTIONS
@@ -254,5 +254,5 @@ def _around(outward: NDArray[np.float64]) -> list[tuple[float, float]]:
 
 
 def _overlap(a: tuple[float, float, float, float], b: tuple[float, float, float, float]) -> bool:
-    """Of boxes as middle and half sides."""
+    """Return whether two boxes overlap, given as middle and half sides."""
     return abs(a[0] - b[0]) < a[2] + b[2] and abs(a[1] - b[1]) < a[3] + b[3]

@@ -1,7 +1,6 @@
-"""A calibration in numbers, for people and programs: sensors with their mounts and lenses, and what is not in it.
+"""A calibration in numbers, for people and programs: sensors with their mounts and lenses, and missing parts.
 
-**Conventions.** A JSON object. Mounts are in the ego frame, as places (below) have them; lens numbers are those of the
-file.
+**Conventions.** A JSON object. Mounts are in the ego frame, as below; lens numbers are those of the file.
 """
 
 import math
@@ -22,12 +21,10 @@ from stone_recordings.calibrations.file import DEFAULT_FOOTPRINT, CalibrationRea
 from stone_recordings.calibrations.recognition import recognised
 from stone_recordings.calibrations.recording_rig import is_recording
 
-# Where every sensor of a calibration sits on the robot and where it looks: what drawings and tables of a rig show.
-#
-# **Conventions.** In the ego frame, metres. The LiDAR that all others are placed by is the first, called LIDAR where
-# the file has no name for it. A camera is optical and looks along its z, everything else along its x. Angles are roll,
-# pitch, yaw about fixed axes (URDF); of a camera they are those of its link (REP 103: x where it looks, z up), so that
-# a level camera ahead has three zeros.
+# The pose of every sensor of a calibration on the robot, for drawings and tables of a rig. In the ego frame, metres.
+# The LiDAR that places all others is the first, called LIDAR if the file has no name for it. A camera is optical and
+# looks along its z, every other sensor along its x. Angles are roll, pitch, yaw about fixed axes (URDF); a camera's are
+# those of its link (REP 103: x forward, z up), so that a level camera ahead has three zeros.
 
 
 LIDAR = "LIDAR"
@@ -47,7 +44,7 @@ class PlacedSensor:
 
     @property
     def looks(self) -> NDArray[np.float64]:
-        """The unit direction (3,) it looks in."""
+        """The unit direction (3,) in which the sensor looks."""
         return self.ego_from_sensor.rotation() @ ((0.0, 0.0, 1.0) if self.mount.kind == "camera" else (1.0, 0.0, 0.0))
 
     @property
@@ -61,7 +58,7 @@ class PlacedSensor:
 
 
 def placed_sensors(calibration: Calibration) -> list[PlacedSensor]:
-    """The LiDAR, then every other mount in the calibration's order."""
+    """Return the LiDAR, then every other mount in the calibration's order."""
     own = next((mount for mount in calibration.of_kind("lidar") if _is_origin(mount)), None)
     lidar = own if own is not None else Mount(LIDAR, "lidar", SE3.identity())
     others = [mount for mount in calibration.mounts if mount is not own]
@@ -69,12 +66,12 @@ def placed_sensors(calibration: Calibration) -> list[PlacedSensor]:
 
 
 def _is_origin(mount: Mount) -> bool:
-    """Whether it is the LiDAR itself, listed for its frame or its clock."""
+    """Return whether it is the LiDAR itself, listed for its frame or its clock."""
     return bool(np.abs(mount.lidar_from_sensor.as_matrix() - np.eye(4)).max() < SAME_M_OR_RATIO)
 
 
 def fields_of_view_deg(lens: CameraIntrinsics) -> tuple[float, float]:
-    """Across and down, by the focal lengths alone."""
+    """Return the horizontal and vertical field of view, from the focal lengths alone."""
     return (_field_deg(lens, lens.width_px, lens.fx_px), _field_deg(lens, lens.height_px, lens.fy_px))
 
 
@@ -85,7 +82,7 @@ def _field_deg(lens: CameraIntrinsics, size_px: int, focal_px: float) -> float:
 
 
 def calibration_facts(read: CalibrationRead) -> dict[str, Any]:
-    """Name, format, sensors, footprint, the vehicle's limits, boxes and what is missing."""
+    """Return name, format, sensors, footprint, the vehicle's limits, boxes and missing parts."""
     calibration = read.calibration
     return {
         "name": calibration.name,
@@ -103,18 +100,18 @@ def is_footprint_given(read: CalibrationRead) -> bool:
 
 
 def missing(read: CalibrationRead) -> list[str]:
-    """What a calibration may say and this one does not, each with what that means."""
+    """Return the optional parts that this calibration lacks, each with its consequence."""
     calibration = read.calibration
-    said = []
+    lines = []
     if not is_footprint_given(read):
-        said.append("footprint: the paper's is taken; T is the ground that the footprint was driven over")
+        lines.append("footprint: the paper's is taken; T is the ground that the footprint was driven over")
     if not calibration.self_boxes_ego:
-        said.append("self_boxes_ego: points on the robot itself count as obstacles")
-    return said + _missing_sensors(calibration)
+        lines.append("self_boxes_ego: points on the robot itself count as obstacles")
+    return lines + _missing_sensors(calibration)
 
 
 def files_found(path: Path) -> list[dict[str, Any]]:
-    """What each file says by itself, for a calibration that is no whole one; nothing of what cannot be read at all."""
+    """Return the content of each readable file of an incomplete calibration."""
     try:
         parts = () if is_recording(path) else recognised(read_bundle(path), path.name).parts
     except StoneError:
@@ -131,15 +128,15 @@ def files_found(path: Path) -> list[dict[str, Any]]:
 
 
 def _missing_sensors(calibration: Calibration) -> list[str]:
-    said = []
+    lines = []
     cameras = calibration.of_kind("camera")
     if not cameras:
-        said.append("cameras: mask_camera will be empty")
+        lines.append("cameras: mask_camera will be empty")
     if unlensed := [mount.name for mount in cameras if mount.intrinsics is None]:
-        said.append(f"intrinsics of {', '.join(unlensed)}: they do not count for mask_camera")
+        lines.append(f"intrinsics of {', '.join(unlensed)}: they do not count for mask_camera")
     if not calibration.of_kind("ins"):
-        said.append("INS: its lever arm is needed where the poses come from an INS, not with odometry")
-    return said
+        lines.append("INS: its lever arm is needed where the poses come from an INS, not with odometry")
+    return lines
 
 
 def _sensor(sensor: PlacedSensor) -> dict[str, Any]:

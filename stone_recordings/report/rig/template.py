@@ -1,7 +1,7 @@
-"""A native calibration of all that a recording knows of its robot, to be completed by hand.
+"""A native calibration with everything that a recording reveals about its robot, to be completed by hand.
 
-**Conventions.** Extrinsics are those of /tf_static, lenses those of CameraInfo, sizes those of the first picture. What
-no topic gives stands as FILL_IN, which reading refuses by name (`CAL-453`), with a comment that says what to measure.
+**Conventions.** Extrinsics are those of /tf_static, lenses those of CameraInfo, sizes those of the first picture. An
+unknown value is FILL_IN, which reading refuses by name (`CAL-453`), with a comment on what to measure.
 """
 
 import json
@@ -29,7 +29,7 @@ MOST_SENSORS = 64
 
 @dataclass(frozen=True)
 class CalibrationTemplate:
-    """The YAML, the keys whose values are FILL_IN, and the channels whose values the recording gave whole."""
+    """The YAML, the keys whose values are FILL_IN, and the channels whose values are complete."""
 
     text: str
     missing: tuple[str, ...]
@@ -38,7 +38,7 @@ class CalibrationTemplate:
 
 @dataclass(frozen=True)
 class _Sensor:
-    """A topic of a sensor; where it sits on the LiDAR and its lens, None where no topic says it."""
+    """A topic of a sensor; its pose on the LiDAR and its lens, None if no topic gives them."""
 
     channel: str
     kind: SensorKind
@@ -50,11 +50,11 @@ class _Sensor:
 
 
 def calibration_template(bag: Bag, name: str, profile: TopicProfile | None = None) -> CalibrationTemplate:
-    """The template of a recording's robot. Raises what inspecting raises (BAG-*)."""
+    """Return the template of a recording's robot. Raises the errors of inspecting (BAG-*)."""
     inspection = inspect_in(bag, profile)
     draft = draft_of(name, (recorded_facts(bag),))
     lidar_topic = inspection.assignment.channels.get("lidar", "")
-    lidar = next((frame_id_of(bag, one.topic) for one in inspection.topics if one.topic.name == lidar_topic), "")
+    lidar = next((frame_id_of(bag, item.topic) for item in inspection.topics if item.topic.name == lidar_topic), "")
     ego = next((frame for frame in EGO_FRAMES if draft.tree.transform(frame, lidar) is not None), None)
     sensors = list(_sensors(bag, inspection, (draft, lidar, ego)))
     text = "\n".join(_lines(name, (lidar_topic, lidar), (ego, draft), sensors)) + "\n"
@@ -67,12 +67,12 @@ def _sensors(bag: Bag, inspection: Inspection, of: tuple[RigDraft, str, str | No
     draft, lidar, ego = of
     parts = {topic: part for part, topic in inspection.assignment.channels.items()}
     taken, seen = set[str](), set[tuple[str, str]]()
-    found = [one for one in inspection.topics if one.role in PLACED and one.topic.count]
-    for one in sorted(found, key=lambda one: PLACED.index(one.role or "camera"))[:MOST_SENSORS]:
-        kind: SensorKind = one.role  # type: ignore[assignment]
-        frame = frame_id_of(bag, one.topic)
-        words = frame or one.topic.name.strip("/").replace("/", "_") or kind
-        channel = parts.get(one.topic.name, "")
+    sensors = [sensor for sensor in inspection.topics if sensor.role in PLACED and sensor.topic.count]
+    for sensor in sorted(sensors, key=lambda sensor: PLACED.index(sensor.role or "camera"))[:MOST_SENSORS]:
+        kind: SensorKind = sensor.role  # type: ignore[assignment]
+        frame = frame_id_of(bag, sensor.topic)
+        words = frame or sensor.topic.name.strip("/").replace("/", "_") or kind
+        channel = parts.get(sensor.topic.name, "")
         channel = channel if channel and channel not in ("pose", "imu", "ins") else channel_of(words, kind)
         channel = (words if channel in taken else channel)[:100]
         if channel in taken or (kind, frame) in seen:  # a second topic of the same sensor
@@ -80,17 +80,17 @@ def _sensors(bag: Bag, inspection: Inspection, of: tuple[RigDraft, str, str | No
         taken.add(channel)
         seen |= {(kind, frame)} if frame else set()
         lidar_from_sensor = draft.tree.transform(lidar, frame) if frame else None
-        size_px = _size_px(bag, one.topic.name, one.topic.type) if kind == "camera" else None
+        size_px = _size_px(bag, sensor.topic.name, sensor.topic.type) if kind == "camera" else None
         lens = draft.lenses.get(frame)
         if lidar_from_sensor is not None and kind == "camera" and frame not in draft.optical and not is_optical(frame):
             ego_from_lidar = (draft.tree.transform(ego, lidar) if ego else None) or SE3.identity()
             mount, _ = as_optical(Mount(channel, kind, lidar_from_sensor, frame), ego_from_lidar @ lidar_from_sensor)
             lidar_from_sensor = mount.lidar_from_sensor
-        yield _Sensor(channel, kind, one.topic.name, frame, lidar_from_sensor, lens, size_px)
+        yield _Sensor(channel, kind, sensor.topic.name, frame, lidar_from_sensor, lens, size_px)
 
 
 def _size_px(bag: Bag, topic: str, type_name: str) -> tuple[int, int] | None:
-    """The size of the first picture, None if it cannot be read."""
+    """Return the size of the first picture, None if it cannot be read."""
     try:
         picture = decode_image(bag.message(topic, 0).payload, type_name)
     except StoneError:
@@ -125,9 +125,9 @@ def _lines(
 
 
 def _pose(indent: str, pose: SE3 | None) -> Iterator[str]:
-    place = [FILL_IN] * 3 if pose is None else [_number(value) for value in pose.translation_m.tolist()]
+    translation = [FILL_IN] * 3 if pose is None else [_number(value) for value in pose.translation_m.tolist()]
     turn = [FILL_IN] * 4 if pose is None else [_number(value) for value in pose.wxyz.tolist()]
-    yield f"{indent}translation_m: [{', '.join(place)}]"
+    yield f"{indent}translation_m: [{', '.join(translation)}]"
     yield f"{indent}rotation_wxyz: [{', '.join(turn)}]"
 
 
@@ -135,7 +135,7 @@ def _lens(sensor: _Sensor) -> Iterator[str]:
     lens = sensor.lens
     if lens is not None:
         width, height, model = str(lens.width_px), str(lens.height_px), str(lens.model)
-        numbers = [_number(one) for one in (lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px)]
+        numbers = [_number(length) for length in (lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px)]
         distortion = ", ".join(map(_number, lens.distortion))
         yield "    intrinsics:"
     else:
@@ -152,7 +152,7 @@ def _lens(sensor: _Sensor) -> Iterator[str]:
 
 
 def _number(value: float) -> str:
-    """A float as every YAML reads it."""
+    """Return a float in a form that every YAML parser reads."""
     text = f"{value:.12g}"
     if "e" in text:
         return text if "." in text else text.replace("e", ".0e")
@@ -160,10 +160,10 @@ def _number(value: float) -> str:
 
 
 def _text(value: object) -> str:
-    """A text in quotes, on one line; what a frame or topic is called is anybody's."""
+    """Return a quoted text on one line; names of frames and topics are untrusted."""
     return json.dumps(str(value)[:100])
 
 
 def template_name(path: Path) -> str:
-    """What a calibration is called after a recording."""
+    """Return the calibration's name, derived from the recording's."""
     return path.stem[:100] or "robot"
