@@ -170,26 +170,28 @@ def _fault(track: PoseTrack, motions: tuple[_Motion, _Motion], doubt: Doubt, cal
     tolerated = max(TOLERATED_RAD, TOLERATED_RATIO * float(max(seen[at], turned[at])))
     is_course = abs(abs(doubt.course_rad) - seen[at]) <= tolerated
     if seen[at] - turned[at] > tolerated or (turned[at] - seen[at] > tolerated and is_course):
-        return f"{words}: it is not the robot's attitude"
+        return f"{words}: this is not the robot's attitude"
     is_placed = bool(calibration.ego_from_lidar.translation_m.any())
     most = int(np.argmax(np.minimum(seen, turned)))
     if min(seen[most], turned[most]) > TOLERATED_RAD and apart[most] > OPPOSITE_RATIO * max(seen[most], turned[most]):
-        return f"its orientation turns by {_deg(turned[most])} the other way than the registered sweeps do"
+        return f"its orientation turns by {_deg(turned[most])} in the opposite direction of the registered sweeps"
     if doubt.is_aside and not _is_way_seen(motions) and _never_turns(track):
         off = _deg(abs(doubt.course_rad))
-        return f"its orientation never changes, and the track leads {off} aside of it: places without an attitude"
+        return (
+            f"its orientation never changes, and the track runs {off} off it: these are positions without an attitude"
+        )
     if not is_placed or np.linalg.norm(by_track.way_m[-1]) < LEAST_WAY_M or not _is_way_seen(motions):
         return ""
     x, y = (motion.way_m[-1, :2] for motion in motions)
     aside = abs(float(np.arctan2(x[0] * y[1] - x[1] * y[0], x @ y)))
     if aside <= ASIDE_RAD:
         return ""
-    return f"its orientation points {_deg(aside)} aside of where the registered sweeps show the robot to face"
+    return f"its orientation points {_deg(aside)} off the heading that the registered sweeps show"
 
 
 def _words(elapsed_ns: int, turned_rad: float, evidence: str) -> str:
     return (
-        f"its orientation changes by {_deg(turned_rad)} in {elapsed_ns / 1e9:.1f} s, in which the registered sweeps "
+        f"its orientation changes by {_deg(turned_rad)} in {elapsed_ns / 1e9:.1f} s, while the registered sweeps "
         f"turn by {evidence}"
     )
 
@@ -209,13 +211,15 @@ def _fault_by_gyro(track: PoseTrack, inputs: AttitudeInputs, doubt: Doubt) -> st
         seen = _turned_by_gyro(inputs.bag, topic, doubt)
         if seen is None:
             continue
-        words = f"its orientation changes by {_deg(turned)}, in which the gyro of {topic.name} turns by {_deg(seen)}"
+        words = f"its orientation changes by {_deg(turned)}, while the gyro of {topic.name} turns by {_deg(seen)}"
         is_off = abs(seen - turned) > max(TOLERATED_RAD, TOLERATED_RATIO * max(seen, turned))
-        return f"{words} and the course by {course}: it is not the robot's attitude" if is_off else ""
+        return f"{words} and the course by {course}: this is not the robot's attitude" if is_off else ""
     if abs(doubt.course_rad) < DOUBT_RAD or not _never_turns(track):
         return ""
     does = "leads aside of it" if doubt.is_aside else "turns"
-    return f"its orientation never changes, while the course {does} by {course}: these are places without an attitude"
+    return (
+        f"its orientation never changes, while the course {does} by {course}: these are positions without an attitude"
+    )
 
 
 def _never_turns(track: PoseTrack) -> bool:
@@ -266,7 +270,7 @@ def _ways(
         yield "estimate the poses from the sweeps: --odometry kiss-icp"
     is_ins = track.is_smooth
     if not (track.is_course or is_ins) and track.topic in {topic.name for topic in inputs.bag.topics}:
-        yield f"if the robot always drives forward, take its course for the heading: --odometry {COURSE}{track.topic}"
+        yield f"if the robot always drives forward, use its course as heading: --odometry {COURSE}{track.topic}"
 
 
 def _is_way_seen(motions: tuple[_Motion, _Motion]) -> bool:

@@ -73,7 +73,7 @@ def without_strays(track: PoseTrack) -> PoseTrack:
     excess_m = jumps.excess_m[np.isin(jumps.steps, np.flatnonzero(~is_kept) - 1)]
     stamp_ns = int(track.trajectory.stamps_ns[np.flatnonzero(~is_kept)[int(np.argmax(excess_m))]])
     sentence = (
-        f"{int((~is_kept).sum())} single poses lie off the track that their neighbours are on and are left out "
+        f"{int((~is_kept).sum())} single poses lie off the track of their neighbours and are left out "
         f"(worst {excess_m.max():.2f} m at {stamp_ns} ns)"
     )
     left = _rows(track, is_kept)
@@ -149,14 +149,15 @@ def levelled(track: PoseTrack, imu: ImuTopic | None) -> PoseTrack:
     up = _up(track.trajectory, imu) if imu is not None else np.full(3, np.nan)
     if not np.isfinite(up).all():
         sentence = (
-            "the map's up is the robot's own at its first pose: begun on a slope, level ground is labelled as sloping"
+            "the map's up is the robot's own up at its first pose: if the run starts on a slope, level ground is "
+            "labelled as sloping"
         )
         return _said(track, Finding("SYN-506", "warning", track.topic, sentence))
     turn = shortest_turn_to_z(up)
     angle_deg = float(np.rad2deg(2 * np.arctan2(np.linalg.norm(turn[1:]), turn[0])))
     level = SE3.from_parts(turn, np.zeros(3)) @ track.trajectory.map_from_ego
     name = imu.name if imu is not None else ""
-    sentence = f"the map was turned by {angle_deg:.2f}° so that up is against the gravity that {name} measured"
+    sentence = f"the map was turned by {angle_deg:.2f}° so that z opposes the gravity measured by {name}"
     turned = replace(track, trajectory=replace(track.trajectory, map_from_ego=level))
     return _said(turned, Finding("SYN-506", "info", track.topic, sentence))
 
@@ -304,7 +305,7 @@ def motion_findings(track: PoseTrack, sweeps: SweepTopic, calibration: Calibrati
         raise Refused(
             "SYN-510",
             f"{track.source}: its {len(track.trajectory)} poses never change, but the sweeps show {moved_m:.1f} m "
-            "of motion; was the source initialised? Choose another one, or estimate them from the sweeps: "
+            "of motion. Initialise the source before recording, choose another, or estimate poses from the sweeps: "
             "--odometry kiss-icp",
         )
     sentence = (

@@ -68,11 +68,11 @@ def _difference(name: str, recorded: SE3, calibrated: SE3, is_placed: bool) -> F
         return None
     offset_m, angle_deg = float(np.linalg.norm(apart.translation_m)), turn_deg(apart)
     sentence = (
-        f"tf_static puts it {offset_m * 100:.1f} cm and {angle_deg:.2f}° from where the calibration does; "
+        f"tf_static puts it {offset_m * 100:.1f} cm and {angle_deg:.2f}° from its place in the calibration; "
         f"the calibration is used (limits {OFFSET_LIMIT_M * 100:g} cm, {TURN_LIMIT_DEG}°)"
     )
     if _is_near(calibrated @ recorded):
-        sentence += "; it is the inverse of tf_static's: one of the two is inverted"
+        sentence += "; it is the inverse of tf_static's transform: one of the two is inverted"
     return Finding("CAL-414", "warning", name, sentence)
 
 

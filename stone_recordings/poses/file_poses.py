@@ -43,7 +43,7 @@ LAST_S = 9_000_000_000
 MOST_OFF_NORM, MOST_OFF_ROTATION = 1e-2, 5e-3
 
 
-EULER = " (angles of roll, pitch and yaw are no quaternion: convert them)"
+EULER = " (if the columns are roll, pitch and yaw, convert them to a quaternion)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ def read_pose_file(path: Path) -> FilePoses:
         if len(numbers) > MOST_POSES:
             raise bad_pose_file(path.name, number, f"it has more than {MOST_POSES} poses")
     if not numbers:
-        raise bad_pose_file(path.name, 0, "it holds no pose")
+        raise bad_pose_file(path.name, 0, "it contains no pose")
     table, at = np.array(numbers, np.float64), np.array(lines, np.int64)
     if table.shape[1] == 12:
         return FilePoses(path.name, "KITTI", _kitti(path.name, table, at), None, digest.hexdigest())
@@ -99,7 +99,7 @@ def _words(name: str, number: int, raw: bytes) -> list[str]:
     try:
         return raw.decode("utf-8-sig" if number == 1 else "utf-8").partition("#")[0].split()
     except UnicodeDecodeError:
-        raise bad_pose_file(name, number, "the line is not text; is this a file of poses?") from None
+        raise bad_pose_file(name, number, "the line is not text; give a file of poses") from None
 
 
 def _row(name: str, number: int, words: list[str], expected: int | None) -> list[float]:
@@ -200,7 +200,7 @@ def _child_from_ego(name: str, frame: str, rig: RigMounts) -> tuple[SE3, tuple[F
         if frame and frame == mount.name:
             return (rig.calibration.ego_from_lidar @ mount.lidar_from_sensor).inverse(), ()
     if not frame:
-        sentence = "it does not name the frame of its poses; they are taken as poses of the ego frame (--poses-frame)"
+        sentence = "it does not name the frame of its poses; they count as poses of the ego frame (--poses-frame)"
         return SE3.identity(), (Finding("CAL-405", "warning", name, sentence),)
     step, assumed = child_from_ego("", frame, rig)
     if assumed:
@@ -212,8 +212,8 @@ def _child_from_ego(name: str, frame: str, rig: RigMounts) -> tuple[SE3, tuple[F
 
 def _counts(read: FilePoses, clock: LidarClock) -> str:
     return (
-        f"it has {len(read.poses)} poses, {clock.topic} has {len(clock.ordered.stamps_ns)} usable sweeps; a KITTI file "
-        "has no stamps and needs one pose a sweep: write the poses as TUM (time x y z qx qy qz qw)"
+        f"it has {len(read.poses)} poses, {clock.topic} has {len(clock.ordered.stamps_ns)} usable sweeps. A KITTI file "
+        "has no stamps and needs one pose per sweep: write the poses as TUM (time x y z qx qy qz qw)"
     )
 
 

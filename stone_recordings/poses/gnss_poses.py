@@ -112,9 +112,9 @@ def _attitudes(topics: GnssTopics, attitude: AttitudeSamples) -> tuple[Trajector
         raise Refused(
             "GNS-306",
             f"{topic}: none of its {len(attitude.stamps_ns)} messages gives an orientation "
-            "(orientation_covariance[0] is -1, or no rotation), so positions of NavSatFix alone are not poses; "
-            "record the filtered IMU (imu_filter_madgwick, the driver's /imu/data), estimate them from the sweeps: "
-            "--odometry kiss-icp, or if the robot always drives forward, take its course for the heading: "
+            "(orientation_covariance[0] is -1, or no rotation), and positions of NavSatFix alone are not poses. "
+            "Record the filtered IMU (imu_filter_madgwick, the driver's /imu/data), or estimate poses from the sweeps: "
+            "--odometry kiss-icp. If the robot always drives forward, use its course as heading: "
             f"--odometry course:{topics.fix_topic}",
         )
     ordered = in_order(topic, attitude.stamps_ns, rows)

@@ -140,8 +140,9 @@ def local_poses(topic: str, stamps_ns: Stamps, poses: SE3, *, is_course: bool = 
         return Local(kept, poses, (*far, finding))
     origin_m = np.round(poses.translation_m[0]) + 0.0  # no −0
     sentence = (
-        f"its positions are far from the origin of their frame; the map's origin is ({_listed(origin_m)}) m of it, and "
-        "that was subtracted"
+        f"its positions are far from the origin of their frame; ({_listed(origin_m)}) m was subtracted and is the "
+        "map's "
+        "origin"
     )
     shifted = SE3.from_parts(poses.wxyz, poses.translation_m - origin_m)
     return Local(kept, shifted, (*far, Finding("SYN-532", "info", topic, sentence)))
@@ -175,9 +176,9 @@ def _from_ecef(topic: str, stamps_ns: Stamps, poses: SE3, is_course: bool) -> tu
     choices = {"ECEF": turned, "east, north, up": SE3.from_parts(poses.wxyz, place_m)}
     words = "ECEF" if is_course else _attitude_frame(topic, stamps_ns, choices)
     sentence = (
-        f"its positions are ECEF; the map is east, north, up near the first, ({_listed(first_m)}) m, with latitude "
-        f"{latitude:.7f}°, longitude {longitude:.7f}°, height {height_m:.2f} m; its orientation is taken for one in "
-        f"{words}, with which the robot stands upright"
+        f"its positions are ECEF; the map is east, north, up near the first position, ({_listed(first_m)}) m, latitude "
+        f"{latitude:.7f}°, longitude {longitude:.7f}°, height {height_m:.2f} m. Its orientation counts as given in "
+        f"{words}, in which the robot is upright"
     )
     return choices[words], Finding("SYN-532", "info", topic, sentence)
 
@@ -194,8 +195,9 @@ def _attitude_frame(topic: str, stamps_ns: Stamps, choices: dict[str, SE3]) -> s
     degrees = " and ".join(f"{np.rad2deg(tilt[words]):.0f}° in {words}" for words in choices)
     raise Refused(
         "SYN-534",
-        f"{topic}: its positions are ECEF, but its orientation tilts the robot by {degrees}: it is in neither; record "
-        f"the poses in UTM or in a local frame, or take the heading from the course: --odometry course:{topic}",
+        f"{topic}: its positions are ECEF, but its orientation tilts the robot by {degrees}, so its frame is unknown. "
+        "Record "
+        f"the poses in UTM or in a local frame, or use the course as heading: --odometry course:{topic}",
     )
 
 
@@ -210,8 +212,9 @@ def check_extent(source: str, place_m: Array) -> None:
     if not far_m < MAP_M:
         raise Refused(
             "SYN-535",
-            f"{source}: its positions reach {far_m / 1000:,.0f} km from the first; a map holds {MAP_M / 1000:.0f} km: "
-            "does the source jump between frames, or write zeros? Choose another one, or estimate the poses from the "
+            f"{source}: its positions reach {far_m / 1000:,.0f} km from the first, but a map extends over "
+            f"{MAP_M / 1000:.0f} km. "
+            "If the source jumps between frames or writes zeros, choose another, or estimate the poses from the "
             "sweeps: --odometry kiss-icp",
         )
 
@@ -237,8 +240,9 @@ def refuse_degrees(topic: str, stamps_ns: Stamps, poses: SE3) -> None:
         return
     raise Refused(
         "SYN-533",
-        f"{topic}: its positions are degrees and not metres: they stay within {np.ptp(positions, axis=0).max():.2g} "
-        f"around ({usual[0]:.5f}, {usual[1]:.5f}), as latitude and longitude of a drive of {lengths_m.sum():.0f} m would; "
-        "record them in metres (UTM or a local frame), publish a sensor_msgs/msg/NavSatFix, or estimate the poses from "
+        f"{topic}: its positions are degrees, not metres: they stay within {np.ptp(positions, axis=0).max():.2g} "
+        f"around ({usual[0]:.5f}, {usual[1]:.5f}), as latitude and longitude of a drive of {lengths_m.sum():.0f} m "
+        "would. "
+        "Record them in metres (UTM or a local frame), publish a sensor_msgs/msg/NavSatFix, or estimate the poses from "
         "the sweeps: --odometry kiss-icp",
     )

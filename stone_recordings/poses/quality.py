@@ -73,8 +73,8 @@ def _wander(path: Trajectory) -> str:
         return ""
     plan_cm = 100.0 * direction.aside_m * np.sqrt(2.0)
     return (
-        f"; against the robot's heading the poses wander to the side by {100.0 * direction.aside_m:.0f} cm (standard "
-        f"deviation over 20 m), so in plan by about {plan_cm:.0f} cm"
+        f"; the poses deviate sideways from the robot's heading by {100.0 * direction.aside_m:.0f} cm (standard "
+        f"deviation over 20 m), which is about {plan_cm:.0f} cm in plan"
     )
 
 

@@ -77,10 +77,10 @@ def direction_findings(tree: StaticTree, radars: Sequence[RecordedRadar]) -> Ite
         seen = f"/tf_static turns its frame {frame!r} by {yaw:+.0f}°" if not _is_base(tree, frame) else IN_BASE
         named, angle = channel_of("radar", radar.topic, radar.frame_id, {}), angles.get(radar.frame_id)
         if named is not None and _apart_deg(yaw, _yaw_of(named)) > OTHER_WAY_DEG:
-            sentence = f"by its name it is {named}, while {seen}: the name is used (another: --topic CHANNEL=TOPIC)"
+            sentence = f"its name indicates {named}, but {seen}; the name is used (to change it: --topic CHANNEL=TOPIC)"
             yield Finding("TOP-117", "warning", radar.topic, sentence)
         elif named is None and angle is not None:
-            sentence = f"{seen}, while its name says {angle}°: the yaw is used, and it is {channels[frame]}"
+            sentence = f"{seen}, but its name contains {angle}°; the yaw is used, which gives {channels[frame]}"
             yield Finding("TOP-117", "warning", radar.topic, sentence)
         elif named is None:
             yield Finding("TOP-117", "info", radar.topic, f"{seen}: it is {channels[frame]}")
@@ -92,8 +92,9 @@ def unplaced_finding(tree: StaticTree) -> tuple[Finding, ...]:
     if not frames:
         return ()
     sentence = (
-        f"/tf_static puts {', '.join(frames[:6])} into one point, with translations of zero: no robot is built so, and "
-        "they were not entered; rotations are taken from it, positions from the calibration"
+        f"/tf_static puts {', '.join(frames[:6])} at one point, with translations of zero, so these were probably "
+        "never "
+        "entered. Rotations come from /tf_static, positions from the calibration"
     )
     return (Finding("CAL-438", "warning", "", sentence),)
 
@@ -115,8 +116,12 @@ def with_radars(
             continue
         lidar_from_radar = calibration.ego_from_lidar.inverse() @ base[1]
         mounts.append(Mount(channel, "radar", lidar_from_radar, radar.frame_id))
-        position = "at the ego origin, for its position is not known" if tree.unplaced else f"where {base[0]} has it"
-        turned = f"is turned as /tf_static has {frame!r}, {position}" if base[0] != frame else f"lies there: {IN_BASE}"
+        position = (
+            "at the ego origin, because its position is unknown" if tree.unplaced else f"at its place on {base[0]}"
+        )
+        turned = (
+            f"has the rotation of {frame!r} in /tf_static, {position}" if base[0] != frame else f"lies there: {IN_BASE}"
+        )
         sentence = f"the calibration does not place it; {channel} {turned}"
         findings.append(Finding("CAL-439", "info", radar.topic, sentence))
     return replace(calibration, mounts=(*calibration.mounts, *mounts)), tuple(findings)

@@ -90,8 +90,9 @@ def along_course(source: str, place_m: NDArray[np.float64], child_from_ego: SE3)
 def course_finding(topic: str) -> Finding:
     """Return SYN-531: the heading is the course."""
     sentence = (
-        "its orientation is not used: the heading is the course over ground, roll and pitch are 0; right if the robot "
-        "drives forward on nearly level ground, and wrong where it reverses, drives aside or turns on the spot"
+        "its orientation is not used: the heading is the course over ground, roll and pitch are 0. This is right if "
+        "the "
+        "robot drives forward on nearly level ground, and wrong if it reverses, drives sideways or turns on the spot"
     )
     return Finding("SYN-531", "warning", topic, sentence)
 
@@ -210,13 +211,13 @@ def sensor_named(parent: str, child: str) -> str:
 def assumed_finding(parent: str, child: str) -> Finding:
     """Return CAL-405: the frame's place is unknown and it is taken for the ego frame."""
     if not child:
-        sentence = "its messages do not name the frame of their poses; they are taken as poses of the ego frame"
+        sentence = "its messages do not name the frame of their poses; they count as poses of the ego frame"
         return Finding("CAL-405", "warning", "", f"{sentence} (give it with --poses-frame FRAME)")
-    sentence = f"neither the calibration nor tf_static knows its frame {child!r}; it is taken for the ego frame"
+    sentence = f"neither the calibration nor tf_static contains its frame {child!r}; the frame counts as the ego frame"
     if sensor := sensor_named(parent, child):
         sentence += (
-            f", although by its name under {parent!r} it is the {sensor}'s, which is above the ground and may be "
-            f"rotated: add the sensor with frame_id {child} and its extrinsics to the calibration, or name the topic "
+            f", although its name under {parent!r} indicates the {sensor}, which is above the ground and may be "
+            f"rotated. Add the sensor with frame_id {child} and its extrinsics to the calibration, or name the topic "
             "of the base's poses"
         )
     return Finding("CAL-405", "warning", child, sentence)

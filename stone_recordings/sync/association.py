@@ -100,7 +100,7 @@ def _association(
     index = np.where(nearest.index >= 0, ordered.index[nearest.index], -1)
     missing = int((index < 0).sum())
     if missing:
-        sentence = f"{missing} of {len(index)} frames have no message of it near enough"
+        sentence = f"{missing} of {len(index)} frames have no message of this topic near enough in time"
         findings.append(Finding("SYN-504", "warning", topic, sentence))
     return Association(topic, index, nearest.dt_ns, phase_ns), findings
 

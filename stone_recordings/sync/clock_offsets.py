@@ -77,5 +77,5 @@ def shifted_finding(topic: str, offset_ns: int) -> tuple[Finding, ...]:
     """Return TIM-214 if a clock was shifted."""
     if not offset_ns:
         return ()
-    sentence = f"its stamps are shifted by {offset_ns / 1e9:+.6f} s, as the calibration or the command says"
+    sentence = f"its stamps are shifted by {offset_ns / 1e9:+.6f} s, as configured in the calibration or by the command"
     return (Finding("TIM-214", "info", topic, sentence),)

@@ -24,14 +24,18 @@ def direction_findings(sequence: Sequence, fit: GroundFit | None) -> tuple[Findi
     is_tilted = fit is not None and fit.is_way_tilted
     if direction is None or not (direction.is_yawed or direction.is_pitched or is_tilted):
         return ()
-    where = f"by its poses the robot drives {' and '.join(_off(direction))} where it faces, by {direction.steps} steps"
+    where = (
+        f"according to its poses the robot drives {' and '.join(_off(direction))} where it faces, by {direction.steps} "
+        "steps"
+    )
     if fit is not None and fit.is_body_pitched and not direction.is_yawed:
-        sentence = f"{where}, and the ground is pitched likewise: the body drives pitched, and the map is right"
+        sentence = f"{where}, and the ground is pitched equally. The robot drives pitched, and the map is right"
         return (Finding("SYN-518", "info", "", sentence),)
     sentence = (
-        f"{where}: is the INS turned on its mount by this angle, or its attitude biased? Correct the rotation of the "
+        f"{where}. The INS is turned on its mount by this angle, or its attitude is biased: correct the rotation of "
+        "the "
         f"INS in the calibration{_entry(sequence.calibration, direction, fit)}"
-        f"{'; as it is, nothing is labelled' if is_tilted else ''}"
+        f"{'. Without this correction, labelling refuses the run' if is_tilted else ''}"
     )
     return (Finding("SYN-518", "warning", "", sentence),)
 

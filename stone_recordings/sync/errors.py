@@ -22,7 +22,7 @@ def no_lidar(unread: str) -> Refused:
     cause = unread or "name its topic with --lidar if a cloud was taken for a radar's"
     return Refused(
         "TOP-101",
-        "no LiDAR sensor_msgs/msg/PointCloud2 was recorded, nor other points or packets that are decoded here; "
+        "the recording has no LiDAR sensor_msgs/msg/PointCloud2, nor other points or packets that can be decoded; "
         f"{cause}",
     )
 
@@ -34,9 +34,10 @@ def ambiguous_topics(role: str, topics: Sequence[str], option: str) -> Refused:
 def no_pose_source(found: Sequence[str]) -> Refused:
     return Refused(
         "SYN-502",
-        "no pose source: no NovAtel INSPVA(X), no nav_msgs/msg/Odometry, no /tf from odom, map or world to the "
-        f"robot, no PoseStamped and no NavSatFix with an Imu (found: {listed(found)}); record one, name a topic "
-        "with --odometry, give a file with --poses, or estimate them from the sweeps: --odometry kiss-icp",
+        "the recording has no pose source: no NovAtel INSPVA(X), nav_msgs/msg/Odometry, PoseStamped, NavSatFix with an "
+        f"Imu, or /tf from odom, map or world to the robot (found: {listed(found)}). Record a source, name a topic "
+        "with "
+        "--odometry, give a file with --poses, or estimate the poses from the sweeps: --odometry kiss-icp",
     )
 
 
@@ -47,7 +48,8 @@ class NoUsablePoseError(StoneError):
 
     def __init__(self, source: str, count: int, why: str) -> None:
         super().__init__(
-            f"{source}: none of its {count} samples is usable ({why}); was it initialised while recording?"
+            f"{source}: none of its {count} samples is usable ({why}). Initialise the source before recording, or "
+            "choose another"
         )
 
 
@@ -55,9 +57,9 @@ def no_posed_frames(reasons: str, lidar_s: tuple[float, float], poses_s: tuple[f
     apart_s = lidar_s[0] - poses_s[0]
     return Refused(
         "SYN-501",
-        f"no sweep is usable ({reasons}): LiDAR stamps run from {lidar_s[0]:.3f} to {lidar_s[1]:.3f} s, poses from "
-        f"{poses_s[0]:.3f} to {poses_s[1]:.3f} s, {apart_s:+.3f} s apart at the start (18 s is GPS, 37 s TAI, "
-        f"hours a time zone{way_out}; for pose_gap, record poses more often, or estimate them "
+        f"no sweep is usable ({reasons}). LiDAR stamps run from {lidar_s[0]:.3f} to {lidar_s[1]:.3f} s, poses from "
+        f"{poses_s[0]:.3f} to {poses_s[1]:.3f} s, {apart_s:+.3f} s apart at the start. 18 s indicate GPS time, 37 s "
+        f"TAI, hours a time zone{way_out}. For pose_gap, record poses more often, or estimate them "
         "from the sweeps: "
         "--odometry kiss-icp)",
     )

@@ -72,9 +72,9 @@ def recorded_ground_finding(ground: GroundFit, tree: StaticTree, lidar_frame: st
     base, seen = next(iter(off.items()))
     right = seen.untilted().corrected(bases[base])
     sentence = (
-        f"by {seen.sweeps} sweeps the ground lies {above(seen)} if that is {base!r}, where /tf_static has the LiDAR: "
-        f"with such a calibration nothing is labelled. {entry_of(right)} would correct it, and ground auto "
-        f"(--ground auto) takes the LiDAR to be {right.translation_m[2]:.2f} m above the ground"
+        f"with the LiDAR's mount on {base!r} in /tf_static, the ground lies {above(seen)} ({seen.sweeps} sweeps). "
+        f"Labelling refuses such a calibration. Enter {entry_of(right)}, or use --ground auto, which mounts the LiDAR "
+        f"{right.translation_m[2]:.2f} m above the ground"
     )
     return (Finding("CAL-440", "warning", "", sentence),)
 
@@ -135,7 +135,7 @@ def settled(sequence: Sequence, sweeps: SweepSource, fit: GroundFit) -> Calibrat
 def ground_findings(sequence: Sequence, fit: GroundFit | None) -> tuple[Finding, ...]:
     """Return CAL-433 with the values to enter if the ground is off; CAL-435 if it cannot be measured."""
     if fit is None:
-        unseen = "the ground around the robot is seen in too few sweeps to check the height of the LiDAR's mount"
+        unseen = "too few sweeps show the ground around the robot to check the height of the LiDAR's mount"
         return (Finding("CAL-435", "info", "", unseen),)
     if not is_off(fit):
         return ()
@@ -143,10 +143,10 @@ def ground_findings(sequence: Sequence, fit: GroundFit | None) -> tuple[Finding,
     entries = f"{entry_of(right.ego_from_lidar)}{_moved_mounts(sequence.calibration, right)}"
     sentence = (
         f"the ground lies {above(fit)} and tilts by {np.rad2deg(fit.tilt_rad):.1f}° in the ego frame ({fit.sweeps} "
-        f"sweeps, 5 to 95 %: {fit.low_m:+.2f} to {fit.high_m:+.2f} m): is the LiDAR mounted as the calibration says, "
-        f"and the ego origin on the ground? {entries} would "
-        "correct it, and ground auto corrects it for this run"
-        f"{'; as entered, nothing is labelled' if fit.is_mount_tilted else ''}"
+        f"sweeps, 5 to 95 %: {fit.low_m:+.2f} to {fit.high_m:+.2f} m). Check the LiDAR's mount in the calibration and "
+        f"the ego origin, which is on the ground. {entries} would "
+        "correct it; --ground auto corrects it for this run"
+        f"{'. Without a correction, labelling refuses the run' if fit.is_mount_tilted else ''}"
     )
     return (Finding("CAL-433", "warning", "", sentence),)
 
@@ -154,8 +154,8 @@ def ground_findings(sequence: Sequence, fit: GroundFit | None) -> tuple[Finding,
 def applied_finding(fit: GroundFit, calibration: Calibration) -> Finding:
     """Return CAL-434: the correction that `--ground auto` applied, from the corrected `calibration`."""
     sentence = (
-        f"the ground lay {above(fit)} and tilted by {np.rad2deg(fit.tilt_rad):.1f}° in the ego frame; the LiDAR is "
-        f"taken to be mounted so that it does not: {entry_of(calibration.ego_from_lidar)}"
+        f"the ground lay {above(fit)} and tilted by {np.rad2deg(fit.tilt_rad):.1f}° in the ego frame; --ground auto "
+        f"corrected the LiDAR's mount to {entry_of(calibration.ego_from_lidar)}"
     )
     return Finding("CAL-434", "info", "", sentence)
 

@@ -74,12 +74,13 @@ def _findings(height: HeightDrift) -> tuple[Finding, ...]:
     )
     if height.is_followed:
         sentence = (
-            f"{where}: they drift in z, by {height.span_m:.2f} m over the run, and were moved up or down by what the "
-            f"ground says, after which such observations lie {height.left_m:.2f} m apart (95 %)"
+            f"{where}. The poses drift in z, by {height.span_m:.2f} m over the run, and were corrected with the "
+            "ground. "
+            f"Such observations then lie {height.left_m:.2f} m apart (95 %)"
         )
         return (Finding("SYN-514", "warning", "", sentence),)
     sentence = (
-        f"{where}, and moving the poses up and down leaves {height.left_m:.2f} m (95 %): that is not a slow drift in "
-        "z, and they stay as given; are they this robot's, of this time, and is the LiDAR mounted as entered?"
+        f"{where}. Correcting the poses in z leaves {height.left_m:.2f} m (95 %), so this is not a slow drift, and the "
+        "poses stay as given. Check that they belong to this robot and time, and check the LiDAR's mount"
     )
     return (Finding("SYN-515", "warning", "", sentence),)

@@ -66,11 +66,11 @@ def lag_findings(lag: SweepLag | None) -> tuple[Finding, ...]:
     ms = round(lag.lag_ns / 1e6)
     unshifted_deg, residual_deg = np.rad2deg([lag.unshifted_rad, lag.residual_rad]).tolist()
     sentence = (
-        f"the stamps of the {late} are about {abs(ms)} ms later than those of the {other}: {lag.turns} turns of the "
-        f"robot between sweeps are off by {unshifted_deg:.2f}°, and by {residual_deg:.2f}° with that taken out. Labels "
-        "are smeared by what the robot moves in that time. time_offset_ns in the calibration, or the time offset "
-        f"pose={-ms}ms or lidar={ms}ms of the run, added to what is set there, corrects it, for the one whose clock is "
-        "wrong; then check again"
+        f"the stamps of the {late} are about {abs(ms)} ms later than those of the {other}. {lag.turns} turns of the "
+        f"robot between sweeps are off by {unshifted_deg:.2f}°, without this delay by {residual_deg:.2f}°. The robot's "
+        "motion in that time smears the labels. Add the time offset "
+        f"pose={-ms}ms or lidar={ms}ms to the run's or to time_offset_ns in the calibration, for the sensor with the "
+        "wrong clock; then check again"
     )
     return (Finding("TIM-213", "warning", "", sentence),)
 

@@ -163,7 +163,7 @@ def _finding(sequence: Sequence, gap: Break) -> Finding:
     where = f"the track breaks between {stamps_ns[gap.before]} and {stamps_ns[gap.after]} ns ({silent_s:.1f} s)"
     result = gap.registered
     if not gap.is_joined:
-        sentence = f"{where}; what follows is a separate map, since it could not be joined: {result.doubt}"
+        sentence = f"{where}. The part after it is a separate map, because it cannot be joined: {result.doubt}"
         return Finding("SYN-508", "warning", "", sentence)
     moved = f"moved by {gap.far_m:.2f} m and {np.rad2deg(gap.turned_rad):.1f}°" if gap.is_moved else "as given"
     fits = f"{result.overlap:.0%} overlap, surfaces {1000 * result.residual_m:.0f} mm apart"
@@ -172,7 +172,7 @@ def _finding(sequence: Sequence, gap: Break) -> Finding:
 
 def _too_many(breaks: int) -> Finding:
     sentence = (
-        f"the track breaks {breaks} times; each stretch is a separate map, since above {MOST_BREAKS} breaks none are "
-        "joined (is this the right source of poses?)"
+        f"the track breaks {breaks} times. Each stretch is a separate map, because above {MOST_BREAKS} breaks none are "
+        "joined. Check the source of poses"
     )
     return Finding("SYN-508", "warning", "", sentence)

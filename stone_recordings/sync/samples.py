@@ -145,7 +145,8 @@ class BagSamples:
         if frames.sweeps is None:
             raise Refused(
                 "not_recorded",
-                f"the frames of sequence {sequence.name} name no LiDAR messages; was it made without a recording?",
+                f"the frames of sequence {sequence.name} name no LiDAR messages: the sequence was made without a "
+                "recording",
             )
         mount = None
         if sequence.track is not None:
@@ -176,7 +177,7 @@ def checked_samples(path: Path, sequence: Sequence) -> BagSamples:
         raise Refused(
             "recording_changed",
             f"{path} has sha256 {sha256}, but sequence {sequence.name} was made from {dict(sequence.inputs)}; "
-            "label it again, or say where the recording of these labels is",
+            "label the sequence again, or give the recording of these labels",
         )
     return BagSamples(path, sequence)
 

@@ -74,8 +74,8 @@ def frames_with_pose(
             raise Refused(
                 "SYN-511",
                 f"{track.source}: its poses come every "
-                f"{typical_period_ns(trajectory.stamps_ns) / 1e9:.3f} s, and nothing is interpolated "
-                f"across more than {max_gap_ns / 1e9:.3f} s, so no sweep has a pose; record them at a "
+                f"{typical_period_ns(trajectory.stamps_ns) / 1e9:.3f} s, but interpolation "
+                f"spans at most {max_gap_ns / 1e9:.3f} s, so no sweep has a pose. Record poses at a "
                 "higher rate, or estimate them from the sweeps: --odometry kiss-icp",
             )
         raise no_posed_frames(counted_reasons(excluded), _seconds(stamps_ns), _seconds(trajectory.stamps_ns), way_out())
@@ -95,7 +95,7 @@ def sparse_finding(track: PoseTrack, max_gap_ns: int) -> tuple[Finding, ...]:
     if period_ns <= max_gap_ns:
         return ()
     sentence = (
-        f"its poses come every {period_ns / 1e9:.3f} s, and nothing is interpolated across more than "
+        f"its poses come every {period_ns / 1e9:.3f} s, but interpolation spans at most "
         f"{max_gap_ns / 1e9:.3f} s: only sweeps at a pose are frames"
     )
     return (Finding("SYN-511", "warning", track.topic, sentence),)
@@ -134,7 +134,7 @@ def _exclusion(stamp_ns: int, is_empty: bool, poses: list[tuple[PoseStatus, int]
     when = ("the stamp", "the sweep's first point", "the sweep's last point")[is_missing.index(True)]
     where = {
         PoseStatus.GAP: f"in a gap of {gap_ns / 1e6:.1f} ms between two poses",
-        PoseStatus.SPLIT: "where the track jumps",
+        PoseStatus.SPLIT: "at a jump of the track",
         PoseStatus.BEFORE_FIRST: "before the first pose",
         PoseStatus.AFTER_LAST: "after the last pose",
     }

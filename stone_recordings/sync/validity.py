@@ -21,7 +21,8 @@ def validity_findings(sequence: Sequence, valid_from_ns: int | None, valid_to_ns
         return ()
     sentence = (
         f"recorded from {_shown(first_ns)} to {_shown(last_ns)}, but the calibration {sequence.calibration.name!r} is "
-        f"valid from {_shown(valid_from_ns)} to {_shown(valid_to_ns)}; it is used all the same (another version?)"
+        f"valid from {_shown(valid_from_ns)} to {_shown(valid_to_ns)}. The calibration is used; check whether another "
+        "version fits"
     )
     return (Finding("CAL-418", "warning", "", sentence),)
 

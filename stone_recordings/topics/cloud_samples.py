@@ -46,8 +46,9 @@ def packet_findings(bag: Bag, topic: Topic) -> tuple[Finding, ...]:
             f"; {cloud.left_out} of {cloud.packets} packets of a sweep are not of this model" if cloud.left_out else ""
         )
         sentence = (
-            f"Its packets are decoded as those of a {cloud.model} with the maker's default angles; those of this unit "
-            f"(some tenths of a degree off) are not in the packets: record the driver's points to have them{lost}."
+            f"Its packets are decoded as those of a {cloud.model} with the maker's default angles. The unit's own "
+            "angles, "
+            f"which differ by tenths of a degree, are not in the packets. Record the driver's points to use them{lost}."
         )
         return (Finding("TOP-116", "warning" if lost else "info", topic.name, sentence),)
     return ()

@@ -116,7 +116,7 @@ def _chosen(candidates: Sequence[Candidate], profile: TopicProfile) -> tuple[dic
             chosen[part] = topic
             continue
         why = "has no messages here" if candidate is None else f"is of type {candidate.type}"
-        message = f"The profile names {topic} for {part}, which {why}; {part} was looked for as without a profile."
+        message = f"The profile names {topic} for {part}, which {why}; {part} was resolved without the profile."
         doubts.append(Finding("TOP-111", "warning", topic, message))
     return chosen, doubts
 
@@ -173,14 +173,15 @@ def _missing(candidates: Sequence[Candidate], channels: Mapping[str, str]) -> It
     recorded = [candidate for candidate in candidates if candidate.count]
     if "lidar" not in channels and not _of_role(recorded, "lidar"):
         unread = unread_points(recorded)
-        why = f"{not_read(unread)}." if unread else "Labels need one."
-        message = f"No LiDAR PointCloud2 found, and no other points or packets that are decoded here. {why}"
+        why = f"{not_read(unread)}." if unread else "Labels need a LiDAR."
+        message = f"The recording has no LiDAR PointCloud2, nor other points or packets that can be decoded. {why}"
         yield Finding("TOP-101", "error", unread[0].name if unread else "", message)
     else:
         yield from unread_findings(recorded)
     if "pose" not in channels and not any(of_pose_role(role, _of_role(recorded, role)) for role in POSE_ROLES):
         message = (
-            "No pose source: neither INS, odometry, /tf, poses nor NavSatFix. Labels need one, or a file: --poses."
+            "The recording has no INS, odometry, /tf, poses or NavSatFix. Labels need a pose source, or a file: "
+            "--poses."
         )
         yield Finding("TOP-103", "warning", "", message)
 

@@ -96,7 +96,7 @@ def choose_sources(bag: Bag, asked: AskedTopics) -> Sources:
     is_course = asked_pose != asked.pose
     pose = lidar if asked.has_pose_file or asked.pose == KISS_ICP else _pose(roles, asked_pose)
     if is_course and pose.role == "ins":
-        raise Refused("TOP-104", f"{pose.name} is an INS and has an attitude: --odometry {pose.name} takes it")
+        raise Refused("TOP-104", f"{pose.name} is an INS and has its own attitude: use --odometry {pose.name}")
     role_of_lidar = "file" if asked.has_pose_file else ROLE_OF_SWEEPS
     attitude = _attitude(roles, asked.imu) if pose.role == "gnss" and not is_course else None
     return Sources(
@@ -141,7 +141,7 @@ def _facts(bag: Bag, topic: Topic) -> TopicFacts:
 def _lidar(roles: list[Candidate], name: str | None) -> Candidate:
     if name is not None:
         fitting = [topic for topic in roles if topic.type == POINT_CLOUD or topic.role == "lidar"]
-        return _asked(roles, name, fitting, f"{POINT_CLOUD} or packets that are decoded")
+        return _asked(roles, name, fitting, f"{POINT_CLOUD} or packets that can be decoded")
     lidars = [topic for topic in roles if topic.role == "lidar"]
     if not lidars:
         unread = unread_points(roles)

@@ -104,7 +104,7 @@ def missing(read: CalibrationRead) -> list[str]:
     calibration = read.calibration
     lines = []
     if not is_footprint_given(read):
-        lines.append("footprint: the paper's is taken; T is the ground that the footprint was driven over")
+        lines.append("footprint: the paper's is used; ground under the footprint along the track becomes class T")
     if not calibration.self_boxes_ego:
         lines.append("self_boxes_ego: points on the robot itself count as obstacles")
     return lines + _missing_sensors(calibration)
@@ -135,7 +135,7 @@ def _missing_sensors(calibration: Calibration) -> list[str]:
     if unlensed := [mount.name for mount in cameras if mount.intrinsics is None]:
         lines.append(f"intrinsics of {', '.join(unlensed)}: they do not count for mask_camera")
     if not calibration.of_kind("ins"):
-        lines.append("INS: its lever arm is needed where the poses come from an INS, not with odometry")
+        lines.append("INS: its lever arm is required if the poses come from an INS, not for odometry")
     return lines
 
 

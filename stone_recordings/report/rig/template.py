@@ -110,7 +110,7 @@ def _lines(
     pose = draft.tree.transform(ego_frame, frame) if ego_frame else None
     source = f"{_text(ego_frame)} from {_text(frame)} of /tf_static; its height is over {_text(ego_frame)}"
     if pose is None:
-        source = "the LiDAR's place on the robot; no /tf_static places it"
+        source = "the LiDAR's pose on the robot; /tf_static does not contain it"
     yield f"ego_from_lidar:  # of {_text(topic)}: {source}"
     yield from _pose("  ", pose)
     yield "sensors:" + ("" if (held := list(sensors)) else " {}")

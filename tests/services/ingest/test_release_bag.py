@@ -92,7 +92,7 @@ def test_radars_are_named_by_their_yaws_and_what_cannot_be_so_is_named_with_the_
     said = {(one.code, one.topic): one.message for one in inspection.findings}
     for (channel, yaw_deg), radar in zip(YAWS_DEG.items(), RELEASED.radars, strict=True):
         message, number = said["TOP-117", radar.topic], radar.frame_id.rpartition("_")[2]
-        assert f"by {yaw_deg:+.0f}°, while its name says {number}°: the yaw is used, and it is {channel}" in message
+        assert f"by {yaw_deg:+.0f}°, but its name contains {number}°; the yaw is used, which gives {channel}" in message
     assert "positions from the calibration" in said["CAL-438", ""]
     assert not {"TOP-110", "TOP-112"} & {code for code, _ in said}
     assert inspection.lidar_ground is not None
@@ -129,8 +129,8 @@ def test_a_mount_on_no_ground_is_named_with_its_correction_before_there_is_a_cal
     height_m = rig.EGO_FROM_LIDAR.translation_m[2]
     (told,) = [one for one in inspection.findings if one.code == "CAL-440"]
     assert (told.severity, told.topic) == ("warning", "")
-    seen = re.search(r"the ground lies ([\d.]+) m below the ego origin if that is 'base_link'", told.message)
-    right = re.search(r"ground auto \(--ground auto\) takes the LiDAR to be ([\d.]+) m above", told.message)
+    seen = re.search(r"mount on 'base_link' in /tf_static, the ground lies ([\d.]+) m below the ego origin", told.message)
+    right = re.search(r"use --ground auto, which mounts the LiDAR ([\d.]+) m above", told.message)
     assert seen is not None
     assert right is not None
     assert float(seen[1]) == float(right[1]) == pytest.approx(height_m, abs=0.04)

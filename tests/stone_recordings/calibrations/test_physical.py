@@ -62,7 +62,7 @@ def test_a_back_camera_that_is_its_own_inverse_is_told_by_tf_static(drive: Drive
     inverted = with_mount(calibration, replace(mount, lidar_from_sensor=mount.lidar_from_sensor.inverse()))
     findings = cross_check(tree, inverted, "hesai")
     assert [(finding.code, finding.topic) for finding in findings] == [("CAL-414", "CAM_BACK")]
-    assert findings[0].message.endswith("it is the inverse of tf_static's: one of the two is inverted")
+    assert findings[0].message.endswith("it is the inverse of tf_static's transform: one of the two is inverted")
 
 
 def test_all_cameras_inverted_or_ego_from_lidar_are_named_each(drive: Drive) -> None:
