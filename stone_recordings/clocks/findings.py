@@ -1,11 +1,14 @@
 """Findings about the clocks of a recording, from its clock report.
 
-**Conventions.** TIM-201 stamped on the host, TIM-202 another clock, TIM-203 steps back, TIM-204 gaps, TIM-206 repeated
-stamps, TIM-207 drift, TIM-208 lost triggers, TIM-209 the IMU's lag, TIM-210 a sensor that knew no time, TIM-212 a
-recorder whose clock jumped; TIM-211, no date, is of `stone_recordings.report.head_checks`, TIM-213, poses and sweeps
-of two times, of `stone_recordings.sync.lag_check`, TIM-214, a clock that was shifted, of `clock_offsets` beside it.
-(TIM-205 and CAL-406 need a calibration: `stone_recordings.clocks.triggers`.) A clock is compared with what most topics
-agree on, so that the one that is wrong is named, and not all the others. Nothing is shifted.
+**Conventions.** A clock is compared with the agreement of most topics, so that a finding names the wrong clock, and not
+all the others. Nothing is shifted.
+
+- TIM-201 stamped on the host, TIM-202 another clock, TIM-203 steps back, TIM-204 gaps, TIM-206 repeated stamps
+- TIM-207 drift, TIM-208 lost triggers, TIM-209 the IMU's lag, TIM-210 a sensor without a valid time
+- TIM-212 a jump of the recorder's clock
+- elsewhere: TIM-211, no date (`stone_recordings.report.head_checks`), TIM-213, poses and sweeps on different clocks
+  (`stone_recordings.sync.lag_check`), TIM-214, a shifted clock (`clock_offsets` beside it), and TIM-205 and CAL-406,
+  which need a calibration (`stone_recordings.clocks.triggers`)
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,19 +25,19 @@ from stone_recordings.topics.roles import POSE_ROLES, Role
 
 # Transport takes milliseconds: a median distance beyond this is another clock.
 CLOCK_DISTANCE_NS = 500_000_000
-# What is farther from the recorder's clock is not stamped by a clock of the robot that is set.
+# A clock farther from the recorder's is not a robot's clock that is set.
 LAST_TRANSPORT_NS = 5_000_000_000
-# A host disciplined by NTP wanders by less, a free quartz is wrong by up to 100 ppm.
+# A host disciplined by NTP deviates by less, a free quartz by up to 100 ppm.
 DRIFT_LIMIT_PPM = 20.0
 DRIFT_SIGMAS = 5.0
-# No quartz is wrong by a percent: that is the pace of a replay.
+# No quartz is wrong by a percent: such a rate is that of a replay.
 LAST_DRIFT_PPM = 10_000.0
 LEAST_AGREEING = 3
 LAG_LIMIT_NS, LAG_SIGMAS = 5_000_000, 4
 
 
 def clock_findings(measured: ClockMeasurement) -> Iterator[Finding]:
-    """Everything about clocks that an inspection can tell."""
+    """Yield all findings about clocks of an inspection."""
     yield from measured.findings
     for topic, role, timing in measured.inspected:
         yield from _sequence_findings(topic.name, role, timing)
@@ -48,7 +51,7 @@ def clock_findings(measured: ClockMeasurement) -> Iterator[Finding]:
 
 
 def _sequence_findings(topic: str, role: Role, timing: Timing) -> Iterator[Finding]:
-    """Stamps out of order, repeated, and missing."""
+    """Yield findings about stamps out of order, repeated, and missing."""
     if len(timing.steps_back_ns) and timing.has_header:
         worst_s = timing.steps_back_ns.max() / 1e9
         message = f"{len(timing.steps_back_ns)} stamps go backwards (worst by {worst_s:.6f} s)."
@@ -101,7 +104,7 @@ def _unsynchronised(clock: TopicClock, measured: ClockMeasurement) -> Iterator[F
 
 
 def distance_findings(report: ClockReport) -> Iterator[Finding]:
-    """Header clocks compared through the one clock that all messages share, the recorder's."""
+    """Yield findings from header clocks, compared through the recorder's clock, which all messages share."""
     compared = {clock.topic: clock for clock in _clocked(report) if clock.offset_ns is not None}
     offsets = {name: clock.offset_ns or 0 for name, clock in compared.items()}
     lidars = [name for name, clock in compared.items() if clock.role == "lidar"]
@@ -120,7 +123,8 @@ def distance_findings(report: ClockReport) -> Iterator[Finding]:
 
 
 def _distance(clock: TopicClock, what: str, ahead_ns: int, whose: str, constant: str) -> Finding:
-    # A topic's own constant is against the recorder, whose clock may be the one that is off; a start is a start.
+    # A topic's constant is relative to the recorder, whose clock may be the wrong one; a count from boot is
+    # unambiguous.
     named = constant_of(ahead_ns) or (constant if constant == SINCE_BOOT else "")
     doubt = f" (= {named.replace('-', ' − ')}?)" if named else ""
     message = f"{what} differs from the clock of {whose} by {ahead_ns / 1e9:.3f} s{doubt}."
@@ -130,7 +134,7 @@ def _distance(clock: TopicClock, what: str, ahead_ns: int, whose: str, constant:
 
 
 def _agreeing(offsets_ns: Mapping[str, int], lidars: Sequence[str]) -> list[str]:
-    """The topics whose clocks are one: the largest group, of two as large the recorder's, else the LiDAR's."""
+    """Return the topics that share a clock: the largest group; of two equal groups the recorder's, else the LiDAR's."""
     names, offsets = list(offsets_ns), np.array(list(offsets_ns.values()), np.float64)
     ordered = np.sort(offsets)
     first = np.searchsorted(ordered, offsets - CLOCK_DISTANCE_NS, side="left")
@@ -142,9 +146,9 @@ def _agreeing(offsets_ns: Mapping[str, int], lidars: Sequence[str]) -> list[str]
 
 
 def drift_findings(report: ClockReport) -> Iterator[Finding]:
-    """Clocks that run fast or slow against what the others agree on, by more than what they scatter.
+    """Yield findings on clocks that drift against the others' agreement by more than their scatter.
 
-    Odometry has no clock of its own: it takes ever longer to compute, and its stamps are those of its input.
+    Odometry has no clock of its own: its computing time grows, and its stamps are those of its input.
     """
     drifts = [clock for clock in _clocked(report) if clock.drift_ppm is not None and clock.role != "odometry"]
     if len(drifts) < 2:

@@ -1,8 +1,8 @@
-"""Stamps that were made on the host: how late they are against the time the sensor itself wrote, and how irregularly.
+"""Stamps made on the host: their delay against the sensor's own time, and its irregularity.
 
-**Conventions.** Lateness is stamp − the sensor's own time, of every message that carries one. The offset is its median,
-the jitter its robust σ (`stone.sensors.clocks.spread`: 1.4826 × the median absolute deviation). Inspection and
-synchronisation say the same numbers in the same sentence.
+**Conventions.** Lateness is stamp − the sensor's own time, of every message that carries both. The offset is its
+median, the jitter its robust σ (`stone.sensors.clocks.spread`: 1.4826 × the median absolute deviation). Inspection and
+synchronisation report the same numbers in the same sentence.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ GPS_REMEDY = "GPS time is used instead"
 
 @dataclass(frozen=True)
 class StampLateness:
-    """By how much stamps are later than the sensor's own time, and how irregular that is."""
+    """The delay of stamps against the sensor's own time, and its irregularity."""
 
     offset_ns: int
     jitter_ns: int
@@ -33,14 +33,14 @@ class StampLateness:
 
 
 def lateness(late_ns: NDArray[np.int64]) -> StampLateness | None:
-    """Of stamps (N,) minus the sensor's own times; None for N = 0."""
+    """Return the lateness from stamps (N,) minus the sensor's own times; None for N = 0."""
     if not len(late_ns):
         return None
     return StampLateness(int(np.median(late_ns)), round(spread(late_ns - np.median(late_ns))))
 
 
 def host_stamp_finding(topic: str, late: StampLateness, remedy: str) -> Finding:
-    """TIM-201; `remedy` is what is done about it, or what to do."""
+    """Return TIM-201; `remedy` is the correction that was applied, or the one to make."""
     message = (
         f"Stamped on the host (jitter {late.jitter_ns / 1e6:.2f} ms). "
         f"{remedy} (median offset {readable_ns(late.offset_ns)})."
@@ -49,7 +49,7 @@ def host_stamp_finding(topic: str, late: StampLateness, remedy: str) -> Finding:
 
 
 def readable_ns(duration_ns: int) -> str:
-    """In milliseconds, beyond half a second in seconds."""
+    """Return a duration in milliseconds, beyond half a second in seconds."""
     if abs(duration_ns) < MOST_MILLISECONDS_NS:
         return f"{duration_ns / 1e6:.2f} ms"
     return f"{duration_ns / 1e9:.3f} s"

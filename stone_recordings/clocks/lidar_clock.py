@@ -1,6 +1,6 @@
 """Start, end and stamp of every LiDAR sweep.
 
-**Conventions.** A sweep's stamp is its header's. How far its points reach around the stamp is measured, not assumed: a
+**Conventions.** A sweep's stamp is its header's. The extent of its points around the stamp is measured, not assumed: a
 driver may stamp the start, the middle or the end of a revolution.
 """
 
@@ -21,7 +21,7 @@ from stone_recordings.messages.problems import OTHER_FRAME, STRAY, MessageProble
 from stone_recordings.messages.sweep_clouds import cloud_at
 from stone_recordings.sync.recorded_messages import OrderedStamps, RecordedTopics, in_order
 
-# A stamp that goes back, and lies so far from where the recorder's clock puts it, is no stamp.
+# A stamp that goes back, and is this far from its time by the recorder's clock, is invalid.
 LAST_STRAY_NS = 500_000_000
 
 
@@ -29,8 +29,8 @@ LAST_STRAY_NS = 500_000_000
 class LidarClock:
     """The sweeps of a topic in time order: declared `points` (N,), and `span_ns` = (first, last) point time, ns.
 
-    `excluded` are the sweeps that cannot be used, each with its reason; they are not among the others.
-    Where points have no time, `is_timed` is False and the span is (0, 0).
+    `excluded` are the unusable sweeps, each with its reason; they are not among the others. If points have no time,
+    `is_timed` is False and the span is (0, 0).
     """
 
     topic: str
@@ -43,7 +43,7 @@ class LidarClock:
 
 
 def lidar_clock(bag: Bag, recorded: RecordedTopics, topic: str, offset_ns: int = 0) -> LidarClock:
-    """The clock with `offset_ns` added to every stamp. Raises `SYN-509`."""
+    """Return the clock with `offset_ns` added to every stamp. Raises `SYN-509`."""
     recorded = with_sweep_problems(recorded, topic)
     stamps_ns, usable, problems = (
         recorded.stamps_ns(topic) + offset_ns,
@@ -65,7 +65,9 @@ def lidar_clock(bag: Bag, recorded: RecordedTopics, topic: str, offset_ns: int =
 
 
 def with_sweep_problems(recorded: RecordedTopics, topic: str) -> RecordedTopics:
-    """With what only sweeps tell of each other: the frame of another sensor, a stamp far from the others'."""
+    """Return the topics with the faults that only a comparison of sweeps shows: another frame, a stamp far from the
+    others.
+    """
     found = dict(recorded.problems.get(topic, {}))
     usable = recorded.usable(topic).tolist()
     frame_ids = recorded.frame_ids(topic)
@@ -81,7 +83,7 @@ def with_sweep_problems(recorded: RecordedTopics, topic: str) -> RecordedTopics:
 def _stray(
     stamps_ns: NDArray[np.int64], log_times_ns: NDArray[np.int64], usable: list[int]
 ) -> Iterable[tuple[int, str]]:
-    """Sweeps whose stamp goes back, and is far from where it should be by the recorder's clock: single ones only."""
+    """Yield single sweeps whose stamp goes back and is far from its time by the recorder's clock."""
     stamps_ns, late_ns = stamps_ns[usable], (log_times_ns - stamps_ns)[usable]
     if len(stamps_ns) < 3:
         return
@@ -93,7 +95,7 @@ def _stray(
 
 
 def _problem_finding(topic: str, excluded: tuple[ExcludedFrame, ...], total: int) -> tuple[Finding, ...]:
-    """MSG-303 for sweeps that cannot be used; the frames say each."""
+    """Return MSG-303 for unusable sweeps; the frames list each one."""
     if not excluded:
         return ()
     first = excluded[0]
@@ -105,7 +107,7 @@ def _problem_finding(topic: str, excluded: tuple[ExcludedFrame, ...], total: int
 
 
 def _check_returns(bag: Bag, topic: str, rows: NDArray[np.int64]) -> None:
-    """Raises `SYN-509` where no cloud holds a return; the first that does ends the search."""
+    """Raise `SYN-509` if no cloud has a return; the first cloud with a return ends the search."""
     clouds = (lidar_points(cloud_at(bag, topic, row), with_ring=False) for row in rows.tolist())
     if len(rows) and not any(len(cloud.points_lidar) for cloud in clouds):
         raise no_usable_sweep(topic, len(rows), "it has points, but none is a return")

@@ -1,9 +1,8 @@
 """Measure the clock of every topic of a scanned recording.
 
-**Conventions.** A sensor's own time decides where its messages carry one: stamps that scatter around it by more than
-`HOST_JITTER_NS` were made on the host. Otherwise stamps that are irregular, yet follow the recorder's within a few
-milliseconds more closely than they follow their own beat, are those of publishing. What cannot be told from a sensor's
-is called a sensor's.
+**Conventions.** If messages carry the sensor's own time, it decides: stamps that scatter around it by more than
+`HOST_JITTER_NS` were made on the host. Otherwise irregular stamps are those of publishing if they follow the recorder's
+clock within a few milliseconds, and more closely than their own period. All other stamps count as the sensor's.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,16 +35,15 @@ from stone_recordings.report.scan import Scan
 from stone_recordings.sync.errors import listed
 from stone_recordings.topics.roles import ROLE_OF_TYPE, Role
 
-# The lag of the IMU against the pose source, from the messages that the scan kept of both.
-#
-# **Conventions.** Orientations are the INS's where there is one, at GPS time, else those of odometry at its stamps;
-# the gyro's times are its header stamps. The IMU with the most messages is taken. Source: design §3.
+# The lag of the IMU against the pose source, from the messages that the scan kept of both. Orientations are the INS's,
+# at GPS time, else those of odometry at its stamps; the gyro's times are its header stamps. The IMU with the most
+# messages is used. Source: design §3.
 
 
 IMU_BYTES = 512  # an Imu takes 324 bytes and its frame_id
 POSE_BYTES = 1536  # an Odometry takes 720 bytes and two names
 LAST_ANGLE_DEG = 720.0
-# Below this the two hardly tell of the same turns, and the lag is noise.
+# Below this correlation the two hardly show the same turns, and the lag is noise.
 LEAST_CORRELATION = 0.8
 LAST_SIGMA_NS = 5_000_000
 
@@ -53,7 +51,7 @@ Oriented = tuple[NDArray[np.int64], NDArray[np.float64]]
 
 
 def imu_lag(scan: Scan, topics: Sequence[tuple[Topic, Role]]) -> ImuLag | None:
-    """None without an IMU or a pose source, and where the robot turned too little to tell.
+    """Return the lag; None without an IMU or a pose source, and if the robot turned too little.
 
     Raises: MessageLayoutError, ByteOrderError, `MSG-304`, PoseValueError.
     """
@@ -69,13 +67,13 @@ def imu_lag(scan: Scan, topics: Sequence[tuple[Topic, Role]]) -> ImuLag | None:
 
 
 def _fullest(scan: Scan, topics: Sequence[tuple[Topic, Role]], wanted: Role) -> Topic | None:
-    """Of the topics of this role that could be read, the one with the most messages."""
+    """Return the readable topic of this role with the most messages."""
     fitting = [topic for topic, role in topics if role == wanted and scan.kept.get(topic.name)]
     return max(fitting, key=lambda topic: topic.count, default=None)
 
 
 def _oriented(source: Topic, messages: Sequence[StampedMessage]) -> Oriented:
-    """Stamps and `wxyz` of the source's body; an INS without GPS time is left out."""
+    """Return stamps and `wxyz` of the source's body; an INS without GPS time is left out."""
     if not source.type.startswith("novatel_oem7_msgs/"):
         odometry = decode_odometry(messages)
         return odometry.stamps_ns, odometry.parent_from_child.wxyz
@@ -85,12 +83,10 @@ def _oriented(source: Topic, messages: Sequence[StampedMessage]) -> Oriented:
     return ins.gps_stamps_ns[is_told], enu_from_body_wxyz(*angles_deg[:, is_told])
 
 
-# The time that a sensor writes into its messages beside the header stamp, which its driver may have made up.
-#
-# **Conventions.** Every NovAtel log begins with header and `Oem7Header`: GPS week and milliseconds, the week 0 while
-# the receiver knows none. An ARS 548 list has seconds and nanoseconds, and the status 1 where they are PTP's. Both
-# stand at the beginning, so `OWN_TIME_BYTES` of a message suffice. Sources: novatel_oem7_msgs, in which humble and
-# master agree up to the milliseconds; ars548_messages, ARS 548 RDI interface.
+# The time that a sensor writes into its messages beside the header stamp of its driver. Every NovAtel log starts with
+# header and `Oem7Header`: GPS week and milliseconds, week 0 without a fix. An ARS 548 list has seconds and nanoseconds,
+# and the status 1 if they are PTP's. Both are at the start, so `OWN_TIME_BYTES` of a message suffice. Sources:
+# novatel_oem7_msgs, in which humble and master agree up to the milliseconds; ars548_messages, ARS 548 RDI interface.
 
 
 OWN_TIME_BYTES = 512
@@ -101,7 +97,9 @@ _Parsed = tuple[int, int, int]
 
 @dataclass(frozen=True, eq=False)
 class OwnTimes:
-    """Of the N messages that tell one: header stamps and the sensor's own times (UTC), both (N,); `total` messages."""
+    """For the messages with an own time: header stamps and the sensor's own times (UTC), both (N,); `total`
+    messages.
+    """
 
     header_ns: NDArray[np.int64]
     own_ns: NDArray[np.int64]
@@ -109,19 +107,19 @@ class OwnTimes:
 
     @property
     def late_ns(self) -> NDArray[np.int64]:
-        """How much later the header stamps are than the sensor's own times."""
+        """The delay of the header stamps against the sensor's own times."""
         return self.header_ns - self.own_ns
 
 
 def has_own_time(topic: Topic) -> bool:
-    """Whether messages of the topic's type carry a time of the sensor's."""
+    """Return whether messages of the topic's type carry the sensor's own time."""
     lines = [line.split("#")[0].split() for line in topic.schema.splitlines()]
     fields = [words[0].rpartition("/")[2] for words in lines if words]
     return topic.type == _ARS548 or (topic.type.startswith(_NOVATEL) and fields[1:2] in ([], ["Oem7Header"]))
 
 
 def own_times(topic: Topic, messages: Sequence[StampedMessage]) -> OwnTimes:
-    """The first bytes of messages are enough. Raises: MessageLayoutError, ByteOrderError."""
+    """Return the times; the first bytes of messages suffice. Raises: MessageLayoutError, ByteOrderError."""
     parse = _ars548 if topic.type == _ARS548 else _novatel
     rows = [parse(Cursor(message.payload, topic.type)) for message in messages]
     told = np.array([row for row in rows if row is not None], np.int64).reshape(-1, 3)
@@ -134,7 +132,7 @@ def _own_ns(topic: Topic, whole: NDArray[np.int64], rest: NDArray[np.int64]) -> 
 
 
 def _novatel(cursor: Cursor) -> _Parsed | None:
-    """Header stamp, GPS week, milliseconds of the week."""
+    """Return header stamp, GPS week, milliseconds of the week."""
     stamp_ns = cursor.stamp_ns()
     cursor.text()
     cursor.text()
@@ -146,7 +144,7 @@ def _novatel(cursor: Cursor) -> _Parsed | None:
 
 
 def _ars548(cursor: Cursor) -> _Parsed | None:
-    """Header stamp, the radar's seconds, its nanoseconds."""
+    """Return header stamp, the radar's seconds, its nanoseconds."""
     stamp_ns = cursor.stamp_ns()
     cursor.text()
     cursor.take(8, 8), cursor.take(12, 4)
@@ -154,18 +152,16 @@ def _ars548(cursor: Cursor) -> _Parsed | None:
     return (stamp_ns, seconds, nanoseconds) if status == SYNC_OK else None
 
 
-# Jumps of the recorder's own clock within a recording, as when its host is set by NTP while it records.
-#
-# **Conventions.** The distance of a message is record time − stamp. A jump of the recorder moves the distances of all
-# topics by the same amount at the same time while their stamps go on; one of a sensor moves its own, and it is its
-# stamps that jump. Ahead, it leaves a time at which nothing was recorded; back, one that was recorded twice. What is
-# stamped by the clock of the recorder's host jumps with it, at one distance throughout. Only the comparison of clocks
-# needs a jump taken out; stamps that jumped are named. TIM-212.
+# Jumps of the recorder's own clock within a recording, such as NTP setting the host while it records. The distance of a
+# message is record time − stamp. A jump of the recorder moves the distances of all topics equally at the same time
+# while their stamps continue; a jump of a sensor moves its own distance and its stamps. A jump ahead leaves an interval
+# without records; a jump back records an interval twice. Stamps by the clock of the recorder's host jump with it, at
+# one distance throughout. Only the comparison of clocks removes jumps; jumped stamps are reported. TIM-212.
 
-# Less is transport, or a host that is busy.
+# A smaller jump is transport, or a busy host.
 LEAST_JUMP_NS = 500_000_000
 LEAST_MESSAGES = 4
-# By so much of the time before and after it a step is told: what a busy host delivers late is on time again soon.
+# A step must last this long on both sides: a busy host catches up sooner.
 LASTING_NS = 2_000_000_000
 MOST_JUMPS = 8
 # Messages that were published together are recorded within this.
@@ -176,9 +172,9 @@ Times = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class StampedTimes:
-    """Of the N messages of a topic in log order: header stamps and record times, both (N,).
+    """For the N messages of a topic in log order: header stamps and record times, both (N,).
 
-    `is_used` says whether anybody reads the stamps.
+    `is_used` is whether any stage reads the stamps.
     """
 
     stamps_ns: Times
@@ -197,7 +193,7 @@ class _Step:
 
 
 def without_jumps(topics: Mapping[str, StampedTimes]) -> tuple[dict[str, StampedTimes], tuple[Finding, ...]]:
-    """The record times as if the recorder's clock had not jumped, in log order again, and a finding for each jump."""
+    """Return the record times without the recorder's jumps, in log order again, and a finding for each jump."""
     times, findings = dict(topics), list[Finding]()
     for _ in range(MOST_JUMPS):
         steps = {name: step for name, one in times.items() if (step := _step_of(one)) is not None}
@@ -223,7 +219,7 @@ def _finding(steps: Mapping[str, _Step], size_ns: int, following: Sequence[str])
 
 
 def _following(steps: Mapping[str, _Step], size_ns: int, times: Mapping[str, StampedTimes]) -> list[str]:
-    """The topics that were recorded before and after the jump at one distance: their stamps jumped as well."""
+    """Return the topics with one distance before and after the jump: their stamps jumped as well."""
     before_ns = max(step.before_ns for step in steps.values())
     after_ns = min(step.after_ns for step in steps.values())
     around = ((before_ns - LASTING_NS, before_ns), (after_ns, after_ns + LASTING_NS))
@@ -232,14 +228,14 @@ def _following(steps: Mapping[str, _Step], size_ns: int, times: Mapping[str, Sta
 
 
 def _is_level(times: StampedTimes, around: Sequence[tuple[int, int]], limit_ns: float) -> bool:
-    """Whether the distance is one in both spans of record times."""
+    """Return whether the distance is the same in both spans of record times."""
     logs_ns = times.log_times_ns
     spans = [(logs_ns - times.stamps_ns)[(logs_ns >= start) & (logs_ns <= stop)] for start, stop in around]
     return all(len(span) for span in spans) and max(map(np.max, spans)) - min(map(np.min, spans)) < limit_ns
 
 
 def _step_of(times: StampedTimes) -> _Step | None:
-    """The largest lasting step of the distance, in the order of the stamps."""
+    """Return the largest lasting step of the distance, in the order of the stamps."""
     if len(times.stamps_ns) < LEAST_MESSAGES:
         return None
     order = np.argsort(times.stamps_ns, kind="stable")
@@ -254,14 +250,14 @@ def _step_of(times: StampedTimes) -> _Step | None:
         return None
     beat_ns = float(np.median(np.diff(stamps_ns)))
     if abs(stamps_ns[row] - stamps_ns[row - 1] - beat_ns) > abs(logs_ns[row] - logs_ns[row - 1] - beat_ns):
-        return None  # it is the stamps that jump
+        return None  # the stamps jump
     is_after = np.zeros(len(order), np.bool_)
     is_after[order[row:]] = True
     return _Step(size_ns, int(logs_ns[row - 1]), int(logs_ns[row]), is_after)
 
 
 def _are_one(steps: Mapping[str, _Step], times: Mapping[str, StampedTimes]) -> bool:
-    """Whether the steps are one jump of the recorder: of one size at one time; ahead, nothing is recorded within."""
+    """Return whether the steps are one jump of the recorder: of one size at one time; ahead, with no records within."""
     sizes = [step.size_ns for step in steps.values()]
     size_ns = round(float(np.median(sizes)))
     first_ns = max(step.before_ns for step in steps.values())
@@ -281,15 +277,15 @@ def _corrected(times: StampedTimes, step: _Step, size_ns: int) -> StampedTimes:
     return replace(times, stamps_ns=times.stamps_ns[order], log_times_ns=logs_ns[order])
 
 
-# From publishing to recording; exposure, transfer and a sweep take longer.
+# The delay from publishing to recording; exposure, transfer and a sweep take longer.
 LAST_PUBLISH_DELAY_NS = 5_000_000
 
 
 @dataclass(frozen=True)
 class ClockMeasurement:
-    """The report, and what kept parts of it from being measured.
+    """The report, and the faults that kept parts of it from being measured.
 
-    `inspected` are the topics as they would be timed if the recorder's clock had not jumped.
+    `inspected` are the topics timed as if the recorder's clock had not jumped.
     """
 
     report: ClockReport
@@ -299,7 +295,7 @@ class ClockMeasurement:
 
 
 def kept_bytes(topic: Topic) -> int:
-    """How much of each message the scan should copy for `measured`."""
+    """Return how many bytes of each message the scan should copy for `measured`."""
     role = ROLE_OF_TYPE.get(topic.type)
     if role == "imu":
         return IMU_BYTES
@@ -309,7 +305,7 @@ def kept_bytes(topic: Topic) -> int:
 
 
 def measured(bag: Bag, scan: Scan, inspected: Sequence[Inspected]) -> ClockMeasurement:
-    """A topic whose messages lie is a finding here, never a failure."""
+    """Measure all clocks; a topic with invalid messages is a finding here, never a failure."""
     findings: list[Finding] = []
     own: dict[str, OwnTimes] = {}
     for topic, _role, _timing in inspected:
@@ -342,7 +338,7 @@ def measured(bag: Bag, scan: Scan, inspected: Sequence[Inspected]) -> ClockMeasu
 
 
 def _timed_again(part: Inspected, times: Mapping[str, StampedTimes]) -> Inspected:
-    """A topic in the order in which it was recorded: that of the recorder's times is another where they went back."""
+    """Return a topic in the order of recording, which differs from the recorder's times if these went back."""
     topic, role, _timing = part
     if topic.name not in times:
         return part
@@ -350,7 +346,7 @@ def _timed_again(part: Inspected, times: Mapping[str, StampedTimes]) -> Inspecte
 
 
 def _pose_findings(topic: Topic, scan: Scan) -> list[Finding]:
-    """What synchronising will say of its messages that hold no pose."""
+    """Return the findings of synchronisation about messages without a pose."""
     try:
         samples, unread = read_readable(topic.name, scan.kept[topic.name], decode_odometry)
     except StoneError as error:

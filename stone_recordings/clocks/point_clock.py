@@ -1,9 +1,9 @@
-"""The clock of a topic's points: whether it is the one of its headers, and how far the two are apart if not.
+"""The clock of a topic's points: whether it is that of its headers, and otherwise the distance of the two.
 
-**Conventions.** Most sweeps are read by themselves (`stone_recordings.messages.point_times`). Sweeps whose points are
-on another clock are read by the distance of the two clocks, which a few sweeps from beginning to end must agree on.
-Nothing is published before it is measured: if the recorder has a sweep sooner after its stamp than a sweep lasts, the
-stamp is that of its last point, else that of its first. What was found of a topic is kept with the open recording.
+**Conventions.** Most sweeps are read individually (`stone_recordings.messages.point_times`). If points are on another
+clock, sweeps are read by the distance of the two clocks, on which a few sweeps from beginning to end must agree. No
+point is published before it is measured. So if the recorder has a sweep sooner after its stamp than a sweep lasts, the
+stamp is that of its last point, else that of its first. The open recording keeps the result of a topic.
 """
 
 from collections.abc import Iterator, Sequence
@@ -35,20 +35,20 @@ from stone_recordings.messages.sweep_clouds import cloud_at
 # The first and the last sweep may be cut short; some from beginning to end show the true length.
 SWEEP_SAMPLES = 16
 LEAST_SWEEPS = 4
-SPARSE = 16  # every so-manieth point shows where a sweep is
-# Sweeps of one clock begin within a part of a sweep of where the others do; nine of ten do so.
+SPARSE = 16  # the step of the points that locate a sweep
+# Sweeps of one clock start within a part of a sweep of each other; nine of ten do so.
 AGREEING_SWEEPS, LEAST_AGREEING = 0.25, 0.9
-# A sweep that the recorder has within so much of its length after its stamp is stamped at its end.
+# If the recorder has a sweep within this share of its length after its stamp, the stamp is that of its end.
 LATE_SWEEPS, LAST_LATE_NS = 0.75, 1_000_000_000
 # Quartzes differ by less; over a shorter time a slope is the jitter of stamps.
 MOST_DRIFT, LEAST_DRIFTING_NS = 2e-4, 60_000_000_000
-# So near to the beginning of a clock (a simulated one, or one of hours) times may be relative or not.
+# This near to the start of a clock (a simulated one, or one of hours) times may be relative or absolute.
 CERTAIN_NS = 1_500_000_000
 
 
 @dataclass(frozen=True)
 class SweepLook:
-    """How one sweep's points were timed; `span_ns` is that of the times of `count` returns, None without."""
+    """The timing of one sweep's points; `span_ns` is that of the times of `count` returns, None without."""
 
     row: int
     count: int
@@ -62,7 +62,7 @@ class SweepLook:
 
 
 class _Ends(NamedTuple):
-    """First and last time of a sweep on its points' clock, and by what units they may be told apart from others'."""
+    """First and last time of a sweep on its points' clock, and the units that fit these times."""
 
     stamp_ns: int
     late_ns: int
@@ -97,9 +97,9 @@ def points_in(bag: Bag, topic: str, cloud: Cloud, *, with_ring: bool = True) -> 
 
 
 def point_clock(bag: Bag, topic: str) -> tuple[PointClock | None, str]:
-    """Return the clock of a topic's points if it must be known, and which point its stamps are of: "first" or "last".
+    """Return the clock of a topic's points if it is required, and the point to which stamps belong: "first" or "last".
 
-    None if sweeps do not agree on one, or if each can be read by itself.
+    None if sweeps do not agree on one, or if each can be read individually.
     """
     kept = _kept(bag)
     if topic not in kept.clocks:
@@ -108,12 +108,12 @@ def point_clock(bag: Bag, topic: str) -> tuple[PointClock | None, str]:
 
 
 def _is_certain(stamp_ns: int) -> bool:
-    """Whether times near 0 at this stamp are relative: no clock, and no clock of hours, has just begun."""
+    """Return whether times near 0 at this stamp are relative: no clock, and no clock of hours, has just started."""
     return not stamp_ns or min(stamp_ns % HOUR_NS, -stamp_ns % HOUR_NS) >= CERTAIN_NS
 
 
 def _touches_stamp(offset_ns: NDArray[np.int64] | None) -> bool:
-    """Whether the stamp lies within a sweep or next to it, as it does if its times are relative."""
+    """Return whether the stamp lies within a sweep or next to it, as it does if its times are relative."""
     if offset_ns is None or not len(offset_ns):
         return True
     some = offset_ns[::SPARSE]
@@ -151,7 +151,7 @@ def _look(bag: Bag, topic: str, row: int) -> SweepLook | None:
 
 @np.errstate(invalid="ignore", over="ignore")
 def _end_values(column: NDArray[Any], kept: NDArray[np.int32]) -> tuple[int, int, int] | None:
-    """Return first and last time near the core of a field's, and the unit, all in ns; None of what are no times."""
+    """Return first and last time near the core of a field's values, and the unit, all in ns; None for invalid times."""
     core, (least, last) = core_of(column, kept), span(column, kept)
     units = units_of(core, last - least)
     if not units:
@@ -162,12 +162,12 @@ def _end_values(column: NDArray[Any], kept: NDArray[np.int32]) -> tuple[int, int
 
 
 def _ends(bag: Bag, topic: str) -> Iterator[_Ends]:
-    """Those of a few sweeps from beginning to end that have times."""
+    """Yield the ends of a few sweeps with times, from beginning to end."""
     log_times_ns = bag.log_times_ns(topic)
     if not len(log_times_ns):
         return
     even = np.linspace(0, len(log_times_ns) - 1, SWEEP_SAMPLES).astype(np.int64)
-    # Sweeps that are whole seconds apart would not show whether times begin anew each second.
+    # Sweeps that are whole seconds apart would not show whether times restart each second.
     rows = np.unique(np.minimum(even + np.arange(SWEEP_SAMPLES) % 3, len(log_times_ns) - 1))
     for row in rows.tolist():
         try:
@@ -186,11 +186,13 @@ def _ends(bag: Bag, topic: str) -> Iterator[_Ends]:
 
 
 def _clock_of(ends: Sequence[_Ends]) -> tuple[PointClock | None, str]:
-    """Return the clock that the sweeps agree on, and the point that stamps are of: the headers' own if it may be."""
+    """Return the clock on which the sweeps agree, and the point to which stamps belong: the headers' own if
+    possible.
+    """
     are_relative = _are_relative(ends)
     trusted = [one for one in ends if _is_certain(one.stamp_ns)]
     if len(trusted) < LEAST_SWEEPS and not are_relative:
-        trusted = list(ends)  # of a run so short that its clock had just begun all the time
+        trusted = list(ends)  # for a run so short that its clock had just started all the time
     if len(trusted) < LEAST_SWEEPS:
         return None, ""
     word_ns = trusted[0].word_ns
@@ -201,7 +203,7 @@ def _clock_of(ends: Sequence[_Ends]) -> tuple[PointClock | None, str]:
 
 
 def _agreed(ends: Sequence[_Ends], period_ns: int) -> tuple[PointClock | None, str]:
-    """Return the clock of a period, or of none, that nearly all sweeps agree on."""
+    """Return the clock of a period, or of none, on which nearly all sweeps agree."""
     if period_ns and any(one.first_ns < 0 or one.last_ns > period_ns for one in ends):
         return None, ""
     length_ns = _length_ns(ends)
@@ -217,7 +219,7 @@ def _agreed(ends: Sequence[_Ends], period_ns: int) -> tuple[PointClock | None, s
 
 
 def _are_relative(ends: Sequence[_Ends]) -> bool:
-    """Whether sweeps begin at one time by their points, as do sweeps whose times are relative to the stamp."""
+    """Return whether sweeps start at one time by their points, as do sweeps whose times are relative to the stamp."""
     return not ends or _agree(np.array([one.first_ns for one in ends], np.float64), _length_ns(ends))
 
 
@@ -226,12 +228,12 @@ def _length_ns(ends: Sequence[_Ends]) -> int:
 
 
 def _agree(begin_ns: NDArray[np.float64], length_ns: int) -> bool:
-    """Whether nearly all of the times (N,) are within a part of a sweep of their median."""
+    """Return whether nearly all of the times (N,) are within a part of a sweep of their median."""
     return bool(np.mean(np.abs(begin_ns - np.median(begin_ns)) <= AGREEING_SWEEPS * length_ns) >= LEAST_AGREEING)
 
 
 def _drift(after_ns: NDArray[np.int64], apart_ns: NDArray[np.int64]) -> float:
-    """Return the median slope of the distances (N,) over time; 0 for what no two clocks do, or is soon over."""
+    """Return the median slope of the distances (N,) over time; 0 if no two clocks differ so, or the run is short."""
     if np.ptp(after_ns) < LEAST_DRIFTING_NS:
         return 0.0
     one, other = np.triu_indices(len(after_ns), 1)
@@ -242,7 +244,7 @@ def _drift(after_ns: NDArray[np.int64], apart_ns: NDArray[np.int64]) -> float:
 
 
 def _of_stamps(ends: Sequence[_Ends], clock: PointClock, length_ns: int) -> tuple[PointClock, str]:
-    """Return the clock, which is that of first points, by which point the stamps are of."""
+    """Return the clock relative to first points, and the point to which the stamps belong."""
     if -length_ns - LAST_LATE_NS // 2 <= apart_ns(clock.ahead_ns, clock.period_ns) <= LAST_LATE_NS // 2:
         return PointClock(0, clock.period_ns), ""  # the headers' own
     late_ns = float(np.median([one.late_ns for one in ends]))

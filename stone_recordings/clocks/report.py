@@ -1,8 +1,8 @@
-"""The clock report: what each topic's stamps say of its clock, and how late the gyro is against the pose source.
+"""The clock report: the clock of each topic's stamps, and the delay of the gyro against the pose source.
 
-**Conventions.** A topic's stamps come from the sensor, from the host that published them, or, where messages carry
-none, from the recorder. `offset_ns` is the median of record time − stamp; `drift_ppm` is positive for a stamping clock
-that runs fast against the recorder's. None is "cannot be told", never 0. Nothing here shifts a stamp.
+**Conventions.** A topic's stamps come from the sensor, from the host that published them, or, if messages carry none,
+from the recorder. `offset_ns` is the median of record time − stamp; `drift_ppm` is positive for a stamping clock that
+runs fast against the recorder's. None means unknown, never 0. Nothing here shifts a stamp.
 """
 
 from dataclasses import asdict, dataclass
@@ -10,7 +10,7 @@ from typing import Literal
 
 from stone_recordings.topics.roles import Role
 
-# Of these nobody reads the stamps.
+# No stage reads the stamps of these roles.
 UNCLOCKED_ROLES: tuple[Role, ...] = ("tf", "tf_static", "camera_info", "other")
 StampSource = Literal["sensor", "host", "recorder"]
 
@@ -19,9 +19,9 @@ StampSource = Literal["sensor", "host", "recorder"]
 class TopicClock:
     """`jitter_ns` is 1.4826 times the median absolute deviation of record time − stamp from its line.
 
-    `constant` names a known difference between time scales that the clock is off by ("TAI − UTC", "GPS − UTC", …).
-    `own_offset_ns` and `own_jitter_ns` say how much later the stamps are than the time the sensor itself wrote into
-    its messages (the receiver's GPS time, the radar's own), None where it writes none.
+    `constant` names a known difference between time scales by which the clock is off ("TAI − UTC", "GPS − UTC", …).
+    `own_offset_ns` and `own_jitter_ns` are the delay of the stamps against the sensor's own time in its messages (the
+    receiver's GPS time, the radar's own), None without an own time.
     """
 
     topic: str
@@ -43,18 +43,18 @@ class TopicClock:
 
     @property
     def stated_jitter_ns(self) -> int | None:
-        """The one jitter that is shown of the topic: against the sensor's own time where it writes one."""
+        """The jitter that is shown for the topic: against the sensor's own time if there is one."""
         return self.jitter_ns if self.own_jitter_ns is None else self.own_jitter_ns
 
     @property
     def stated_against(self) -> str:
-        """What `stated_jitter_ns` is against: `sensor time`, `record time`, or nothing where there is none."""
+        """The reference of `stated_jitter_ns`: `sensor time`, `record time`, or "" without a jitter."""
         if self.own_jitter_ns is not None:
             return "sensor time"
         return "" if self.jitter_ns is None else "record time"
 
     def as_record(self) -> dict[str, object]:
-        """The fields and what is stated of the jitter."""
+        """Return the fields and the shown jitter."""
         record = asdict(self)
         record |= {"stated_jitter_ns": self.stated_jitter_ns, "stated_against": self.stated_against}
         for name, digits in (("rate_hz", 3), ("drift_ppm", 2), ("drift_sigma_ppm", 2)):
@@ -64,9 +64,9 @@ class TopicClock:
 
 @dataclass(frozen=True)
 class ImuLag:
-    """How much later the gyro's stamps are than those of `reference` for the same turn; `sigma_ns` its standard error.
+    """The delay of the gyro's stamps against those of `reference` for the same turn; `sigma_ns` its standard error.
 
-    `correlation` (0 to 1) is that of the turn about the vertical as both tell it, at this lag.
+    `correlation` (0 to 1) is that of both sensors' turns about the vertical, at this lag.
     """
 
     topic: str
@@ -81,7 +81,7 @@ class ImuLag:
 
 @dataclass(frozen=True)
 class ClockReport:
-    """One `TopicClock` per topic, in the order of the topics; `imu_lag` is None where it could not be recovered."""
+    """One `TopicClock` per topic, in the order of the topics; `imu_lag` is None if it could not be recovered."""
 
     topics: tuple[TopicClock, ...] = ()
     imu_lag: ImuLag | None = None

@@ -1,4 +1,4 @@
-"""Findings about the clouds of a LiDAR, by a look at some from beginning to end: the same when inspected and labelled.
+"""Findings about the clouds of a LiDAR, from a sample of them: the same for inspection and labelling.
 
 **Conventions.** MSG-303 a wrong byte order, MSG-320 declared sizes that the data refutes, MSG-321 points without a time
 of their sweep, MSG-322 sweeps that are not deskewed, TIM-220 points on another clock than the header, TOP-102 no times.
@@ -19,7 +19,7 @@ NO_TIME = "its points have no readable time"
 
 
 def sweep_findings(bag: Bag, topic: str, looks: Sequence[SweepLook]) -> Iterator[Finding]:
-    """Yield what the looked-at sweeps of a topic have."""
+    """Yield the findings of the sampled sweeps of a topic."""
     looked = f"of {len(looks)} sweeps looked at"
     swapped = sum(look.is_swapped for look in looks)
     if swapped:
@@ -57,7 +57,7 @@ def _time_findings(bag: Bag, topic: str, looks: Sequence[SweepLook]) -> Iterator
 
 
 def _mistimed(topic: str, odd: Sequence[SweepLook], looks: Sequence[SweepLook]) -> Finding:
-    """MSG-321: how many points of how many sweeps, and what became of them."""
+    """Return MSG-321: how many points of how many sweeps are mistimed, and their treatment."""
     wrapped, filled, dropped = (
         sum(counts) for counts in zip(*((one.wrapped, one.filled, one.untimed) for one in odd), strict=True)
     )

@@ -1,10 +1,10 @@
 """Timing of a topic's messages: stamps, period, gaps and steps back.
 
-**Conventions.** The header stamp where the type begins with one (the first eight bytes of the body) and it is set, the
-log time otherwise. A gap is an interval longer than `GAP_RATIO` median periods, so that one lost message of a jittery
-topic is no gap and two always are; only topics that keep a period have gaps. What comes in bursts (a log, events, a
-radar's lists) keeps none: its rate is its count over its time, not that of the messages of a burst. A topic of no
-sensor that is one short burst (a node's log as it starts) has its count over the time of the recording.
+**Conventions.** A stamp is that of the header if the type starts with one (the first eight bytes of the body) and it is
+set, otherwise the log time. A gap is an interval longer than `GAP_RATIO` median periods, so that one lost message of a
+jittery topic is no gap and two always are; only periodic topics have gaps. Topics with bursts (a log, events, a radar's
+lists) are not periodic: their rate is their count over their time, not the rate within a burst. If a topic of no sensor
+is one short burst (a node's log at its start), its rate is its count over the time of the recording.
 """
 
 from dataclasses import asdict, dataclass
@@ -19,17 +19,17 @@ from stone_recordings.messages.types.cdr import HEAD_BYTES, NS_PER_S, check_enca
 from stone_recordings.messages.types.registry import message_definition
 
 GAP_RATIO = 2.5
-# A topic keeps a period when at least half of its intervals are within a half of the median.
+# A topic is periodic if at least half of its intervals are within a half of the median.
 STEADY_SHARE, STEADY_RATIO = 0.5, 0.5
 LEAST_STEADY_COUNT = 4
-# Nothing is sampled faster: such intervals are those of a burst.
+# No sensor samples faster: such intervals are those of a burst.
 MOST_RATE_HZ = 10_000.0
-# How much of the time the steady intervals cover at least; of a sensor by its own stamps less, since it may have been
-# silent for most of a recording.
+# The least share of the time that steady intervals cover; less for a sensor by its own stamps, which may be silent for
+# most of a recording.
 STEADY_COVER, STEADY_SENSOR_COVER = 0.5, 0.03
 # One burst lasts at most this share of the recording.
 BURST_COVER = 0.1
-# Messages are counted as lost only where the beat is as strict as a trigger's.
+# Messages are counted as lost only if the period is as strict as a trigger's.
 STRICT_RATIO = 0.1
 
 _HEADERS = ("std_msgs/Header ", "std_msgs/msg/Header ", "Header ")
@@ -50,9 +50,9 @@ class Gap:
 
 @dataclass(frozen=True, eq=False)
 class Timing:
-    """Of one topic: `stamps_ns` (N,) in log order, `has_header` whether they are the sensor's or the recorder's.
+    """For one topic: `stamps_ns` (N,) in log order, and `has_header`, whether they are the sensor's or the recorder's.
 
-    `repeats` counts the messages whose stamp another one has, too.
+    `repeats` counts the messages whose stamp occurs more than once.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -66,8 +66,8 @@ class Timing:
 def measure(stamps_ns: NDArray[np.int64], has_header: bool, *, is_sensor: bool = True, recorded_ns: int = 0) -> Timing:
     """Return rate, gaps and steps back of stamps in log order; `recorded_ns` is the time of the whole recording.
 
-    The rate is that of the median period; for a topic that keeps none the count over its time. It is None below two
-    stamps, and above the rate of any sensor.
+    The rate is that of the median period; for an aperiodic topic the count over its time. It is None below two stamps,
+    and above the rate of any sensor.
     """
     steps_ns = np.diff(stamps_ns)
     ordered = np.sort(stamps_ns)
@@ -84,7 +84,9 @@ def measure(stamps_ns: NDArray[np.int64], has_header: bool, *, is_sensor: bool =
 
 
 def lost_messages(timing: Timing) -> int:
-    """Beats without a message, where nine of ten intervals are whole periods within a tenth of one; else 0."""
+    """Return the periods without a message, if nine of ten intervals are whole periods within a tenth of one; else
+    0.
+    """
     periods_ns = np.diff(np.sort(timing.stamps_ns)).astype(np.float64)
     if len(timing.stamps_ns) < LEAST_STEADY_COUNT or timing.rate_hz is None:
         return 0
@@ -95,7 +97,9 @@ def lost_messages(timing: Timing) -> int:
 
 
 def begins_with_header(topic: Topic) -> bool:
-    """By the embedded definition, else by the registry's; False for types that nobody describes."""
+    """Return whether a type starts with a header, by the embedded or the registry's definition; False for unknown
+    types.
+    """
     text = topic.schema
     if not text:
         try:
@@ -107,7 +111,7 @@ def begins_with_header(topic: Topic) -> bool:
 
 
 def stamp_of(payload: memoryview, type_name: str) -> int:
-    """Header stamp of a message whose type begins with one. Raises: MessageLayoutError, ByteOrderError."""
+    """Return the header stamp of a message. Raises: MessageLayoutError, ByteOrderError."""
     check_encapsulation(payload, type_name)
     if len(payload) < HEAD_BYTES + _STAMP.size:
         raise MessageLayoutError(type_name, f"{len(payload)} bytes hold no header")
@@ -116,7 +120,7 @@ def stamp_of(payload: memoryview, type_name: str) -> int:
 
 
 def _is_steady(periods_ns: NDArray[np.int64], least_cover: float) -> bool:
-    """Whether intervals in ascending order of time keep a period."""
+    """Return whether intervals in ascending order of time are periodic."""
     if len(periods_ns) + 1 < LEAST_STEADY_COUNT:
         return False
     median_ns, duration_ns = float(np.median(periods_ns)), float(periods_ns.sum())

@@ -1,8 +1,8 @@
-"""Whether each camera fires when the LiDAR looks its way: late triggers and swapped topics.
+"""The check that each camera fires when the LiDAR scans its direction: late triggers and swapped topics.
 
-**Conventions.** Where the LiDAR looks is measured in a few of its sweeps (bearing and time of their points), where a
-camera looks is the calibration's optical axis. A rig whose cameras do not follow the LiDAR has no such findings, for
-nothing says when they should have fired. Dropped triggers need no calibration: TIM-208 of an inspection.
+**Conventions.** The LiDAR's direction over time is measured in a few of its sweeps (bearing and time of their points);
+a camera's direction is the calibration's optical axis. A rig whose cameras do not follow the LiDAR has no such
+findings, because their trigger times are unknown. Dropped triggers need no calibration: TIM-208 of an inspection.
 """
 
 from collections.abc import Iterator
@@ -21,14 +21,14 @@ from stone_recordings.clocks.point_clock import points_at
 from stone_recordings.sync.sweeps import BagSweeps
 
 SWEEP_SAMPLES = 3
-# Every so many points of a sweep are enough to tell where it looks.
+# The number of a sweep's points that suffices to measure its direction.
 MOST_POINTS = 50_000
 
 
 def trigger_findings(bag: Bag, sequence: Sequence, sweeps: BagSweeps) -> tuple[Finding, ...]:
-    """TIM-205 (a camera, or all of them, late) and CAL-406 (swapped); () where nothing can be told.
+    """Return TIM-205 (a camera, or all of them, late) and CAL-406 (swapped); () if nothing can be measured.
 
-    Raises what reading a sweep raises.
+    Raises the errors of reading a sweep.
     """
     associations = sequence.frames.associations
     cameras = [mount for mount in sequence.calibration.of_kind("camera") if _fires(associations.get(mount.name))]
@@ -52,7 +52,7 @@ def trigger_findings(bag: Bag, sequence: Sequence, sweeps: BagSweeps) -> tuple[F
 
 
 def bearing_rad(camera: Mount) -> float:
-    """Azimuth of the optical axis in the LiDAR's frame."""
+    """Return the azimuth of the optical axis in the LiDAR's frame."""
     forward = camera.lidar_from_sensor.rotation()[:, 2]
     return float(np.arctan2(forward[1], forward[0]))
 
@@ -62,7 +62,7 @@ def _fires(association: Association | None) -> bool:
 
 
 def lidar_look(bag: Bag, sweeps: BagSweeps, period_ns: int) -> LidarRotation | None:
-    """Where the LiDAR looks when, from sweeps of the beginning, the middle and the end."""
+    """Return the LiDAR's direction over time, from sweeps of the beginning, the middle and the end."""
     rows = np.unique(np.linspace(0, len(sweeps) - 1, SWEEP_SAMPLES).astype(np.int64)) if len(sweeps) else ()
     parts = [_timed_points(bag, sweeps, int(row)) for row in rows]
     timed = [part for part in parts if part is not None]

@@ -1,1 +1,1 @@
-"""Several recordings of one run joined: which messages they share, whose clock is whose, what is measured of it."""
+"""Joining of several recordings of one run: shared messages, shared clocks, and measured offsets."""

@@ -1,8 +1,8 @@
-"""Which recordings are on one clock, by the messages and the topics that they share.
+"""Recordings that share a clock, found by their common messages and topics.
 
-**Conventions.** Messages that both hold tell exactly: by their stamps where those differ by a constant (somebody moved
-one file), else by when each recorder logged them, whose scatter is that of the transport. Topics of sensors that one
-recording goes on with where the other ends are of a run that the recorder cut: one clock.
+**Conventions.** Common messages give the offset exactly: by their stamps if these differ by a constant (a file was
+shifted), else by their log times, whose scatter is that of the transport. If one recording continues the sensors'
+topics of another after its end, the recorder split the run: they share a clock.
 """
 
 from collections import Counter
@@ -23,10 +23,9 @@ from stone_recordings.topics.profiles import Candidate
 from stone_recordings.topics.roles import Role
 from stone_recordings.topics.sources import candidate_of
 
-# What the recordings that are to be joined hold: roles of their topics, and of topics that several hold, the messages.
-#
-# **Conventions.** A message's digest is of its first `HEAD_BYTES` and its size, without the header's stamp: two of
-# equal digest and stamp are one message. Topics that only one recording holds are not read.
+# The content of the recordings to join: roles of their topics, and the messages of common topics. A message's digest is
+# of its first `HEAD_BYTES` and its size, without the header's stamp: two messages with equal digest and stamp are one.
+# Topics of only one recording are not read.
 
 
 STAMP = slice(ENCAPSULATION_BYTES, ENCAPSULATION_BYTES + 8)
@@ -35,7 +34,7 @@ SENSORS: frozenset[Role] = frozenset({"lidar", "camera", "radar", "gnss", "ins",
 
 @dataclass(frozen=True, eq=False)
 class HeldMessages:
-    """One recording: its topics that have messages, and the messages of those that others hold, too."""
+    """One recording: its topics with messages, and the messages of topics that others also have."""
 
     name: str
     topics: tuple[Candidate, ...]
@@ -48,12 +47,12 @@ class HeldMessages:
 
     @property
     def sensors(self) -> frozenset[str]:
-        """The names of topics that sensors fill: whoever goes on with one of them goes on with the same run."""
+        """The names of sensors' topics: a recording that continues one of them continues the same run."""
         return frozenset(topic.name for topic in self.topics if topic.role in SENSORS)
 
 
 def held_by(bags: Mapping[str, Bag]) -> tuple[HeldMessages, ...]:
-    """By name, in order. Raises what reading heads and first clouds raises."""
+    """Return the content by name, in order. Raises the errors of reading heads and first clouds."""
     counts = Counter(topic.name for bag in bags.values() for topic in _readable(bag))
     shared = {name for name, count in counts.items() if count > 1}
     return tuple(_held(name, bag, shared) for name, bag in bags.items())
@@ -82,7 +81,7 @@ def _messages(bag: Bag, topics: Sequence[Topic]) -> Mapping[str, TopicMessages]:
 
 
 def _stamp_ns(payload: memoryview, type_name: str) -> int:
-    """0 where there is none to be read."""
+    """Return the stamp, or 0 if there is none."""
     try:
         return stamp_of(payload, type_name)
     except (MessageLayoutError, ByteOrderError):
@@ -97,13 +96,13 @@ def _digest(payload: memoryview, size_bytes: int, has_header: bool) -> int:
     return int.from_bytes(blake2b(content, digest_size=8).digest(), "little")
 
 
-# Two recorders of one host log a message so far apart; what is less is no offset of a clock.
+# Two recorders of one host log a message this far apart; a smaller difference is no clock offset.
 TRANSPORT_NS = 1_000_000
 
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """What is added to a recording's times to be on another's clock. `sigma_ns` and the rest as of `JoinedMember`."""
+    """The offset that moves a recording's times to another's clock. `sigma_ns` and the rest as in `JoinedMember`."""
 
     offset_ns: int
     sigma_ns: int | None
@@ -114,7 +113,7 @@ class ClockOffset:
         return ClockOffset(-self.offset_ns, self.sigma_ns, self.known_by, self.kept_topics)
 
     def after(self, other: "ClockOffset") -> "ClockOffset":
-        """This one, of a recording whose own offset is known against one that is `other` off."""
+        """Return this offset chained with `other`, the offset of the recording that it refers to."""
         sigmas = (self.sigma_ns or 0, other.sigma_ns or 0)
         known_by = tuple(dict.fromkeys((*other.known_by, *self.known_by)))
         kept = self.kept_topics if not other.offset_ns else ()
@@ -122,7 +121,7 @@ class ClockOffset:
 
 
 def linked(held: Sequence[HeldMessages], start: int) -> Mapping[int, ClockOffset]:
-    """The recordings that messages or topics lead to from `start`, with what each is off it; `start` among them."""
+    """Return the recordings linked to `start` by messages or topics, with their offsets; `start` is among them."""
     found = {start: ClockOffset(0, 0, ())}
     waiting = [start]
     while waiting:
@@ -136,7 +135,7 @@ def linked(held: Sequence[HeldMessages], start: int) -> Mapping[int, ClockOffset
 
 
 def link_between(first: HeldMessages, second: HeldMessages) -> ClockOffset | None:
-    """What is added to the second's times to be on the first's clock; None where they share nothing that tells."""
+    """Return the offset of the second's times to the first's clock; None if they share too little."""
     topics = [name for name in first.messages if name in second.messages]
     pairs = {name: shared_messages(first.messages[name], second.messages[name]) for name in topics}
     found = {name: shared for name, shared in pairs.items() if shared is not None}
@@ -149,7 +148,7 @@ def link_between(first: HeldMessages, second: HeldMessages) -> ClockOffset | Non
 
 
 def _by_messages(found: Mapping[str, SharedMessages]) -> ClockOffset:
-    """By the topic with the most messages."""
+    """Return the offset by the topic with the most messages."""
     best = max(found.values(), key=lambda shared: shared.count)
     if best.stamp_offset_ns:
         return ClockOffset(best.stamp_offset_ns, 0, (SAME_MESSAGES,))
@@ -160,21 +159,20 @@ def _by_messages(found: Mapping[str, SharedMessages]) -> ClockOffset:
 
 
 def _is_apart(first: TopicMessages, second: TopicMessages) -> bool:
-    """Whether one ends before the other begins, by their log times."""
+    """Return whether one ends before the other starts, by their log times."""
     one, two = first.log_times_ns, second.log_times_ns
     return bool(one[-1] < two[0] or two[-1] < one[0])
 
 
-# Messages that two recordings of a run both hold, once their clocks are one: which of them are left out.
-#
-# **Conventions.** The earlier of the members keeps a message. Indices are those of the recording itself.
+# Messages that two recordings of a run both contain, on a common clock: the copies to leave out. The earlier of the
+# members keeps a message. Indices are those of the recording itself.
 
 
 Runs = Mapping[str, tuple[tuple[int, int], ...]]
 
 
 def left_out(held: Sequence[HeldMessages], offsets: Sequence[ClockOffset]) -> tuple[Runs, ...]:
-    """For each recording, by topic, the runs of messages that one before it holds, too."""
+    """Return for each recording, by topic, the runs of messages that an earlier recording also contains."""
     moved = [
         {name: _moved(messages, offset, name) for name, messages in recording.messages.items()}
         for recording, offset in zip(held, offsets, strict=True)

@@ -1,4 +1,4 @@
-"""A joined recording as a value, and written as the folder that `stone_recordings.bags.bag.open_bag` opens."""
+"""A joined recording as a value, and as the folder that `stone_recordings.bags.bag.open_bag` opens."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -11,21 +11,21 @@ from stone_recordings.bags.errors import IngestError
 
 @dataclass(frozen=True)
 class JoinedRecording:
-    """The recordings, the reference first, and what `joined.json` says of each."""
+    """The recordings, the reference first, and the entry of `joined.json` for each."""
 
     paths: tuple[Path, ...]
     members: tuple[JoinedMember, ...]
 
     @property
     def name(self) -> str:
-        """The run's, by its reference."""
+        """The run's name: that of its reference."""
         return self.paths[0].stem
 
 
 def write_joined(joined: JoinedRecording, folder: Path, sha256s: Mapping[str, str] | None = None) -> None:
-    """Into an empty folder: links to the recordings, and `joined.json`, last.
+    """Write into an empty folder: links to the recordings, and `joined.json`, last.
 
-    `sha256s` are hashes of the recordings by name, where they are known.
+    `sha256s` are known hashes of the recordings by name.
     """
     for path in joined.paths:
         os.symlink(path.resolve(), folder / path.name)
@@ -33,9 +33,7 @@ def write_joined(joined: JoinedRecording, folder: Path, sha256s: Mapping[str, st
     (folder / JOINED).write_bytes(joined_bytes(members))
 
 
-# Why recordings are not joined.
-#
-# **Conventions.** Each sentence says what was found, and the option that settles it.
+# Refusals to join recordings. Each sentence contains the cause, and the option that settles it.
 
 
 OPTION = "--clock-offset {name}=SECONDS, what is added to its stamps"

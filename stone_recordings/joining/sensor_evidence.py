@@ -1,8 +1,7 @@
-"""What the sensors of a recording tell of its clock: turns of cameras and gyros, speeds of radars.
+"""Evidence of a recording's clock from its sensors: turns of cameras and gyros, speeds of radars.
 
-**Conventions.** A sample of each topic is read, spread over the recording, so that a long one costs as much as a short
-one. Messages that cannot be read are passed over. Times are by the recording's own clock, seconds from the track's
-first pose.
+**Conventions.** A sample of each topic is read, spread over the recording, so that a long recording costs as much as a
+short one. Unreadable messages are skipped. Times are by the recording's own clock, seconds from the track's first pose.
 """
 
 from collections.abc import Iterator
@@ -43,7 +42,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class RobotMotion:
-    """How the robot moved, on the clock of the run, and where its sensors sit."""
+    """The motion of the robot, on the clock of the run, and the mounts of its sensors."""
 
     track: Trajectory
     calibration: Calibration
@@ -57,7 +56,9 @@ class RobotMotion:
 
 
 def camera_turns(bag: Bag, topic: Candidate, robot: RobotMotion) -> TurnEvidence | None:
-    """None where too few pictures follow each other, or show anything. Raises what `Bag.messages` raises."""
+    """Return the turns; None if too few pictures follow each other, or show anything. Raises the errors of
+    `Bag.messages`.
+    """
     motion, found = robot.of(NO_MOUNT), list(_shifts(bag, topic))
     if motion is None or len(found) < FEWEST_STEPS:
         return None
@@ -66,7 +67,7 @@ def camera_turns(bag: Bag, topic: Candidate, robot: RobotMotion) -> TurnEvidence
 
 
 def radar_speeds(bag: Bag, topic: Candidate, robot: RobotMotion) -> DopplerEvidence | None:
-    """None for a radar that the calibration does not place, or that sees nothing. Raises what decoding raises."""
+    """Return the speeds; None for a radar without a mount or without detections. Raises the errors of decoding."""
     rows = _spread(topic.count, MOST_SCANS)
     recorded = next(one for one in bag.topics if one.name == topic.name)
     seen = decode_radar(topic.type, (bag.message(topic.name, row) for row in rows.tolist()), recorded.schema)
@@ -83,7 +84,7 @@ def radar_speeds(bag: Bag, topic: Candidate, robot: RobotMotion) -> DopplerEvide
 
 
 def gyro_turns(bag: Bag, topic: Candidate, robot: RobotMotion) -> TurnEvidence | None:
-    """Turns over `GYRO_STEP_S`; None for too few. Raises what decoding raises."""
+    """Return turns over `GYRO_STEP_S`; None for too few. Raises the errors of decoding."""
     samples = decode_imu(bag.messages(topic.name, 0, MOST_GYRO_SAMPLES))
     is_possible = (np.abs(samples.angular_velocity_rad_s) <= LAST_RATE_RAD_S).all(axis=1)
     stamps_ns, first = np.unique(samples.stamps_ns[is_possible], return_index=True)
@@ -105,7 +106,7 @@ def gyro_turns(bag: Bag, topic: Candidate, robot: RobotMotion) -> TurnEvidence |
 
 
 def stamps_of(bag: Bag, topic: Candidate) -> NDArray[np.int64]:
-    """Header stamps in ascending order, of the messages that have one. Raises what `Bag.heads` raises."""
+    """Return the header stamps in ascending order. Raises the errors of `Bag.heads`."""
     found = []
     for _name, _index, payload in bag.heads([topic.name]):
         try:
@@ -116,7 +117,7 @@ def stamps_of(bag: Bag, topic: Candidate) -> NDArray[np.int64]:
 
 
 def _shifts(bag: Bag, topic: Candidate) -> Iterator[tuple[int, int, Array]]:
-    """Times of two pictures after each other, and how the second moved; pairs from all over the recording."""
+    """Yield the times of two successive pictures and the shift of the second, for pairs from all over the recording."""
     stamps_ns = bag.log_times_ns(topic.name)
     following = np.searchsorted(stamps_ns, stamps_ns + LEAST_PAIR_NS)
     firsts = np.flatnonzero(following < len(stamps_ns))
@@ -132,7 +133,7 @@ def _shifts(bag: Bag, topic: Candidate) -> Iterator[tuple[int, int, Array]]:
 
 
 def _picture(bag: Bag, topic: Candidate, index: int) -> tuple[int, int, Picture] | None:
-    """Index, stamp and brightness; None for a picture that cannot be read."""
+    """Return index, stamp and brightness; None for an unreadable picture."""
     payload = bag.message(topic.name, index).payload
     try:
         pixels = picture_of(topic.type, payload, PICTURE_WIDTH_PX)
@@ -142,7 +143,7 @@ def _picture(bag: Bag, topic: Candidate, index: int) -> tuple[int, int, Picture]
 
 
 def _spread(count: int, most: int) -> NDArray[np.int64]:
-    """At most so many of `count`, evenly."""
+    """Return at most `most` of `count` indices, evenly spread."""
     return (
         np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)) if count else np.zeros(0, int)
     )

@@ -99,7 +99,7 @@ def _seen(view: CameraView, least_ratio: float) -> str:
         f"{view.seen_ratio * 100:.1f} % of the LiDAR's points project into it (expected: > {least_ratio * 100:.1f} %)"
     )
     if view.off_name_deg is not None:
-        seen += f", it looks {view.off_name_deg:.0f}° from where its name says"
+        seen += f", it looks {view.off_name_deg:.0f}° off the direction in its name"
     return seen if view.is_plausible else seen + " and its image is not upright"
 
 

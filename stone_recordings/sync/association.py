@@ -1,8 +1,8 @@
 """Association of the other sensors' messages with a frame, by channel, phase and nearness.
 
-**Conventions.** Radar and IMU give the nearest sample within half their period and a jitter, an IMU also its samples
-from frame to frame; a camera gives the image it took in its phase of the sweep. `dt_ns` is sample − frame, after the
-mount's `time_offset_ns` was added to the sample.
+**Conventions.** Radar and IMU give the nearest sample within half their period and a jitter. An IMU also gives its
+samples from frame to frame; a camera gives the image taken in its phase of the sweep. `dt_ns` is sample − frame, after
+the mount's `time_offset_ns` was added to the sample.
 """
 
 from collections.abc import Mapping

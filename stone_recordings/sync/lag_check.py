@@ -34,7 +34,7 @@ def measured_lag(sequence: Sequence, sweeps: SweepSource) -> SweepLag | None:
 def telling_pairs(sequence: Sequence) -> NDArray[np.int64]:
     """Return pairs of frames (K, 2) of one segment, about half a second apart, from each of `PAIRS` parts of the run.
 
-    Of each part it takes the pairs whose turn depends most on a delay of the poses by `SLOPE_STEP_S`.
+    Each part contributes the pairs whose turn depends most on a delay of the poses by `SLOPE_STEP_S`.
     """
     stamps_ns, track = sequence.frames.stamps_ns, sequence.track
     first = np.arange(len(stamps_ns))

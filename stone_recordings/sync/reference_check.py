@@ -21,7 +21,7 @@ from stone.sensors.ground_plane import BAND_M
 from stone.sensors.sequence import Sequence, SweepSource
 from stone_recordings.sync.ground_looks import seen_around
 
-MOST_FRAMES = 400  # of a longer run; some of these frames show the ground
+MOST_FRAMES = 400  # frames tried in a longer run; some of them show the ground
 REACH_M = VOXEL_M
 
 

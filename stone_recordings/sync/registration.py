@@ -1,7 +1,7 @@
 """Registration of two point clouds (`small_gicp`, Koide et al., 2021) with measures of its reliability.
 
-**Conventions.** A result is accepted if enough of the source overlaps a surface of the target (`overlap`), if it is
-close to the surface's plane (`residual_m`), and if starts displaced along the ground converge to the same pose. On a
+**Conventions.** A result is accepted if enough of the source overlaps a surface of the target (`overlap`), and if it is
+close to the surface's plane (`residual_m`). Starts displaced along the ground must also converge to the same pose. On a
 bare plane every pose fits equally well, so convergence alone is no evidence. One thread computes it, so equal clouds
 give equal results.
 """
@@ -27,7 +27,7 @@ Points = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Trust:
-    """Limits for accepting a registration: the share of the source within `FINE_M` of the target, the typical distance
+    """Limits for accepting a registration: overlap of the source within `FINE_M` of the target, the typical distance
     from its planes, and the spread (m, rad) of the results of displaced starts.
 
     Displaced starts are tried only if the position matters and not the turn alone. Measured on the KITTI piece: right

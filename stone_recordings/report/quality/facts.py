@@ -36,8 +36,11 @@ class Coverage:
 
 @dataclass(frozen=True)
 class CameraFacts:
-    """`sharpness` is the variance of the Laplacian of 8-bit luminance in pictures at most 640 px wide (Pech-Pacheco
-    et al., ICPR 2000); `dark_ratio` and `bright_ratio` are the shares of pixels at either end of the range."""
+    """`sharpness` is the variance of the Laplacian of 8-bit luminance in pictures at most 640 px wide (Pech-Pacheco et
+    al., ICPR 2000).
+
+    `dark_ratio` and `bright_ratio` are the shares of pixels at either end of the range.
+    """
 
     topic: str
     channel: str

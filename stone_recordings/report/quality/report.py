@@ -59,7 +59,7 @@ class LidarLook:
         self._seen.append((at_ns, slots, len(points_lidar) / max(1, slots), range_m))
 
     def facts(self) -> LidarFacts | None:
-        """The facts; None if no cloud could be read."""
+        """Return the facts; None if no cloud could be read."""
         if not self._seen:
             return None
         at_ns, slots, valid_ratio, range_m = zip(*self._seen, strict=True)
@@ -89,7 +89,7 @@ class RadarLook:
         self._seen.append((at_ns, int(np.count_nonzero(detections.is_valid))))
 
     def facts(self) -> RadarFacts | None:
-        """The facts; None if no message could be read."""
+        """Return the facts; None if no message could be read."""
         if not self._seen:
             return None
         at_ns, detections = zip(*self._seen, strict=True)
@@ -135,7 +135,7 @@ class CameraLook:
         self._seen.append((at_ns, facts))
 
     def facts(self) -> CameraFacts | None:
-        """The facts; None if no picture could be read."""
+        """Return the facts; None if no picture could be read."""
         if not self._seen:
             return None
         pictures = [picture for _, picture in self._seen]
@@ -204,7 +204,7 @@ class RtkLook:
             self._seen.append((at_ns, word, _horizontal_m(samples.position_stdev_m[0])))
 
     def facts(self) -> RtkFacts | None:
-        """The facts; None if the receiver sent nothing."""
+        """Return the facts; None if the receiver sent nothing."""
         if not self._seen:
             return None
         at_ns, words, stdev_m = zip(*self._seen, strict=True)

@@ -23,8 +23,8 @@ from stone_recordings.calibrations.recording_rig import is_recording
 
 # The pose of every sensor of a calibration on the robot, for drawings and tables of a rig. In the ego frame, metres.
 # The LiDAR that places all others is the first, called LIDAR if the file has no name for it. A camera is optical and
-# looks along its z, every other sensor along its x. Angles are roll, pitch, yaw about fixed axes (URDF); a camera's are
-# those of its link (REP 103: x forward, z up), so that a level camera ahead has three zeros.
+# looks along its z, every other sensor along its x. Angles are roll, pitch, yaw about fixed axes (URDF). A camera's
+# angles are those of its link (REP 103: x forward, z up), so that a level camera ahead has three zeros.
 
 
 LIDAR = "LIDAR"

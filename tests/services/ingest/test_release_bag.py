@@ -129,7 +129,7 @@ def test_a_mount_on_no_ground_is_named_with_its_correction_before_there_is_a_cal
     height_m = rig.EGO_FROM_LIDAR.translation_m[2]
     (told,) = [one for one in inspection.findings if one.code == "CAL-440"]
     assert (told.severity, told.topic) == ("warning", "")
-    seen = re.search(r"mount on 'base_link' in /tf_static, the ground lies ([\d.]+) m below the ego origin", told.message)
+    seen = re.search(r"'base_link' in /tf_static, the ground lies ([\d.]+) m below the ego origin", told.message)
     right = re.search(r"use --ground auto, which mounts the LiDAR ([\d.]+) m above", told.message)
     assert seen is not None
     assert right is not None
