@@ -51,7 +51,7 @@ def lidar_clock(bag: Bag, recorded: RecordedTopics, topic: str, offset_ns: int =
         recorded.problems[topic],
     )
     if not len(usable):
-        raise no_usable_sweep(topic, len(stamps_ns), next((one.reason for one in problems.values()), ""))
+        raise no_usable_sweep(topic, len(stamps_ns), next((problem.reason for problem in problems.values()), ""))
     ordered = in_order(topic, stamps_ns, usable)
     points = np.array([recorded.cloud_size(topic, index) for index in ordered.index.tolist()], np.int64)
     _check_returns(bag, topic, ordered.index[points > 0])
@@ -68,16 +68,18 @@ def with_sweep_problems(recorded: RecordedTopics, topic: str) -> RecordedTopics:
     """Return the topics with the faults that only a comparison of sweeps shows: another frame, a stamp far from the
     others.
     """
-    found = dict(recorded.problems.get(topic, {}))
+    problems = dict(recorded.problems.get(topic, {}))
     usable = recorded.usable(topic).tolist()
     frame_ids = recorded.frame_ids(topic)
     frame_id = majority(frame_ids)
     for index, other in zip(usable, frame_ids, strict=True):
         if other != frame_id:
-            found[index] = MessageProblem(OTHER_FRAME, f"its frame is {other!r}, that of most is {frame_id!r}")
-    stray = _stray(recorded.stamps_ns(topic), recorded.log_times_ns[topic], [one for one in usable if one not in found])
-    found |= {index: MessageProblem(STRAY, why) for index, why in stray}
-    return replace(recorded, problems={**recorded.problems, topic: found})
+            problems[index] = MessageProblem(OTHER_FRAME, f"its frame is {other!r}, that of most is {frame_id!r}")
+    stray = _stray(
+        recorded.stamps_ns(topic), recorded.log_times_ns[topic], [row for row in usable if row not in problems]
+    )
+    problems |= {index: MessageProblem(STRAY, why) for index, why in stray}
+    return replace(recorded, problems={**recorded.problems, topic: problems})
 
 
 def _stray(
@@ -88,10 +90,12 @@ def _stray(
     if len(stamps_ns) < 3:
         return
     apart_ns = late_ns - int(np.median(late_ns))
-    for place, index in enumerate(usable):
-        is_alone = np.abs(np.delete(apart_ns[max(0, place - 1) : place + 2], min(place, 1))).max() <= LAST_STRAY_NS
-        if apart_ns[place] > LAST_STRAY_NS and is_alone:
-            yield index, f"it is stamped {apart_ns[place] / 1e9:.3f} s before the sweeps around it"
+    for position, index in enumerate(usable):
+        is_alone = (
+            np.abs(np.delete(apart_ns[max(0, position - 1) : position + 2], min(position, 1))).max() <= LAST_STRAY_NS
+        )
+        if apart_ns[position] > LAST_STRAY_NS and is_alone:
+            yield index, f"it is stamped {apart_ns[position] / 1e9:.3f} s before the sweeps around it"
 
 
 def _problem_finding(topic: str, excluded: tuple[ExcludedFrame, ...], total: int) -> tuple[Finding, ...]:

@@ -122,9 +122,9 @@ def own_times(topic: Topic, messages: Sequence[StampedMessage]) -> OwnTimes:
     """Return the times; the first bytes of messages suffice. Raises: MessageLayoutError, ByteOrderError."""
     parse = _ars548 if topic.type == _ARS548 else _novatel
     rows = [parse(Cursor(message.payload, topic.type)) for message in messages]
-    told = np.array([row for row in rows if row is not None], np.int64).reshape(-1, 3)
-    own_ns = _own_ns(topic, told[:, 1], told[:, 2])
-    return OwnTimes(told[:, 0], own_ns, len(messages))
+    values = np.array([row for row in rows if row is not None], np.int64).reshape(-1, 3)
+    own_ns = _own_ns(topic, values[:, 1], values[:, 2])
+    return OwnTimes(values[:, 0], own_ns, len(messages))
 
 
 def _own_ns(topic: Topic, whole: NDArray[np.int64], rest: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -196,7 +196,7 @@ def without_jumps(topics: Mapping[str, StampedTimes]) -> tuple[dict[str, Stamped
     """Return the record times without the recorder's jumps, in log order again, and a finding for each jump."""
     times, findings = dict(topics), list[Finding]()
     for _ in range(MOST_JUMPS):
-        steps = {name: step for name, one in times.items() if (step := _step_of(one)) is not None}
+        steps = {name: step for name, topic_times in times.items() if (step := _step_of(topic_times)) is not None}
         if not steps or not _are_one(steps, times):
             break
         size_ns = round(float(np.median([step.size_ns for step in steps.values()])))
@@ -223,8 +223,8 @@ def _following(steps: Mapping[str, _Step], size_ns: int, times: Mapping[str, Sta
     before_ns = max(step.before_ns for step in steps.values())
     after_ns = min(step.after_ns for step in steps.values())
     around = ((before_ns - LASTING_NS, before_ns), (after_ns, after_ns + LASTING_NS))
-    others = {name: one for name, one in times.items() if one.is_used and name not in steps}
-    return sorted(name for name, one in others.items() if _is_level(one, around, abs(size_ns) / 2))
+    others = {name: topic_times for name, topic_times in times.items() if topic_times.is_used and name not in steps}
+    return sorted(name for name, topic_times in others.items() if _is_level(topic_times, around, abs(size_ns) / 2))
 
 
 def _is_level(times: StampedTimes, around: Sequence[tuple[int, int]], limit_ns: float) -> bool:
@@ -267,7 +267,7 @@ def _are_one(steps: Mapping[str, _Step], times: Mapping[str, StampedTimes]) -> b
     if size_ns < 0:
         return True
     gap = (first_ns + SPREAD_NS // 4, last_ns + size_ns - SPREAD_NS // 4)
-    logged = [one.log_times_ns for one in times.values()]
+    logged = [topic_times.log_times_ns for topic_times in times.values()]
     return not any(bool(((logs_ns > gap[0]) & (logs_ns < gap[1])).any()) for logs_ns in logged)
 
 
@@ -327,7 +327,7 @@ def measured(bag: Bag, scan: Scan, inspected: Sequence[Inspected]) -> ClockMeasu
     findings += jumps
     if jumps:
         inspected = [_timed_again(part, times) for part in inspected]
-        logged |= {name: one.log_times_ns for name, one in times.items()}
+        logged |= {name: topic_times.log_times_ns for name, topic_times in times.items()}
     clocks = tuple(_clock(logged[part[0].name], part, own.get(part[0].name)) for part in inspected)
     try:
         lag = imu_lag(scan, [(topic, role) for topic, role, _timing in inspected])

@@ -86,14 +86,14 @@ def points_at(bag: Bag, topic: str, row: int, *, with_ring: bool = True) -> Lida
 
 def points_in(bag: Bag, topic: str, cloud: Cloud, *, with_ring: bool = True) -> LidarPoints:
     """Return the returns of a cloud of a topic, timed by the clock of the topic's points."""
-    found = lidar_points(cloud, with_ring=with_ring)
-    is_relative = found.offset_ns is not None and found.time_meaning.startswith("relative")
-    is_plain = not found.wrapped and _is_certain(cloud.stamp_ns) and _touches_stamp(found.offset_ns)
+    points = lidar_points(cloud, with_ring=with_ring)
+    is_relative = points.offset_ns is not None and points.time_meaning.startswith("relative")
+    is_plain = not points.wrapped and _is_certain(cloud.stamp_ns) and _touches_stamp(points.offset_ns)
     is_doubtful = is_relative and not is_plain
-    if found.time_meaning != ANOTHER_CLOCK and not is_doubtful:
-        return found
+    if points.time_meaning != ANOTHER_CLOCK and not is_doubtful:
+        return points
     clock, _at = point_clock(bag, topic)
-    return found if clock is None else lidar_points(cloud, with_ring=with_ring, clock=clock)
+    return points if clock is None else lidar_points(cloud, with_ring=with_ring, clock=clock)
 
 
 def point_clock(bag: Bag, topic: str) -> tuple[PointClock | None, str]:
@@ -139,14 +139,14 @@ def _kept(bag: Bag) -> _Kept:
 def _look(bag: Bag, topic: str, row: int) -> SweepLook | None:
     try:
         cloud = cloud_at(bag, topic, row)
-        found = points_in(bag, topic, cloud)
+        points = points_in(bag, topic, cloud)
     except IngestError:
         return None
-    timed = found.offset_ns if found.offset_ns is not None and len(found.offset_ns) else None
+    timed = points.offset_ns if points.offset_ns is not None and len(points.offset_ns) else None
     span_ns = None if timed is None else (int(timed.min()), int(timed.max()))
-    counts = (found.wrapped, found.filled, found.untimed)
-    count = len(found.points_lidar) + found.untimed
-    return SweepLook(row, count, found.time_meaning, span_ns, *counts, cloud.ignored, cloud.is_misdeclared)
+    counts = (points.wrapped, points.filled, points.untimed)
+    count = len(points.points_lidar) + points.untimed
+    return SweepLook(row, count, points.time_meaning, span_ns, *counts, cloud.ignored, cloud.is_misdeclared)
 
 
 @np.errstate(invalid="ignore", over="ignore")
@@ -190,26 +190,26 @@ def _clock_of(ends: Sequence[_Ends]) -> tuple[PointClock | None, str]:
     possible.
     """
     are_relative = _are_relative(ends)
-    trusted = [one for one in ends if _is_certain(one.stamp_ns)]
+    trusted = [end for end in ends if _is_certain(end.stamp_ns)]
     if len(trusted) < LEAST_SWEEPS and not are_relative:
         trusted = list(ends)  # for a run so short that its clock had just started all the time
     if len(trusted) < LEAST_SWEEPS:
         return None, ""
     word_ns = trusted[0].word_ns
     periods_ns = () if are_relative else (NS_PER_S, HOUR_NS, word_ns) if word_ns else (NS_PER_S,)
-    found = [_agreed(trusted, period_ns) for period_ns in (0, *periods_ns)]
-    agreed = [(clock, stamped) for clock, stamped in found if clock is not None]
-    return next((one for one in agreed if not one[1]), agreed[0] if agreed else (None, ""))
+    candidates = [_agreed(trusted, period_ns) for period_ns in (0, *periods_ns)]
+    agreed = [(clock, stamped) for clock, stamped in candidates if clock is not None]
+    return next((end for end in agreed if not end[1]), agreed[0] if agreed else (None, ""))
 
 
 def _agreed(ends: Sequence[_Ends], period_ns: int) -> tuple[PointClock | None, str]:
     """Return the clock of a period, or of none, on which nearly all sweeps agree."""
-    if period_ns and any(one.first_ns < 0 or one.last_ns > period_ns for one in ends):
+    if period_ns and any(end.first_ns < 0 or end.last_ns > period_ns for end in ends):
         return None, ""
     length_ns = _length_ns(ends)
-    starts_ns, first = [one.first_ns - one.stamp_ns for one in ends], ends[0].stamp_ns
+    starts_ns, first = [end.first_ns - end.stamp_ns for end in ends], ends[0].stamp_ns
     apart = np.array([apart_ns(start - starts_ns[0], period_ns) for start in starts_ns], np.int64)
-    after_ns = np.array([one.stamp_ns - first for one in ends], np.int64)
+    after_ns = np.array([end.stamp_ns - first for end in ends], np.int64)
     drift = _drift(after_ns, apart)
     level = apart - drift * after_ns
     if not _agree(level, length_ns):
@@ -220,11 +220,11 @@ def _agreed(ends: Sequence[_Ends], period_ns: int) -> tuple[PointClock | None, s
 
 def _are_relative(ends: Sequence[_Ends]) -> bool:
     """Return whether sweeps start at one time by their points, as do sweeps whose times are relative to the stamp."""
-    return not ends or _agree(np.array([one.first_ns for one in ends], np.float64), _length_ns(ends))
+    return not ends or _agree(np.array([end.first_ns for end in ends], np.float64), _length_ns(ends))
 
 
 def _length_ns(ends: Sequence[_Ends]) -> int:
-    return int(np.median([one.last_ns - one.first_ns for one in ends]))
+    return int(np.median([end.last_ns - end.first_ns for end in ends]))
 
 
 def _agree(begin_ns: NDArray[np.float64], length_ns: int) -> bool:
@@ -236,10 +236,10 @@ def _drift(after_ns: NDArray[np.int64], apart_ns: NDArray[np.int64]) -> float:
     """Return the median slope of the distances (N,) over time; 0 if no two clocks differ so, or the run is short."""
     if np.ptp(after_ns) < LEAST_DRIFTING_NS:
         return 0.0
-    one, other = np.triu_indices(len(after_ns), 1)
-    is_apart = after_ns[one] != after_ns[other]
-    one, other = one[is_apart], other[is_apart]
-    slope = float(np.median((apart_ns[other] - apart_ns[one]) / (after_ns[other] - after_ns[one])))
+    first, other = np.triu_indices(len(after_ns), 1)
+    is_apart = after_ns[first] != after_ns[other]
+    first, other = first[is_apart], other[is_apart]
+    slope = float(np.median((apart_ns[other] - apart_ns[first]) / (after_ns[other] - after_ns[first])))
     return slope if abs(slope) <= MOST_DRIFT else 0.0
 
 
@@ -247,7 +247,7 @@ def _of_stamps(ends: Sequence[_Ends], clock: PointClock, length_ns: int) -> tupl
     """Return the clock relative to first points, and the point to which the stamps belong."""
     if -length_ns - LAST_LATE_NS // 2 <= apart_ns(clock.ahead_ns, clock.period_ns) <= LAST_LATE_NS // 2:
         return PointClock(0, clock.period_ns), ""  # the headers' own
-    late_ns = float(np.median([one.late_ns for one in ends]))
+    late_ns = float(np.median([end.late_ns for end in ends]))
     if 0 <= late_ns < LATE_SWEEPS * length_ns:
         return replace(clock, ahead_ns=clock.ahead_ns + length_ns), "last"
     return clock, "first"

@@ -59,16 +59,16 @@ def _time_findings(bag: Bag, topic: str, looks: Sequence[SweepLook]) -> Iterator
 def _mistimed(topic: str, odd: Sequence[SweepLook], looks: Sequence[SweepLook]) -> Finding:
     """Return MSG-321: how many points of how many sweeps are mistimed, and their treatment."""
     wrapped, filled, dropped = (
-        sum(counts) for counts in zip(*((one.wrapped, one.filled, one.untimed) for one in odd), strict=True)
+        sum(counts) for counts in zip(*((look.wrapped, look.filled, look.untimed) for look in odd), strict=True)
     )
     became = (
         (wrapped, "lie below the stamp in an unsigned field and are read as negative"),
         (filled, "get the time between their neighbours"),
         (dropped, "are left out"),
     )
-    told = ", ".join(f"{count} {what}" for count, what in became if count)
+    treatment = ", ".join(f"{count} {what}" for count, what in became if count)
     sentence = (
         f"{wrapped + filled + dropped} points in {len(odd)} of {len(looks)} sweeps looked at have no time of their "
-        f"sweep as it was written: {told}"
+        f"sweep as it was written: {treatment}"
     )
     return Finding("MSG-321", "warning", topic, sentence)

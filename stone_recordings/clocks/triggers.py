@@ -38,12 +38,14 @@ def trigger_findings(bag: Bag, sequence: Sequence, sweeps: BagSweeps) -> tuple[F
     if look is None:
         return ()
     taken = [associations[mount.name] for mount in cameras]
-    fired_ns = np.array([np.median(one.dt_ns[one.message_index >= 0]) for one in taken]).astype(np.int64)
+    fired_ns = np.array([np.median(association.dt_ns[association.message_index >= 0]) for association in taken]).astype(
+        np.int64
+    )
     looks_ns = np.array([look.time_ns(bearing_rad(mount)) for mount in cameras], np.int64)
     triggers = triggers_of(fired_ns, looks_ns, look.period_ns)
     if triggers is None:
         return ()
-    topics = [one.topic for one in taken]
+    topics = [association.topic for association in taken]
     return (
         *_shared(triggers, sweeps.topic),
         *_late(triggers, topics, look.period_ns),
@@ -73,11 +75,11 @@ def lidar_look(bag: Bag, sweeps: BagSweeps, period_ns: int) -> LidarRotation | N
 
 
 def _timed_points(bag: Bag, sweeps: BagSweeps, row: int) -> tuple[NDArray[np.float32], NDArray[np.int64]] | None:
-    found = points_at(bag, sweeps.topic, int(sweeps.message_index[row]), with_ring=False)
-    if found.offset_ns is None:
+    points = points_at(bag, sweeps.topic, int(sweeps.message_index[row]), with_ring=False)
+    if points.offset_ns is None:
         return None
-    every = max(1, len(found.points_lidar) // MOST_POINTS)
-    return found.points_lidar[::every], found.offset_ns[::every]
+    every = max(1, len(points.points_lidar) // MOST_POINTS)
+    return points.points_lidar[::every], points.offset_ns[::every]
 
 
 def _shared(triggers: Triggers, lidar: str) -> Iterator[Finding]:

@@ -122,46 +122,46 @@ class ClockOffset:
 
 def linked(held: Sequence[HeldMessages], start: int) -> Mapping[int, ClockOffset]:
     """Return the recordings linked to `start` by messages or topics, with their offsets; `start` is among them."""
-    found = {start: ClockOffset(0, 0, ())}
+    offsets = {start: ClockOffset(0, 0, ())}
     waiting = [start]
     while waiting:
         at = waiting.pop(0)
         for other in range(len(held)):
-            link = None if other in found else link_between(held[at], held[other])
+            link = None if other in offsets else link_between(held[at], held[other])
             if link is not None:
-                found[other] = link.after(found[at])
+                offsets[other] = link.after(offsets[at])
                 waiting.append(other)
-    return found
+    return offsets
 
 
 def link_between(first: HeldMessages, second: HeldMessages) -> ClockOffset | None:
     """Return the offset of the second's times to the first's clock; None if they share too little."""
     topics = [name for name in first.messages if name in second.messages]
     pairs = {name: shared_messages(first.messages[name], second.messages[name]) for name in topics}
-    found = {name: shared for name, shared in pairs.items() if shared is not None}
-    if found:
-        return _by_messages(found)
+    shared_by_topic = {name: shared for name, shared in pairs.items() if shared is not None}
+    if shared_by_topic:
+        return _by_messages(shared_by_topic)
     goes_on = first.sensors & second.sensors & set(topics)
     if goes_on and all(_is_apart(first.messages[name], second.messages[name]) for name in goes_on):
         return ClockOffset(0, None, (SAME_TOPICS,))
     return None
 
 
-def _by_messages(found: Mapping[str, SharedMessages]) -> ClockOffset:
+def _by_messages(shared_by_topic: Mapping[str, SharedMessages]) -> ClockOffset:
     """Return the offset by the topic with the most messages."""
-    best = max(found.values(), key=lambda shared: shared.count)
+    best = max(shared_by_topic.values(), key=lambda shared: shared.count)
     if best.stamp_offset_ns:
         return ClockOffset(best.stamp_offset_ns, 0, (SAME_MESSAGES,))
     if abs(best.log_offset_ns) < TRANSPORT_NS:
         return ClockOffset(0, 0, (SAME_MESSAGES,))
-    kept = tuple(sorted(name for name, shared in found.items() if shared.stamp_offset_ns == 0))
+    kept = tuple(sorted(name for name, shared in shared_by_topic.items() if shared.stamp_offset_ns == 0))
     return ClockOffset(best.log_offset_ns, best.spread_ns, (SAME_MESSAGES,), kept)
 
 
 def _is_apart(first: TopicMessages, second: TopicMessages) -> bool:
     """Return whether one ends before the other starts, by their log times."""
-    one, two = first.log_times_ns, second.log_times_ns
-    return bool(one[-1] < two[0] or two[-1] < one[0])
+    first_ns, two = first.log_times_ns, second.log_times_ns
+    return bool(first_ns[-1] < two[0] or two[-1] < first_ns[0])
 
 
 # Messages that two recordings of a run both contain, on a common clock: the copies to leave out. The earlier of the
@@ -184,12 +184,12 @@ def _repeated(
     before: Sequence[Mapping[str, TopicMessages]], own: Mapping[str, TopicMessages], offset: ClockOffset
 ) -> Runs:
     tolerance_ns = max(TRANSPORT_NS, 5 * (offset.sigma_ns or 0))
-    found = {}
+    repeated = {}
     for name, messages in own.items():
         rows = [repeated_rows(other[name], messages, tolerance_ns) for other in before if name in other]
         if runs := runs_of(np.unique(np.concatenate(rows)) if rows else np.zeros(0, np.int64)):
-            found[name] = runs
-    return found
+            repeated[name] = runs
+    return repeated
 
 
 def _moved(messages: TopicMessages, offset: ClockOffset, name: str) -> TopicMessages:

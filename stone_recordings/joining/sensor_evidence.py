@@ -59,17 +59,17 @@ def camera_turns(bag: Bag, topic: Candidate, robot: RobotMotion) -> TurnEvidence
     """Return the turns; None if too few pictures follow each other, or show anything. Raises the errors of
     `Bag.messages`.
     """
-    motion, found = robot.of(NO_MOUNT), list(_shifts(bag, topic))
-    if motion is None or len(found) < FEWEST_STEPS:
+    motion, shifts = robot.of(NO_MOUNT), list(_shifts(bag, topic))
+    if motion is None or len(shifts) < FEWEST_STEPS:
         return None
-    begin, end = (robot.seconds(np.array(column, np.int64)) for column in list(zip(*found, strict=True))[:2])
-    return TurnEvidence(motion, begin, end, np.array([shift for _, _, shift in found]), has_way=True)
+    begin, end = (robot.seconds(np.array(column, np.int64)) for column in list(zip(*shifts, strict=True))[:2])
+    return TurnEvidence(motion, begin, end, np.array([shift for _, _, shift in shifts]), has_way=True)
 
 
 def radar_speeds(bag: Bag, topic: Candidate, robot: RobotMotion) -> DopplerEvidence | None:
     """Return the speeds; None for a radar without a mount or without detections. Raises the errors of decoding."""
     rows = _spread(topic.count, MOST_SCANS)
-    recorded = next(one for one in bag.topics if one.name == topic.name)
+    recorded = next(candidate for candidate in bag.topics if candidate.name == topic.name)
     seen = decode_radar(topic.type, (bag.message(topic.name, row) for row in rows.tolist()), recorded.schema)
     mount = mount_of(topic.name, frame_id_of(bag, recorded), "radar", robot.calibration)
     motion = robot.of(robot.calibration.ego_from_lidar @ mount.lidar_from_sensor) if mount is not None else None
@@ -107,13 +107,13 @@ def gyro_turns(bag: Bag, topic: Candidate, robot: RobotMotion) -> TurnEvidence |
 
 def stamps_of(bag: Bag, topic: Candidate) -> NDArray[np.int64]:
     """Return the header stamps in ascending order. Raises the errors of `Bag.heads`."""
-    found = []
+    stamps = []
     for _name, _index, payload in bag.heads([topic.name]):
         try:
-            found.append(stamp_of(payload, topic.type))
+            stamps.append(stamp_of(payload, topic.type))
         except StoneError:
             continue
-    return np.unique(np.array(found, np.int64))
+    return np.unique(np.array(stamps, np.int64))
 
 
 def _shifts(bag: Bag, topic: Candidate) -> Iterator[tuple[int, int, Array]]:
@@ -123,13 +123,13 @@ def _shifts(bag: Bag, topic: Candidate) -> Iterator[tuple[int, int, Array]]:
     firsts = np.flatnonzero(following < len(stamps_ns))
     last: tuple[int, int, Picture] | None = None
     for first in firsts[_spread(len(firsts), MOST_PAIRS)].tolist():
-        one = last if last is not None and last[0] == first else _picture(bag, topic, first)
+        earlier = last if last is not None and last[0] == first else _picture(bag, topic, first)
         last = two = _picture(bag, topic, int(following[first]))
-        if one is None or two is None or not 0 < two[1] - one[1] <= MOST_PAIR_NS:
+        if earlier is None or two is None or not 0 < two[1] - earlier[1] <= MOST_PAIR_NS:
             continue
-        shift = picture_shift(one[2], two[2])
+        shift = picture_shift(earlier[2], two[2])
         if shift is not None:
-            yield one[1], two[1], shift
+            yield earlier[1], two[1], shift
 
 
 def _picture(bag: Bag, topic: Candidate, index: int) -> tuple[int, int, Picture] | None:
