@@ -1,7 +1,7 @@
 """Shared parts of the decoders of many small messages: payloads in, checked poses out.
 
-**Conventions.** A decoder takes anything that has a `payload`; positions are metres, quaternions arrive as ROS writes
-them (xyzw) and leave as `wxyz`.
+**Conventions.** A decoder takes any object with a `payload`; positions are metres, quaternions arrive in ROS' order
+(xyzw) and leave as `wxyz`.
 """
 
 from collections.abc import Iterable, Iterator
@@ -18,7 +18,7 @@ from stone_recordings.bags.errors import PoseValueError
 # Drivers write (0, 0, 0, 0) for "unknown", and some write angles; rounding to two decimals stays far below this.
 MOST_OFF_NORM, LEAST_ANGLES, ONE_SCALE = 0.1, 1e-3, 0.01
 MOST_COMPONENT = 1e6  # the square of more would overflow
-# Beyond any place in any frame on Earth: ECEF reaches 6.4e6 m, a UTM zone 1e7 m.
+# Beyond any position in any frame on Earth: ECEF reaches 6.4e6 m, a UTM zone 1e7 m.
 MOST_POSITION_M = 1e8
 BATCH_BYTES = 16 << 20
 SHOWN = 3
@@ -36,7 +36,7 @@ def payloads_of(messages: Iterable[StampedMessage]) -> list[memoryview]:
 
 
 def payload_batches(messages: Iterable[StampedMessage]) -> Iterator[list[memoryview]]:
-    """The payloads in portions of some megabytes: a reader that inflates chunks need not keep them all."""
+    """Yield the payloads in portions of some megabytes, so that a reader that inflates chunks need not keep all."""
     batch: list[memoryview] = []
     size_bytes = 0
     for message in messages:
@@ -51,7 +51,9 @@ def payload_batches(messages: Iterable[StampedMessage]) -> Iterator[list[memoryv
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """`poses` (M,) of the messages `rows` (M,); `refused` are the numbers of the others, and why the first is none."""
+    """`poses` (M,) of the messages `rows` (M,); `refused` are the numbers of the others, and the reason for the
+    first.
+    """
 
     poses: SE3
     rows: NDArray[np.int64]
@@ -60,7 +62,9 @@ class Poses:
 
 
 def poses_in(translation_m: NDArray[np.float64], xyzw: NDArray[np.float64], type_name: str) -> Poses:
-    """The poses among N messages, of (N, 3) and (N, 4). Raises PoseValueError, for the first, where none is one."""
+    """Return the poses among N messages, from (N, 3) and (N, 4). Raises PoseValueError, for the first, if none is
+    valid.
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         is_finite = np.isfinite(np.concatenate([translation_m, xyzw], axis=1)).all(axis=1)
         largest = np.abs(xyzw).max(axis=1, initial=0.0)
@@ -77,9 +81,9 @@ def poses_in(translation_m: NDArray[np.float64], xyzw: NDArray[np.float64], type
 
 
 def are_turns(norms: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which quaternions are rotations, by their norms (N,): 1, or whatever most have in common.
+    """Return which quaternions are rotations, by their norms (N,): norm 1, or the norm that most share.
 
-    None if most are angles, whose norms differ, although one of them may be 1.
+    None are if most are angles, whose norms differ, although one of them may be 1.
     """
     told = norms[norms >= LEAST_ANGLES]
     if not len(told):
@@ -91,7 +95,7 @@ def are_turns(norms: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def refused_finding(topic: str, refused_ns: NDArray[np.int64], reason: str) -> tuple[Finding, ...]:
-    """MSG-305 for messages of a topic, by their stamps (R,), that are left out because they hold no pose."""
+    """Return MSG-305 for messages of a topic, by their stamps (R,), that are left out because they hold no pose."""
     if not len(refused_ns):
         return ()
     shown = ", ".join(str(stamp) for stamp in refused_ns[:SHOWN].tolist())

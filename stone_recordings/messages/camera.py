@@ -1,8 +1,8 @@
 """sensor_msgs Image and CompressedImage → pixels, checked before anything is allocated.
 
-**Conventions.** Pixels are (H, W, 3) uint8, red, green, blue. Sixteen-bit samples keep their upper eight bits. What a
-compressed image is, its first bytes say: the `format` text is free text and not looked at. Distances (depth images of
-REP 118) are no pictures. Source: sensor_msgs (Humble), image_encodings.
+**Conventions.** Pixels are (H, W, 3) uint8, red, green, blue. Sixteen-bit samples keep their upper eight bits. The
+first bytes of a compressed image determine its kind; the free text `format` is ignored. Distances (depth images of REP
+118) are no pictures. Source: sensor_msgs (Humble), image_encodings.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from stone_recordings.messages.types.cdr import Cursor
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_TYPES = frozenset({IMAGE, COMPRESSED})
-# Channels, bytes a sample, and which channels are red, green and blue.
+# Channels, bytes per sample, and the channels that are red, green and blue.
 _LAYOUTS: dict[str, tuple[int, int, tuple[int, int, int]]] = {
     "mono8": (1, 1, (0, 0, 0)), "8UC1": (1, 1, (0, 0, 0)), "mono16": (1, 2, (0, 0, 0)),
     "rgb8": (3, 1, (0, 1, 2)), "bgr8": (3, 1, (2, 1, 0)), "8UC3": (3, 1, (2, 1, 0)), "rgb16": (3, 2, (0, 1, 2)),
@@ -33,9 +33,10 @@ _BAYER = {f"bayer_{name}{bits}": (name, bits // 8) for name in ("rggb", "bggr", 
 
 @dataclass(frozen=True, eq=False)
 class CameraPicture:
-    """One image, not decoded yet; `encoding` is ROS' word for raw ones, "JPEG" or "PNG" for compressed ones.
+    """One image, not decoded yet; `encoding` is ROS' word for raw images, "JPEG" or "PNG" for compressed ones.
 
-    `step_bytes` is the length of a row, 0 for compressed ones; `ignored` is what it declares against its own bytes.
+    `step_bytes` is the length of a row, 0 for compressed images; `ignored` lists declarations that its bytes
+    contradict.
     """
 
     type_name: str
@@ -50,21 +51,23 @@ class CameraPicture:
     ignored: str = ""
 
     def pixels(self, max_width_px: int | None = None) -> NDArray[np.uint8]:
-        """(H, W, 3) uint8, no wider than `max_width_px`, its shape kept. Raises: PictureError (damaged data)."""
+        """Return (H, W, 3) uint8, no wider than `max_width_px`, with the same aspect ratio. Raises: PictureError
+        (damaged data).
+        """
         if self.step_bytes == 0:
             return _decompressed(self, max_width_px)
         return _narrowed(_raw_pixels(self, max_width_px), max_width_px)
 
 
 def decode_image(payload: memoryview, type_name: str) -> CameraPicture:
-    """Raises: MessageLayoutError, ByteOrderError, PictureError (an encoding, size or length that is not believed)."""
+    """Read the head. Raises: MessageLayoutError, ByteOrderError, PictureError (an invalid encoding, size or length)."""
     return _compressed(payload) if type_name == COMPRESSED else _raw(payload)
 
 
 def picture_problem(head: memoryview, type_name: str, size_bytes: Callable[[], int]) -> str:
-    """Why a picture that begins so cannot be one; "" where nothing speaks against it, or the type is another.
+    """Return why a picture with this head is invalid; "" if the head is valid, or the type is another.
 
-    `size_bytes` is the size of the whole message. What lies behind its first bytes only decoding tells.
+    `size_bytes` returns the size of the whole message. Only decoding checks the rest.
     """
     if type_name == IMAGE:
         return _raw_problem(head, size_bytes)
@@ -88,7 +91,7 @@ def picture_problem(head: memoryview, type_name: str, size_bytes: Callable[[], i
 
 
 def _raw_problem(head: memoryview, size_bytes: Callable[[], int]) -> str:
-    """What the fields before the pixels say against a raw image."""
+    """Return the fault in the fields before the pixels of a raw image, or ""."""
     cursor = Cursor(head, IMAGE)
     cursor.stamp_ns()
     cursor.text()
@@ -105,7 +108,7 @@ def _raw_problem(head: memoryview, size_bytes: Callable[[], int]) -> str:
 
 
 def picture_of(type_name: str, payload: memoryview, max_width_px: int | None = None) -> NDArray[np.uint8]:
-    """(H, W, 3) of one message; a narrow one is decoded at reduced size, which is much faster. Raises: as above."""
+    """Return (H, W, 3) of one message; a narrow picture is decoded at reduced size, much faster. Raises: as above."""
     return decode_image(payload, type_name).pixels(max_width_px)
 
 
@@ -139,7 +142,7 @@ def _raw(payload: memoryview) -> CameraPicture:
 
 
 def _row_bytes(encoding: str, width: int) -> int:
-    """The least length of a row. Raises: PictureError (an encoding that is not read)."""
+    """Return the least length of a row. Raises: PictureError (an unsupported encoding)."""
     if encoding in yuv.ENCODINGS:
         return yuv.row_bytes(encoding, width)
     if encoding in _BAYER:
@@ -165,7 +168,7 @@ def _raw_pixels(picture: CameraPicture, max_width_px: int | None) -> NDArray[np.
 
 
 def _samples(picture: CameraPicture, channels: int, sample_bytes: int) -> NDArray[np.uint8]:
-    """(H, W, channels): a view of the upper byte of every sample."""
+    """Return (H, W, channels): a view of the upper byte of every sample."""
     upper = 0 if sample_bytes == 1 or picture.is_bigendian else 1
     shape = (picture.height_px, picture.width_px, channels)
     strides = (picture.step_bytes, channels * sample_bytes, sample_bytes)
@@ -181,7 +184,7 @@ def _narrowed(pixels: NDArray[np.uint8], max_width_px: int | None) -> NDArray[np
 
 
 def _decompressed(picture: CameraPicture, max_width_px: int | None) -> NDArray[np.uint8]:
-    """Pillow is asked for one format and held to the size that was checked; whatever it raises means damage."""
+    """Decode with Pillow, limited to one format and the checked size; any error of Pillow means damage."""
     declared = PictureHeader("JPEG" if picture.encoding == "JPEG" else "PNG", picture.width_px, picture.height_px)
     try:
         with Image.open(BytesIO(picture.data), formats=(declared.kind,)) as image:
@@ -197,24 +200,23 @@ def _decompressed(picture: CameraPicture, max_width_px: int | None) -> NDArray[n
 
 
 def _eight_bits(image: Image.Image) -> Image.Image:
-    """A sixteen-bit PNG would be clipped by Pillow instead of scaled."""
+    """Return a sixteen-bit PNG scaled to eight bits, which Pillow would clip."""
     if not image.mode.startswith("I"):
         return image
     return Image.fromarray((np.asarray(image).astype(np.uint32) >> 8).clip(0, 255).astype(np.uint8))
 
 
-# Demosaicing: colours of a Bayer image, whose sensor sees one of them per pixel.
-#
-# **Conventions.** A pattern names the colours of the upper left 2 × 2 pixels, row by row, as ROS does ("rggb").
-# Bilinear: a missing colour is the mean of its nearest known neighbours, weighted 1 : 2 : 1 in both directions; at the
-# border those that exist. Source: sensor_msgs image_encodings; Malvar, He, Cutler, ICASSP 2004, section 2 (bilinear).
+# Demosaicing: colours of a Bayer image, whose sensor measures one colour per pixel. A pattern names the colours of the
+# upper left 2 × 2 pixels, row by row, in ROS' order ("rggb"). Bilinear: a missing colour is the mean of its nearest
+# known neighbours, weighted 1 : 2 : 1 in both directions; at the border those that exist. Source: sensor_msgs
+# image_encodings; Malvar, He, Cutler, ICASSP 2004, section 2 (bilinear).
 
 
 CHANNELS = "rgb"
 
 
 def debayered(mosaic: NDArray[np.uint8], pattern: str) -> NDArray[np.uint8]:
-    """(H, W, 3) red, green, blue from (H, W)."""
+    """Return (H, W, 3) red, green, blue from (H, W)."""
     picture = np.empty((*mosaic.shape, 3), np.uint8)
     for channel, colour in enumerate(CHANNELS):
         known = np.zeros(mosaic.shape, np.uint16)
@@ -228,7 +230,7 @@ def debayered(mosaic: NDArray[np.uint8], pattern: str) -> NDArray[np.uint8]:
 
 
 def binned(mosaic: NDArray[np.uint8], pattern: str) -> NDArray[np.uint8]:
-    """(H // 2, W // 2, 3): every 2 × 2 pixels become one, green the mean of its two; for previews."""
+    """Return (H // 2, W // 2, 3): every 2 × 2 pixels become one, green the mean of its two; for previews."""
     height, width = (size - size % 2 for size in mosaic.shape)
     sums = np.zeros((height // 2, width // 2, 3), np.uint16)
     for place, name in enumerate(pattern):
@@ -237,7 +239,7 @@ def binned(mosaic: NDArray[np.uint8], pattern: str) -> NDArray[np.uint8]:
 
 
 def _spread(values: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """Sum over 3 × 3 neighbours with weights (1, 2, 1) in both directions, nothing beyond the border."""
+    """Return the sum over 3 × 3 neighbours with weights (1, 2, 1) in both directions, nothing beyond the border."""
     for axis in (0, 1):
         lined = np.moveaxis(values, axis, 0)
         total = lined * np.uint16(2)
@@ -247,12 +249,10 @@ def _spread(values: NDArray[np.uint16]) -> NDArray[np.uint16]:
     return values
 
 
-# The header of a JPEG or PNG: kind and size, read before any decoding.
-#
-# **Conventions.** Sizes are (width, height) pixels. Source: ITU-T T.81 annex B (markers), PNG specification 1.2,
-# 4.1.1.
+# The header of a JPEG or PNG: kind and size, read before any decoding. Sizes are (width, height) pixels. Source: ITU-T
+# T.81 annex B (markers), PNG specification 1.2, 4.1.1.
 
-# Twice the largest sensor that the camera's driver supports (24 MP): what is larger is no picture but an attack.
+# Twice the largest sensor that the camera's driver supports (24 MP): a larger image is an attack.
 MOST_PIXELS = 48_000_000
 # A progressive JPEG has about ten scans; each costs a walk over the whole picture, however few bytes it takes.
 MOST_SCANS = 100
@@ -278,7 +278,9 @@ class PictureHeader(NamedTuple):
 
 
 def head_of(data: bytes, type_name: str) -> PictureHeader:
-    """Kind and declared size. Raises: PictureError (neither JPEG nor PNG, cut off, no size, larger than the limit)."""
+    """Return kind and declared size. Raises: PictureError (neither JPEG nor PNG, cut off, no size, larger than the
+    limit).
+    """
     if data.startswith(JPEG_MAGIC):
         head = _jpeg(data, type_name)
     elif data.startswith(PNG_MAGIC):
@@ -290,14 +292,14 @@ def head_of(data: bytes, type_name: str) -> PictureHeader:
 
 
 def _no_picture(first: bytes, type_name: str) -> PictureError:
-    """By the first bytes: the name of another format where they tell one."""
+    """Return the error, with the name of another format if the first bytes reveal it."""
     shown = first[:8].hex(" ") or "none"
     name = next((name for magic, name in OTHER_MAGIC if first.startswith(magic)), "")
     return PictureError(type_name, f"first bytes {shown} are neither JPEG nor PNG{f' but {name}' if name else ''}")
 
 
 def check_end(data: memoryview, type_name: str) -> None:
-    """Raises: PictureError for a JPEG or PNG that was cut off."""
+    """Raise PictureError for a JPEG or PNG that was cut off."""
     kind, mark = ("JPEG", b"\xff\xd9") if data[:3] == JPEG_MAGIC else ("PNG", b"IEND")
     if mark not in bytes(data[-END_BYTES:]):
         raise PictureError(type_name, f"the {kind} was cut off: it has no end")
@@ -317,7 +319,7 @@ def _png(data: bytes, type_name: str) -> PictureHeader:
 
 
 def _jpeg(data: bytes, type_name: str) -> PictureHeader:
-    """Walk the segments up to the frame header; only lengths are believed, and those are checked."""
+    """Walk the segments up to the frame header; only lengths are used, and they are checked."""
     scans = data.count(b"\xff\xda")
     if scans > MOST_SCANS:
         raise PictureError(type_name, f"the JPEG has {scans} scans, the limit is {MOST_SCANS}")

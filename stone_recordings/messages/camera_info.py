@@ -1,7 +1,7 @@
-"""sensor_msgs/msg/CameraInfo: what a camera's driver says about its own calibration, each version once.
+"""sensor_msgs/msg/CameraInfo: the calibration that a camera's driver publishes, each version once.
 
-**Conventions.** Pixels before binning and region of interest are applied, as ROS says; matrices are row by row. A
-camera whose `k` begins with 0 is uncalibrated. Source: sensor_msgs (Humble).
+**Conventions.** Pixels before binning and region of interest are applied, as in ROS; matrices are row by row. A camera
+whose `k` starts with 0 is uncalibrated. Source: sensor_msgs (Humble).
 """
 
 from collections.abc import Iterable
@@ -19,7 +19,7 @@ TYPE = "sensor_msgs/msg/CameraInfo"
 
 @dataclass(frozen=True, eq=False)
 class CameraInfo:
-    """`distortion` is as long as `model` wants it; `roi_px` is x, y, width, height, zeros for the whole image."""
+    """`distortion` has the length that `model` requires; `roi_px` is x, y, width, height, zeros for the whole image."""
 
     frame_id: str
     width_px: int
@@ -39,7 +39,7 @@ class CameraInfo:
 
 @dataclass(frozen=True, eq=False)
 class CameraInfoSamples:
-    """N messages: message i says `infos[which[i]]`; `infos` are distinct, in the order of their first message."""
+    """N messages: message i contains `infos[which[i]]`; `infos` are distinct, in the order of their first message."""
 
     stamps_ns: NDArray[np.int64]
     which: NDArray[np.int64]
@@ -47,7 +47,7 @@ class CameraInfoSamples:
 
 
 def decode_camera_info(messages: Iterable[StampedMessage], schema: str = "") -> CameraInfoSamples:
-    """Raises: MessageLayoutError, ByteOrderError."""
+    """Decode the messages. Raises: MessageLayoutError, ByteOrderError."""
     table = decode_table(TYPE, messages, resolved(TYPE, schema).registry)
     keys = [_key(table, row) for row in range(table.count)]
     first_rows: dict[tuple[object, ...], int] = {}
@@ -79,7 +79,7 @@ def _info(table: MessageTable, row: int) -> CameraInfo:
 
 
 def _key(table: MessageTable, row: int) -> tuple[object, ...]:
-    """Everything but the stamp, bit for bit (a NaN is the same as itself)."""
+    """Return everything but the stamp, bit for bit (a NaN equals itself)."""
     info = _info(table, row)
     arrays = (array.tobytes() for array in (info.distortion, info.k, info.r, info.p))
     sizes = (info.width_px, info.height_px, info.binning, info.roi_px)

@@ -1,8 +1,8 @@
-"""The PointCloud2 that a CompressedPointCloud2 of point_cloud_transport was made of.
+"""The PointCloud2 inside a CompressedPointCloud2 of point_cloud_transport.
 
-**Conventions.** The two messages are alike up to the points, so what a PointCloud2 is checked for holds for both. The
-formats "zlib" (a stream with a zlib or gzip header) and "zstd" keep every byte; the others are refused by name. No more
-is inflated than the declared size of the cloud. Source: point_cloud_interfaces, point_cloud_transport_plugins.
+**Conventions.** The two messages are alike up to the points, so the checks of a PointCloud2 hold for both. The formats
+"zlib" (a stream with a zlib or gzip header) and "zstd" are lossless; the others are refused by name. At most the
+declared size of the cloud is inflated. Source: point_cloud_interfaces, point_cloud_transport_plugins.
 """
 
 import zlib
@@ -40,7 +40,7 @@ def plain_cloud(payload: memoryview) -> memoryview:
 
 
 def compressed_problem(head: memoryview, size_bytes: Callable[[], int]) -> str:
-    """Return why a message that begins so cannot be decoded; "" if its head does not speak against it.
+    """Return why a message with this head cannot be decoded; "" if the head is valid.
 
     `size_bytes` returns the size of the whole message, of which `head` may be all.
     """
@@ -64,7 +64,7 @@ def _to_data(head: memoryview) -> tuple[Cursor, CloudSize]:
 
 
 def _inflated(packed: memoryview, name: str, room: memoryview) -> int:
-    """Fill the room from its beginning; return how many bytes. Raises: MessageLayoutError, `MSG-330`."""
+    """Fill the room from its start; return the number of bytes. Raises: MessageLayoutError, `MSG-330`."""
     word = name.strip().lower()
     if word not in _CODECS:
         raise IngestError(

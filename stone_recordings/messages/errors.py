@@ -1,4 +1,4 @@
-"""Why a picture, a packet or a definition is refused: one sentence each."""
+"""Refusals of pictures, packets and definitions: one sentence each."""
 
 from stone_recordings.bags.errors import IngestError
 
@@ -6,7 +6,7 @@ SHOWN_CHARACTERS = 80
 
 
 class PictureError(IngestError):
-    """An image is damaged, of an encoding that is not read, or larger than any camera's."""
+    """An image is damaged, in an unsupported encoding, or larger than any camera's."""
 
     def __init__(self, type_name: str, problem: str) -> None:
         super().__init__(
@@ -25,7 +25,7 @@ class DefinitionRefusedError(IngestError):
 
 
 class LidarPacketError(IngestError):
-    """LiDAR packets are of a model that is not decoded here, or are damaged."""
+    """LiDAR packets are of an unsupported model, or damaged."""
 
     def __init__(self, type_name: str, found: str, instead: str) -> None:
         super().__init__(

@@ -1,8 +1,8 @@
 """sensor_msgs/NavSatFix and GPSFix: positions of any receiver.
 
-**Conventions.** Degrees north and east; covariance is m², east, north, up. `height_m` is what the driver wrote:
-NavSatFix means the ellipsoid, GPSFix the mean sea level (its own comment; NovAtel's driver keeps to both). Neither type
-tells an RTK-fixed solution from a differential one. Source: sensor_msgs (Humble), gps_msgs.
+**Conventions.** Degrees north and east; covariance is m², east, north, up. `height_m` is the driver's value: above the
+ellipsoid for NavSatFix, above mean sea level for GPSFix (its own comment; NovAtel's driver follows both). Neither type
+distinguishes an RTK-fixed solution from a differential one. Source: sensor_msgs (Humble), gps_msgs.
 """
 
 from collections.abc import Iterable
@@ -45,13 +45,13 @@ class GnssSamples:
 
     @property
     def is_fixed(self) -> NDArray[np.bool_]:
-        """Whether there is a position at all (N,); one that is not finite is none."""
+        """Whether there is a finite position (N,)."""
         is_finite = np.isfinite(self.latitude_deg) & np.isfinite(self.longitude_deg) & np.isfinite(self.height_m)
         return np.asarray((self.status > NO_FIX) & is_finite)
 
 
 def decode_gnss(type_name: str, messages: Iterable[StampedMessage], schema: str = "") -> GnssSamples:
-    """One topic of one of GNSS_TYPES. Raises: MessageLayoutError, ByteOrderError, DefinitionMissingError."""
+    """Decode one topic of one of GNSS_TYPES. Raises: MessageLayoutError, ByteOrderError, DefinitionMissingError."""
     table = decode_table(type_name, messages, resolved(type_name, schema).registry, _COLUMNS)
     return GnssSamples(
         table.stamps_ns(),

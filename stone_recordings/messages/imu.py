@@ -1,8 +1,8 @@
 """sensor_msgs/msg/Imu: angular velocity and linear acceleration.
 
-**Conventions.** Samples are in the order of the messages. The orientation is read by `decode_attitude` alone:
-drivers fill it while they say that they do not (covariance −1), and the other way round. It turns the sensor's axes to
-east, north, up. Source: sensor_msgs (Humble), REP 103, REP 145.
+**Conventions.** Samples are in the order of the messages. Only `decode_attitude` reads the orientation: some drivers
+fill it although they mark it as not estimated (covariance −1), others leave it empty without that mark. It turns the
+sensor's axes to east, north, up. Source: sensor_msgs (Humble), REP 103, REP 145.
 """
 
 from collections.abc import Iterable
@@ -16,7 +16,7 @@ from stone_recordings.messages.problems import majority
 from stone_recordings.messages.types.table import STAMP, decode_table
 
 TYPE = "sensor_msgs/msg/Imu"
-# What the first element of a covariance says where nothing is estimated.
+# The first element of the covariance of a quantity that is not estimated.
 NOT_ESTIMATED = -1.0
 _COLUMNS = (*STAMP, "angular_velocity", "linear_acceleration")
 
@@ -32,8 +32,10 @@ class ImuSamples:
 
 @dataclass(frozen=True, eq=False)
 class AttitudeSamples:
-    """N orientations `enu_from_imu_xyzw` (N, 4), as they were written; `is_told` (N,) where the driver says that it
-    estimates one: its covariance does not begin with −1, and the numbers are a rotation."""
+    """N orientations `enu_from_imu_xyzw` (N, 4), as recorded; `is_told` (N,) marks those that the driver estimates.
+
+    The covariance of an estimate does not start with −1, and its numbers are a rotation.
+    """
 
     stamps_ns: NDArray[np.int64]
     frame_id: str
@@ -42,7 +44,7 @@ class AttitudeSamples:
 
 
 def decode_attitude(messages: Iterable[StampedMessage]) -> AttitudeSamples:
-    """Raises: MessageLayoutError, ByteOrderError."""
+    """Decode the orientations. Raises: MessageLayoutError, ByteOrderError."""
     table = decode_table(TYPE, messages, only=(*STAMP, "header.frame_id", "orientation", "orientation_covariance"))
     xyzw = table.vectors("orientation", "xyzw")
     norm = np.linalg.norm(np.where(np.abs(xyzw) <= MOST_COMPONENT, xyzw, np.inf), axis=1)
@@ -52,6 +54,6 @@ def decode_attitude(messages: Iterable[StampedMessage]) -> AttitudeSamples:
 
 
 def decode_imu(messages: Iterable[StampedMessage]) -> ImuSamples:
-    """Raises: MessageLayoutError, ByteOrderError."""
+    """Decode the readings. Raises: MessageLayoutError, ByteOrderError."""
     table = decode_table(TYPE, messages, only=_COLUMNS)
     return ImuSamples(table.stamps_ns(), table.vectors("angular_velocity"), table.vectors("linear_acceleration"))

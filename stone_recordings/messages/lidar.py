@@ -1,8 +1,8 @@
 """Points, times and rings out of a LiDAR cloud, whatever its driver calls them.
 
-**Conventions.** Points without a return are NaN, infinite or (0, 0, 0) and are dropped, and so are those out of reach
-(`stone.sensors.reach`), which are counted. Times are read by `stone_recordings.messages.point_times`; a point of a
-timed sweep that has none is dropped. Source: Hesai ROS 2.0, Nebula, Velodyne and Ouster drivers.
+**Conventions.** Points without a return are NaN, infinite or (0, 0, 0) and are dropped. Points out of reach
+(`stone.sensors.reach`) are dropped and counted. `stone_recordings.messages.point_times` reads the times; a point of a
+timed sweep without a time is dropped. Source: Hesai ROS 2.0, Nebula, Velodyne and Ouster drivers.
 """
 
 from dataclasses import dataclass
@@ -22,12 +22,11 @@ LAST_RING = 1023
 
 @dataclass(frozen=True, eq=False)
 class LidarPoints:
-    """N returns: (N, 3) float32 metres in the LiDAR frame, and where the cloud says so when and by which laser.
+    """N returns: (N, 3) float32 metres in the LiDAR frame, and if the cloud contains them, times and lasers.
 
-    `offset_ns` is relative to the header stamp; `time_meaning` says how it was read ("absolute s", "relative ns",
-    "none", "another clock", "too coarse"); `rows` (N,) are the records of the cloud that the returns are, and `beyond`
-    counts those that are places out of any LiDAR's reach. Of the times `wrapped`, `filled` and `untimed` (dropped) are
-    those of `PointTimes`.
+    `offset_ns` is relative to the header stamp; `time_meaning` is how it was read ("absolute s", "relative ns", "none",
+    "another clock", "too coarse"); `rows` (N,) are the records of the returns in the cloud. `beyond` counts the points
+    out of any LiDAR's reach. `wrapped`, `filled` and `untimed` (dropped) count times as in `PointTimes`.
     """
 
     points_lidar: NDArray[np.float32]
@@ -42,16 +41,16 @@ class LidarPoints:
 
     @property
     def mistimed(self) -> int:
-        """How many points had no time of the sweep as they were written."""
+        """The number of points without a time of the sweep as recorded."""
         return self.wrapped + self.filled + self.untimed
 
 
 def resolve_points(
     points: NDArray[np.void], stamp_ns: int, *, with_ring: bool = True, clock: PointClock | None = None
 ) -> LidarPoints:
-    """Return the returns of a cloud; `clock` is known of its points if it is not the header's.
+    """Return the returns of a cloud; `clock` is that of its points if it differs from the header's.
 
-    Raises: CloudLayoutError when there are no x, y, z of one floating type.
+    Raises: CloudLayoutError without x, y, z of one floating type.
     """
     check_xyz(points.dtype)
     xyz, kept, beyond = _packed(points)
@@ -65,7 +64,7 @@ def resolve_points(
 
 
 def check_xyz(record: np.dtype[np.void]) -> None:
-    """Raises: CloudLayoutError when a point has no x, y, z of one floating type."""
+    """Raise CloudLayoutError if a point has no x, y, z of one floating type."""
     names = record.names or ()
     codes = {record[name].str for name in "xyz" if name in names}
     if not set("xyz") <= set(names) or codes not in ({"<f4"}, {"<f8"}):
@@ -73,7 +72,7 @@ def check_xyz(record: np.dtype[np.void]) -> None:
 
 
 def _packed(points: NDArray[np.void]) -> tuple[NDArray[np.float32], NDArray[np.int32], int]:
-    """The returns, their rows, and how many places out of reach were left out."""
+    """Return the returns, their rows, and the number of points out of reach."""
     xyz = np.empty((len(points), 3), np.float32)
     kept = np.empty(len(points), np.int32)
     count, beyond = pack_points((points["x"], points["y"], points["z"]), xyz, kept)
@@ -81,7 +80,7 @@ def _packed(points: NDArray[np.void]) -> tuple[NDArray[np.float32], NDArray[np.i
 
 
 def _rings(points: NDArray[np.void], kept: NDArray[np.int32]) -> NDArray[np.uint16] | None:
-    """The first nominated field that holds small whole numbers."""
+    """Return the first nominated field that holds small whole numbers."""
     for name in RING_NAMES:
         if name not in (points.dtype.names or ()) or points.dtype[name].kind not in "fiu":
             continue
@@ -91,10 +90,9 @@ def _rings(points: NDArray[np.void], kept: NDArray[np.int32]) -> NDArray[np.uint
     return None
 
 
-# The hot loops of reading a cloud: unaligned columns of its records in, packed returns out.
-#
-# **Conventions.** Columns are fields of a structured view, unaligned and strided; nothing of them is copied before it
-# is known to be a return. No fastmath: NaN and −0 must be told apart from numbers as IEEE 754 does.
+# The hot loops of reading a cloud: unaligned columns of its records in, packed returns out. Columns are fields of a
+# structured view, unaligned and strided; only returns are copied. No fastmath: NaN and −0 must differ from numbers as
+# in IEEE 754.
 
 
 @njit(cache=True, nogil=True)
@@ -103,7 +101,7 @@ def pack_points(
 ) -> tuple[int, int]:
     """Fill `points` (N, 3) with every non-zero point in reach and `kept` (N,) with its row.
 
-    Gives how many these are, and how many are numbers but out of reach; NaN and ±inf say that there was no return.
+    Returns their number, and the number of finite points out of reach; NaN and ±inf mean no return.
     """
     count = beyond = 0
     for row in range(len(xyz[0])):
@@ -121,7 +119,9 @@ def pack_points(
 
 @njit(cache=True, nogil=True)
 def small_wholes(column: NDArray[Any], kept: NDArray[np.int32], last: int, values: NDArray[np.uint16]) -> bool:
-    """`values[i] = column[kept[i]]`; False, with `values` unfinished, at the first that is not a whole 0…last."""
+    """Set `values[i] = column[kept[i]]`; return False, with `values` unfinished, at the first that is not a whole
+    0…last.
+    """
     for place in range(len(kept)):
         value = column[kept[place]]
         if not (value >= 0 and value <= last) or value != np.floor(value):

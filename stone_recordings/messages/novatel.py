@@ -1,9 +1,9 @@
-"""NovAtel OEM7 INSPVA, INSPVAX and BESTPOS: what the receiver computed, at the time it computed it for.
+"""NovAtel OEM7 INSPVA, INSPVAX and BESTPOS: the receiver's solution, at its own time.
 
-**Conventions.** The header stamp is when the host published (`host_stamps_ns`); `gps_stamps_ns` is rebuilt from GPS
-week and milliseconds and is 0 where the receiver knew no week. Angles are degrees as logged: azimuth clockwise from
-north, roll right-handed about forward, pitch nose up. The driver's rule for ENU axes, x forward, is setRPY(roll,
-−pitch, 90° − azimuth). Every other type of the package stands below.
+**Conventions.** The header stamp is the host's publish time (`host_stamps_ns`); `gps_stamps_ns` is rebuilt from GPS
+week and milliseconds and is 0 if the receiver had no week. Angles are degrees as logged: azimuth clockwise from north,
+roll right-handed about forward, pitch nose up. The driver's rule for ENU axes, x forward, is setRPY(roll, −pitch, 90° −
+azimuth). Every other type of the package follows below.
 """
 
 from collections.abc import Iterable
@@ -22,12 +22,11 @@ from stone_recordings.messages.types.registry import Registry, registry, resolve
 from stone_recordings.messages.types.sketch import Sketch, sketched
 from stone_recordings.messages.types.table import MessageTable, as_doubles, decode_table
 
-# The two versions of novatel_oem7_msgs, and which of them wrote a message.
-#
-# **Conventions.** Humble is the driver's branch for ROS 2; older is its ROS 1 line, whose recordings are met
-# converted: `Oem7Header` lacks receiver_status and idle_time, station ids are strings. A recording that embeds its
-# definitions needs no choice. Without, versions are told apart by length and, where lengths agree, by values: a wrong
-# layout lands far outside of what the receiver documents. Source: novatel_oem7_driver, branches humble and master.
+# The two versions of novatel_oem7_msgs, and how to detect the one that wrote a message. Humble is the driver's branch
+# for ROS 2; older is its ROS 1 line, whose recordings occur converted: `Oem7Header` lacks receiver_status and
+# idle_time, station ids are strings. A recording with embedded definitions needs no detection. Otherwise length and,
+# for equal lengths, values decide: a wrong layout gives values far outside the receiver's documented ranges. Source:
+# novatel_oem7_driver, branches humble and master.
 
 
 PACKAGE = "novatel_oem7_msgs/msg/"
@@ -42,7 +41,7 @@ LIMITS = {
 
 @cache
 def older() -> Registry:
-    """What is known, with the fields of the driver's ROS 1 line."""
+    """Return the known types with the fields of the driver's ROS 1 line."""
     known = registry()
     types = {
         name: tuple(_older_field(field) for field in fields if field.name not in _ADDED_BY_HUMBLE)
@@ -55,7 +54,7 @@ def older() -> Registry:
 def decode_novatel(
     type_name: str, messages: Iterable[StampedMessage], schema: str = "", only: tuple[str, ...] | None = None
 ) -> MessageTable:
-    """Every column of one topic of any novatel_oem7_msgs type, by the definition that its recording embeds if it does.
+    """Decode every column of one topic of a novatel_oem7_msgs type, by the embedded definition if there is one.
 
     Raises: DefinitionMissingError, DefinitionRefusedError, MessageLayoutError, ByteOrderError.
     """
@@ -66,12 +65,12 @@ def decode_novatel(
 
 
 def fits(type_name: str, payload: memoryview) -> bool:
-    """Whether some version of the type ends where the message does."""
+    """Return whether some version of the type ends at the end of the message."""
     return any(_fitted(payload, known, type_name) for known in (registry(), older()))
 
 
 def _version_of(type_name: str, messages: list[StampedMessage]) -> Registry:
-    """The version that ends where the first message does and makes sense of it, else the one that ends there."""
+    """Return the version that fits the first message and gives plausible values, else a version that fits it."""
     if not messages:
         return registry()
     payload = messages[0].payload
@@ -150,7 +149,7 @@ class FixSamples:
 
 
 def decode_inspva(messages: Iterable[StampedMessage], schema: str = "") -> InsSamples:
-    """INSPVA or INSPVAX, one type at a time; `schema` is the definition that the recording embeds, "" for none.
+    """Decode INSPVA or INSPVAX, one type at a time; `schema` is the embedded definition, "" for none.
 
     Raises: MessageLayoutError, ByteOrderError.
     """
@@ -175,7 +174,7 @@ def decode_inspva(messages: Iterable[StampedMessage], schema: str = "") -> InsSa
 
 
 def decode_bestpos(messages: Iterable[StampedMessage], schema: str = "") -> FixSamples:
-    """Raises: MessageLayoutError, ByteOrderError."""
+    """Decode BESTPOS. Raises: MessageLayoutError, ByteOrderError."""
     table = decode_novatel(BESTPOS, messages, schema)
     return FixSamples(
         table.stamps_ns(),
@@ -192,13 +191,15 @@ def decode_bestpos(messages: Iterable[StampedMessage], schema: str = "") -> FixS
 
 
 def gps_stamps_ns(table: MessageTable) -> NDArray[np.int64]:
-    """UTC (N,) of any type with a `nov_header`, from its GPS week and milliseconds; 0 where the week is unknown."""
+    """Return UTC (N,) of any type with a `nov_header`, from its GPS week and milliseconds; 0 for an unknown week."""
     weeks = table.numbers("nov_header.gps_week_number", kinds="iu")
     return np.where(weeks > 0, unix_ns(weeks, table.numbers("nov_header.gps_week_milliseconds", kinds="iu")), 0)
 
 
 def _ins_table(messages: list[StampedMessage], schema: str) -> MessageTable:
-    """By the embedded definition, else as the type whose fields end where the messages do: no length is of both."""
+    """Decode by the embedded definition, else by the type that fits the messages' length, which differs between the
+    two.
+    """
     if schema:
         return decode_novatel(INSPVAX, messages, schema)
     of_each_length = {len(message.payload): message.payload for message in messages}
@@ -214,35 +215,34 @@ def _deviations(table: MessageTable, names: tuple[str, str, str]) -> NDArray[np.
     return as_doubles(np.stack([table.numbers(f"{name}_stdev") for name in names], axis=1))
 
 
-# GPS week and milliseconds → Unix nanoseconds (UTC).
-#
-# **Conventions.** GPS time runs without leap seconds from 1980-01-06T00:00:00 UTC and was level with UTC then. The
-# offset of a stamp is the one that was valid at that GPS instant. Source: IS-GPS-200, IERS Bulletin C.
+# GPS week and milliseconds → Unix nanoseconds (UTC). GPS time runs without leap seconds from 1980-01-06T00:00:00 UTC
+# and was level with UTC then. The offset of a stamp is the one valid at that GPS instant. Source: IS-GPS-200, IERS
+# Bulletin C.
 
 
 NS_PER_S = 1_000_000_000
 GPS_EPOCH_UNIX_S = 315_964_800
 SECONDS_PER_WEEK = 604_800
 
-# First UTC day with so many leap seconds since 1980 (no further one is announced up to 2027).
+# First UTC day with each number of leap seconds since 1980 (no further one is announced up to 2027).
 _LEAPS = (
     (1981, 7, 1), (1982, 7, 1), (1983, 7, 1), (1985, 7, 1), (1988, 1, 1), (1990, 1, 1), (1991, 1, 1), (1992, 7, 1),
     (1993, 7, 1), (1994, 7, 1), (1996, 1, 1), (1997, 7, 1), (1999, 1, 1), (2006, 1, 1), (2009, 1, 1), (2012, 7, 1),
     (2015, 7, 1), (2017, 1, 1),
 )  # fmt: skip
-# The GPS second (in Unix seconds without leaps) at which each day begins: it already counts the new leap.
+# The GPS second (in Unix seconds without leaps) at which each day starts: it already counts the new leap.
 _LEAP_GPS_S = np.array(
     [int(datetime(*day, tzinfo=UTC).timestamp()) + number for number, day in enumerate(_LEAPS, start=1)], np.int64
 )
 
 
 def leap_seconds(gps_unix_s: NDArray[np.int64]) -> NDArray[np.int64]:
-    """GPS − UTC at instants given as GPS seconds since the Unix epoch without leap seconds."""
+    """Return GPS − UTC at instants given as GPS seconds since the Unix epoch without leap seconds."""
     return np.searchsorted(_LEAP_GPS_S, gps_unix_s, side="right").astype(np.int64)
 
 
 def unix_ns(week: NDArray[np.integer], milliseconds: NDArray[np.integer]) -> NDArray[np.int64]:
-    """UTC Unix nanoseconds of GPS weeks (not modulo 1024) and milliseconds of the week."""
+    """Return UTC Unix nanoseconds of GPS weeks (not modulo 1024) and milliseconds of the week."""
     whole_ms = milliseconds.astype(np.int64)
     gps_unix_s = GPS_EPOCH_UNIX_S + week.astype(np.int64) * SECONDS_PER_WEEK + whole_ms // 1000
     return (gps_unix_s - leap_seconds(gps_unix_s)) * NS_PER_S + (whole_ms % 1000) * 1_000_000

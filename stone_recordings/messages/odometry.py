@@ -1,7 +1,7 @@
 """nav_msgs/Odometry, geometry_msgs/PoseStamped, PoseWithCovarianceStamped: the pose of a moving frame in a fixed one.
 
-**Conventions.** Samples are in the order of the messages; `parent_from_child` maps `child_frame_id` to `frame_id`.
-The poses of geometry_msgs name no moving frame: theirs is "". Source: nav_msgs, geometry_msgs (Humble).
+**Conventions.** Samples are in the order of the messages; `parent_from_child` maps `child_frame_id` to `frame_id`. The
+poses of geometry_msgs name no moving frame: theirs is "". Source: nav_msgs, geometry_msgs (Humble).
 """
 
 from collections import Counter
@@ -18,20 +18,20 @@ from stone_recordings.messages.batch import StampedMessage, poses_in
 from stone_recordings.messages.types.table import STAMP, decode_table
 
 TYPE = "nav_msgs/msg/Odometry"
-# Of more messages in other frames two sources are meant, and nothing says which one is wanted.
+# A larger share of messages in other frames means two sources, of which neither is preferred.
 MOST_OTHERS = 0.1
 POSE_STAMPED, POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"
 CHILD = "child_frame_id"
-# Where a message of each type holds its pose.
+# The field with the pose of each message type.
 POSE_PLACES = {TYPE: "pose.pose", POSE_STAMPED: "pose", POSE_WITH_COVARIANCE: "pose.pose"}
 
 
 @dataclass(frozen=True, eq=False)
 class OdometrySamples:
-    """N poses of one pair of frames; "" twice when there is no message.
+    """N poses of one pair of frames; "" twice without a message.
 
-    `refused_ns` (R,) are the stamps of messages that hold no pose, and `reason` is why the first of them holds none.
-    `other_frames` counts the messages of other pairs of frames, which are left out.
+    `refused_ns` (R,) are the stamps of messages without a pose, and `reason` is that of the first. `other_frames`
+    counts the messages of other pairs of frames, which are left out.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -44,10 +44,10 @@ class OdometrySamples:
 
 
 def decode_odometry(messages: Iterable[StampedMessage], type_name: str = TYPE) -> OdometrySamples:
-    """Of one topic of one of POSE_PLACES.
+    """Decode one topic of one of POSE_PLACES.
 
-    Raises: MessageLayoutError, ByteOrderError, `MSG-304` (two sources on one topic), and PoseValueError where no
-    message holds a pose.
+    Raises: MessageLayoutError, ByteOrderError, `MSG-304` (two sources on one topic), and PoseValueError if no message
+    holds a pose.
     """
     place, named = POSE_PLACES[type_name], (CHILD,) if type_name == TYPE else ()
     table = decode_table(type_name, messages, only=(*STAMP, "header.frame_id", *named, place))
@@ -67,7 +67,7 @@ def decode_odometry(messages: Iterable[StampedMessage], type_name: str = TYPE) -
 
 
 def other_frames_finding(topic: str, samples: OdometrySamples) -> tuple[Finding, ...]:
-    """MSG-304 for a few messages of other frames than the topic's."""
+    """Return MSG-304 for a few messages of other frames than the topic's."""
     if not samples.other_frames:
         return ()
     sentence = (

@@ -1,11 +1,11 @@
-"""Times of points around the stamp of their sweep, whatever field, unit and clock a driver writes them in.
+"""Times of points around the stamp of their sweep, in any field, unit and clock of a driver.
 
-**Conventions.** Names only nominate fields. The two fifths of a sweep's times that lie closest together, its core,
-decide. The unit is the one in which a sweep lasts between 1 ms and 1 s. Times within `NEAR_NS` of 0 are relative to the
-stamp, those as near to the stamp are absolute, and those that are so modulo an hour count from the top of the hour
-(Velodyne). Unsigned words that wrapped below the stamp are small negative times. A time far from the core is none: the
-point gets the time between its neighbours in storage order if these agree, else it is dropped.
-Source: Hesai ROS 2.0, Nebula, Velodyne, Ouster and RoboSense drivers.
+**Conventions.** Names only nominate fields. The core of a sweep decides: the two fifths of its times that lie closest
+together. The unit is the one in which a sweep lasts between 1 ms and 1 s. Times within `NEAR_NS` of 0 are relative to
+the stamp, times that near to the stamp are absolute, and times that near modulo an hour count from the top of the hour
+(Velodyne). Unsigned words that wrapped below the stamp are small negative times. A time far from the core is invalid:
+the point gets the time between its neighbours in storage order if these agree, else it is dropped. Source: Hesai ROS
+2.0, Nebula, Velodyne, Ouster and RoboSense drivers.
 """
 
 from dataclasses import dataclass
@@ -21,19 +21,19 @@ TIME_NAMES = ("timestamp", "time_stamp", "time", "t", "offset_time", "timeStamp"
 UNIT_NAMES = {NS_PER_S: "s", 1_000_000: "ms", 1_000: "µs", 1: "ns"}
 UNITS_NS = tuple(UNIT_NAMES)
 LEAST_SWEEP_NS, LAST_SWEEP_NS = 1e6, 1e9
-# The core of a sweep is no farther from its stamp on one clock; `stone.sensors.deskew` takes no time beyond a second.
+# On one clock, the core of a sweep is no farther from its stamp; `stone.sensors.deskew` takes no time beyond a second.
 NEAR_NS, LAST_OFFSET_NS = 750_000_000, NS_PER_S
 HOUR_NS = 3600 * NS_PER_S
 ANOTHER_CLOCK, OTHERS, NO_TIMES, TOO_COARSE = "another clock", "another clock's", "none", "too coarse"
-# Places in a sweep, evenly spread whatever its rows and columns are (multiples of the golden ratio, modulo 1).
+# Positions in a sweep, evenly spread for any rows and columns (multiples of the golden ratio, modulo 1).
 SAMPLE = np.modf(np.arange(512) * 0.6180339887498949)[0]
-# Less than half, so that the core of a sweep in which a counter begins anew lies on one side of that.
+# Less than half, so that the core of a sweep in which a counter restarts lies on one side of the restart.
 CORE_SHARE = 0.4
-# Of fewer points nothing tells the few times that are none.
+# Fewer points cannot reveal a few invalid times.
 LEAST_POINTS = 16
-# From its centre, times of a sweep reach at most so many lengths of its core, and anything nearer is not told apart.
+# From its centre, times of a sweep reach at most this many lengths of its core; nearer times count as valid.
 REACH_CORES, REACH_NS = 5.0, 250_000_000
-# What lasts longer than so many cores is more likely a sweep with times that are none.
+# A longer span than this many cores probably contains invalid times.
 MOST_CORES = 8.0
 # Drivers write 0 for no time; a share above this is more than the first column's.
 MOST_ZEROS = 0.01
@@ -47,7 +47,7 @@ UNTIMED = np.iinfo(np.int64).min
 class PointClock:
     """The clock of a topic's points: `ahead_ns` of the headers' at stamp `since_ns`, by `drift` more for each ns later.
 
-    It begins anew after each `period_ns`, if that is not 0.
+    It restarts after each `period_ns`, if that is not 0.
     """
 
     ahead_ns: int = 0
@@ -60,8 +60,8 @@ class PointClock:
 class PointTimes:
     """Offsets (N,) from the stamp in ns, `UNTIMED` for points without one; None if none could be read.
 
-    `meaning` says how they were read. Of the points `wrapped` had a time below the stamp in an unsigned word, `filled`
-    got the time between their neighbours, `untimed` have none.
+    `meaning` is how they were read. `wrapped` points had a time below the stamp in an unsigned word, `filled` points
+    got the time between their neighbours, `untimed` points have none.
     """
 
     offset_ns: NDArray[np.int64] | None
@@ -109,11 +109,13 @@ def time_names(points: NDArray[np.void]) -> list[str]:
     return [name for name in TIME_NAMES if name in names and points.dtype[name].kind in "fiu"]
 
 
-@np.errstate(invalid="ignore", over="ignore")  # numbers that are none, or as large as numbers are, are no times
+@np.errstate(invalid="ignore", over="ignore")  # NaN, infinite and huge numbers are not times
 def offsets_from_values(
     column: NDArray[Any], kept: NDArray[np.int32], stamp_ns: int, clock: PointClock | None = None
 ) -> PointTimes:
-    """Return the offsets of `column[kept]` from the stamp; `clock` is known of the points if it is not the header's."""
+    """Return the offsets of `column[kept]` from the stamp; `clock` is that of the points if it differs from the
+    header's.
+    """
     (least, last), core = span(column, kept), core_of(column, kept)
     units = units_of(core, last - least)
     readings = (_reading(column, core, unit_ns, stamp_ns, clock) for unit_ns in units)
@@ -132,7 +134,7 @@ def offsets_from_values(
 
 
 def core_of(column: NDArray[Any], kept: NDArray[np.int32]) -> Core:
-    """Return the core of `column[kept]` by a sample of it; of length 0 if too few values are finite."""
+    """Return the core of `column[kept]` from a sample; of length 0 if too few values are finite."""
     rows = kept if len(kept) <= len(SAMPLE) else kept[(SAMPLE * len(kept)).astype(np.int64)]
     values = column[rows].astype(np.float64)
     is_zero = values == 0
@@ -147,7 +149,7 @@ def core_of(column: NDArray[Any], kept: NDArray[np.int32]) -> Core:
 
 
 def units_of(core: Core, length: float) -> tuple[int, ...]:
-    """Return the nanoseconds per unit in which a sweep lasts as long as sweeps do; `length` is that of all values."""
+    """Return the units in ns in which the core has a sweep's duration; `length` is that of all values."""
     lengths = (length,) if length <= MOST_CORES * core.length else (core.length / CORE_SHARE, length)
     found = (unit for one in lengths for unit in UNITS_NS if LEAST_SWEEP_NS < one * unit <= LAST_SWEEP_NS)
     return tuple(dict.fromkeys(found)) if core.length else ()
@@ -161,7 +163,7 @@ def reach_of(core: Core, unit_ns: int) -> float:
 def _reading(
     column: NDArray[Any], core: Core, unit_ns: int, stamp_ns: int, clock: PointClock | None
 ) -> _Reading | None:
-    """Return how the times are to be read: by the clock that is known, else by what they are near to."""
+    """Return how to read the times: by the known clock, else by their nearest reference."""
     unit, centre_ns = UNIT_NAMES[unit_ns], round(core.centre * unit_ns)
     if clock is not None:
         whose = OTHERS if clock.ahead_ns else "absolute"
@@ -185,15 +187,15 @@ def _by_clock(meaning: str, centre_ns: int, unit_ns: int, at: tuple[int, PointCl
         there_ns %= clock.period_ns
     if abs(apart_ns(centre_ns - there_ns, clock.period_ns)) > NEAR_NS:
         return None
-    if clock.period_ns:  # the distance to the stamp is what is modulo the period, and is short
+    if clock.period_ns:  # the distance to the stamp is taken modulo the period, and is short
         return _Reading(meaning, unit_ns, there_ns / unit_ns, period=clock.period_ns / unit_ns)
-    # Whole units of the stamp are taken off first: what is left keeps every digit that the field had.
+    # Whole units of the stamp are subtracted first: the rest keeps every digit of the field.
     whole, rest_ns = divmod(there_ns, unit_ns)
     return _Reading(meaning, unit_ns, float(whole), rest_ns)
 
 
 def apart_ns(distance_ns: int, period_ns: int) -> int:
-    """Return the distance of two times of a clock that begins anew after each period, if it does."""
+    """Return the distance of two times of a clock that restarts after each period, if any."""
     return (distance_ns + period_ns // 2) % period_ns - period_ns // 2 if period_ns else distance_ns
 
 
@@ -207,7 +209,7 @@ def _unread(column: NDArray[Any], core: Core, stamp_ns: int, why: str) -> str:
 
 
 def _robust(column: NDArray[Any], kept: NDArray[np.int32], core: Core, read: _Reading) -> PointTimes:
-    """Return the times of a sweep of which some are wrapped or are none."""
+    """Return the times of a sweep with wrapped or invalid times."""
     offset_ns, centre = (
         np.empty(len(kept), np.int64),
         unwrapped.py_func(core.centre) if read.is_wrapped else core.centre,
@@ -234,7 +236,7 @@ def _robust(column: NDArray[Any], kept: NDArray[np.int32], core: Core, read: _Re
 
 
 def _without_zeros(offset_ns: NDArray[np.int64], is_zero: NDArray[np.bool_], tolerance_ns: int) -> int:
-    """Give zeros the time between their neighbours if these agree, and not on 0; return how many."""
+    """Give zeros the time between their neighbours if these agree, but not on 0; return their number."""
     tried = offset_ns.copy()
     tried[is_zero] = UNTIMED
     fill(tried, tolerance_ns)
@@ -247,7 +249,7 @@ def _modulo(distance: float, period: float) -> float:
     return distance - period * round(distance / period) if period else distance
 
 
-# The hot loops: unaligned columns of a cloud's records in, offsets out. No fastmath: NaN must be known from numbers.
+# The hot loops: unaligned columns of a cloud's records in, offsets out. No fastmath: NaN must differ from numbers.
 
 HALF_WORD, WORD, HALF_LONG, LONG = 2.0**31, 2.0**32, 2.0**63, 2.0**64
 
@@ -262,7 +264,7 @@ def unwrapped(value: float) -> float:
 
 @njit(cache=True, nogil=True)
 def span(column: NDArray[Any], kept: NDArray[np.int32]) -> tuple[float, float]:
-    """Least and last of `column[kept]`, NaN twice where one of them is not finite; `kept` is not empty."""
+    """Return the least and greatest of `column[kept]`, NaN twice if one is not finite; `kept` is not empty."""
     least, last = np.inf, -np.inf
     for row in kept:
         value = np.float64(column[row])
@@ -276,14 +278,17 @@ def span(column: NDArray[Any], kept: NDArray[np.int32]) -> tuple[float, float]:
 def scaled(
     column: NDArray[Any], kept: NDArray[np.int32], whole: float, unit_ns: float, offset_ns: NDArray[np.int64]
 ) -> None:
-    """`offset_ns[i] = round((column[kept[i]] − whole) · unit_ns)`, half to even."""
+    """Set `offset_ns[i] = round((column[kept[i]] − whole) · unit_ns)`, half to even."""
     for place in range(len(kept)):
         offset_ns[place] = np.int64(np.rint((np.float64(column[kept[place]]) - whole) * unit_ns))
 
 
 @njit(cache=True, nogil=True)
 def placed(column, kept, how, limits, offset_ns):  # type: ignore[no-untyped-def]
-    """`offset_ns` as `scaled`, of wrapped or periodic values too, UNTIMED outside the limits; how many were wrapped."""
+    """Set `offset_ns` as `scaled` does, also from wrapped or periodic values, UNTIMED outside the limits.
+
+    Returns the number of wrapped values.
+    """
     base, unit_ns, period, is_wrapped = how
     wrapped = 0
     for place in range(len(kept)):
@@ -303,7 +308,9 @@ def placed(column, kept, how, limits, offset_ns):  # type: ignore[no-untyped-def
 
 @njit(cache=True, nogil=True)
 def fill(offset_ns, tolerance_ns):  # type: ignore[no-untyped-def]
-    """Fill runs of UNTIMED between two times that agree, if nearly all neighbours do; how many were filled."""
+    """Fill runs of UNTIMED between two times that agree, if nearly all neighbours do; return the number of filled
+    ones.
+    """
     pairs = agreeing = filled = 0
     for place in range(1, len(offset_ns)):
         if offset_ns[place] != UNTIMED and offset_ns[place - 1] != UNTIMED:

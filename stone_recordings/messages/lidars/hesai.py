@@ -1,8 +1,8 @@
 """Packets of Hesai's Pandar40P and OT128 as returns.
 
-**Conventions.** Blocks of an azimuth (hundredths of a degree) and a range for each laser; in modes of several returns
-as many blocks follow each other with one azimuth. A packet's time is that of its end. An OT128 and a Pandar128 send the
-same packets: the angles taken are the OT128's. Firing times are those of standard resolution; in high resolution a
+**Conventions.** A block has an azimuth (hundredths of a degree) and a range for each laser; in modes with several
+returns as many blocks follow each other with one azimuth. A packet's time is that of its end. An OT128 and a Pandar128
+send the same packets; the OT128's angles are used. Firing times are those of standard resolution; in high resolution a
 point is up to 28 µs off. Source: user manuals of Pandar40P (400-en-2211A10) and OT128; Nebula.
 """
 
@@ -35,7 +35,7 @@ _OT128_CYCLE_NS, _OT128_BASE_NS = 55_556, 43_346
 
 
 def pandar40p_returns(packets: list[memoryview], stamps_ns: NDArray[np.int64]) -> PacketReturns:
-    """Of P packets, P > 0, as (P, groups, returns, lasers)."""
+    """Return P packets, P > 0, as (P, groups, returns, lasers)."""
     raw = np.frombuffer(b"".join(packet[: _40P.itemsize] for packet in packets), _40P)
     echoes = _echoes(int(raw["mode"][0]), 10)
     sent_ns = packet_times_ns(raw["time_us"].astype(np.int64), SECOND_US, stamps_ns)
@@ -46,7 +46,9 @@ def pandar40p_returns(packets: list[memoryview], stamps_ns: NDArray[np.int64]) -
 
 
 def ot128_returns(packets: list[memoryview], stamps_ns: NDArray[np.int64]) -> PacketReturns:
-    """Of P packets of one layout, P > 0, as (P, groups, returns, lasers); packets of another size have no returns."""
+    """Return P packets of one layout, P > 0, as (P, groups, returns, lasers); packets of another size have no
+    returns.
+    """
     layout = ot128_layout(packets[0][11])
     raw = np.frombuffer(b"".join(packet[: layout.itemsize] for packet in packets), layout)
     echoes = _echoes(int(raw["mode"][0]), 2)
@@ -58,7 +60,7 @@ def ot128_returns(packets: list[memoryview], stamps_ns: NDArray[np.int64]) -> Pa
 
 
 def ot128_layout(flags: int) -> np.dtype[np.void]:
-    """The record of a packet whose header has these flags; what follows the time is left out."""
+    """Return the record of a packet whose header has these flags, up to the time."""
     record = _SURE_RECORD if flags & CONFIDENCE_FLAG else _RECORD
     block = np.dtype([("azimuth", "<u2"), ("returns", record, 128)])
     safety = [("safety", "u1", SAFETY_BYTES)] if flags & SAFETY_FLAG else []
@@ -71,7 +73,7 @@ def ot128_layout(flags: int) -> np.dtype[np.void]:
 def _returns(
     model: str, unit_m: NDArray[np.float64], blocks: NDArray[np.void], time_ns: NDArray[np.int64]
 ) -> PacketReturns:
-    """Of blocks (P, B) and times (P, G, 1, lasers)."""
+    """Return the returns of blocks (P, B) and times (P, G, 1, lasers)."""
     packets, count = blocks.shape
     groups, lasers = time_ns.shape[1], time_ns.shape[3]
     shape = (packets, groups, count // groups, lasers)
@@ -88,6 +90,6 @@ def _returns(
 
 
 def _echoes(mode: int, blocks: int) -> int:
-    """PacketReturns of one pulse in a mode; one where it is not known or does not divide the blocks."""
+    """Return the number of returns per pulse in a mode; 1 if it is unknown or does not divide the blocks."""
     echoes = 3 if mode == THREE_RETURNS else 2 if mode in TWO_RETURNS else 1
     return echoes if blocks % echoes == 0 else 1

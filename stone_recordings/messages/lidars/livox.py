@@ -27,7 +27,7 @@ _NUMBERED_BYTES = 4 + 1 + 3  # point_num, lidar_id, rsvd
 
 
 def livox_cloud(payload: memoryview, type_name: str) -> Cloud:
-    """Raises: MessageLayoutError, ByteOrderError."""
+    """Decode a message. Raises: MessageLayoutError, ByteOrderError."""
     cursor = Cursor(payload, type_name)
     stamp_ns, frame_id = cursor.stamp_ns(), cursor.text()
     timebase_ns, count = _to_points(cursor)
@@ -44,7 +44,7 @@ def livox_cloud(payload: memoryview, type_name: str) -> Cloud:
 
 
 def livox_count(head: memoryview, type_name: str) -> int:
-    """Return how many points a message declares; 0 if its head cannot be read."""
+    """Return the declared number of points; 0 if the head cannot be read."""
     try:
         return _counted(head, type_name)[0]
     except (MessageLayoutError, ByteOrderError):
@@ -52,7 +52,7 @@ def livox_count(head: memoryview, type_name: str) -> int:
 
 
 def livox_problem(head: memoryview, type_name: str, size_bytes: Callable[[], int]) -> str:
-    """Return why a message that begins so cannot be decoded; "" if its head does not speak against it."""
+    """Return why a message with this head cannot be decoded; "" if the head is valid."""
     try:
         count, at = _counted(head, type_name)
     except (MessageLayoutError, ByteOrderError) as error:
@@ -64,7 +64,7 @@ def livox_problem(head: memoryview, type_name: str, size_bytes: Callable[[], int
 
 
 def _counted(head: memoryview, type_name: str) -> tuple[int, int]:
-    """How many points are declared, and where they begin."""
+    """Return the declared number of points, and their start."""
     cursor = Cursor(head, type_name)
     cursor.stamp_ns()
     cursor.text()
@@ -72,7 +72,7 @@ def _counted(head: memoryview, type_name: str) -> tuple[int, int]:
 
 
 def _to_points(cursor: Cursor) -> tuple[int, int]:
-    """The time base, and how many points follow."""
+    """Return the time base, and the number of points that follow."""
     start = cursor.take(8, 8)
     timebase_ns = int.from_bytes(cursor.payload[start : start + 8], "little")
     cursor.take(_NUMBERED_BYTES, 4)

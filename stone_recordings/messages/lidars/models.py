@@ -1,6 +1,6 @@
-"""Which LiDAR a packet is of, told by its own bytes, and what to record of one that nobody here decodes.
+"""The LiDAR model of a packet, from its own bytes, and the topic to record instead of an unsupported one.
 
-**Conventions.** A Velodyne packet has 1206 bytes, and its last names the product. A Hesai packet begins with its blocks
+**Conventions.** A Velodyne packet has 1206 bytes, and its last names the product. A Hesai packet starts with its blocks
 (Pandar40P) or with EE FF and the version of its protocol. Source: user manuals of VLP-16, VLP-32C, VLS-128 (Velodyne),
 Pandar40P, OT128 (Hesai).
 """
@@ -16,7 +16,7 @@ VELODYNE_BYTES, PANDAR40P_BYTES = 1206, (1262, 1266)
 VELODYNE_PRODUCTS: Mapping[int, LidarModel] = {0x22: "VLP-16", 0x28: "VLP-32C", 0xA1: "VLS-128"}
 OTHER_PRODUCTS: Mapping[int, str] = {0x21: "HDL-32E", 0x24: "VLP-16 Hi-Res", 0x31: "Velarray"}
 OT128_HEAD = HESAI_HEAD + b"\x01\x04"
-# Flags of an OT128's header: what of its parts a packet has.
+# Flags in an OT128's header for the optional parts of a packet.
 SAFETY_FLAG, CONFIDENCE_FLAG = 0x04, 0x10
 SAFETY_BYTES, OT128_TAIL_BYTES = 17, 26
 OTHER_HESAI: Mapping[tuple[int, int], str] = {
@@ -29,7 +29,7 @@ LIVOX_TYPES = frozenset(
 
 
 def model_of(packet: memoryview) -> LidarModel | None:
-    """None for what is no data packet of a model that is decoded here."""
+    """Return the model; None if the packet is not a data packet of a supported model."""
     if len(packet) == VELODYNE_BYTES and packet[:2] == BLOCK:
         return VELODYNE_PRODUCTS.get(packet[VELODYNE_BYTES - 1])
     if len(packet) in PANDAR40P_BYTES and packet[:2] == BLOCK:
@@ -39,18 +39,18 @@ def model_of(packet: memoryview) -> LidarModel | None:
 
 
 def layout_of(packet: memoryview) -> int:
-    """What tells packets of one model apart that are laid out differently: an OT128's flags."""
+    """Return the flags that determine the layout of an OT128's packets; 0 for other models."""
     return packet[11] if packet[:2] == HESAI_HEAD else 0
 
 
 def ot128_bytes(flags: int) -> int:
-    """Up to the end of the time: header, two blocks of 128 lasers, checksum, safety, tail."""
+    """Return the size up to the end of the time: header, two blocks of 128 lasers, checksum, safety, tail."""
     record = 4 if flags & CONFIDENCE_FLAG else 3
     return 12 + 2 * (2 + 128 * record) + 4 + (SAFETY_BYTES if flags & SAFETY_FLAG else 0) + OT128_TAIL_BYTES
 
 
 def refused(packet: memoryview, type_name: str) -> LidarPacketError:
-    """Why a packet without a model is not decoded, by the name of its LiDAR where it tells one."""
+    """Return why a packet without a supported model is refused, with the name of its LiDAR if the bytes reveal it."""
     if len(packet) == VELODYNE_BYTES and packet[:2] == BLOCK:
         product = packet[VELODYNE_BYTES - 1]
         name = OTHER_PRODUCTS.get(product, f"of product 0x{product:02X}")
@@ -64,7 +64,7 @@ def refused(packet: memoryview, type_name: str) -> LidarPacketError:
 
 
 def topic_instead(name: str) -> str:
-    """Return which driver's topic holds the same as points; `name` is a maker's, or a message type that tells one."""
+    """Return the driver's topic with the same data as points; `name` is a maker's, or that of a message type."""
     words = name.lower()
     return next((instead for word, instead in INSTEAD if word in words), "record the PointCloud2 topic of the driver")
 

@@ -1,7 +1,7 @@
-"""Messages in which a driver passed on a LiDAR's packets as they came: one message is one revolution.
+"""Messages with the original packets of a LiDAR: one message is one revolution.
 
-**Conventions.** A packet's stamp is what its driver wrote beside it: the time of its arrival, or the sensor's own.
-Source: velodyne_msgs, pandar_msgs, hesai_ros_driver and nebula_msgs (ROS 2).
+**Conventions.** A packet's stamp is the one that its driver wrote beside it: the time of its arrival, or the sensor's
+own. Source: velodyne_msgs, pandar_msgs, hesai_ros_driver and nebula_msgs (ROS 2).
 """
 
 from collections.abc import Callable, Mapping
@@ -16,9 +16,9 @@ from stone_recordings.messages.types.cdr import Cursor
 VELODYNE_SCAN, PANDAR_SCAN = "velodyne_msgs/msg/VelodyneScan", "pandar_msgs/msg/PandarScan"
 HESAI_FRAME, NEBULA_PACKETS = "hesai_ros_driver/msg/UdpFrame", "nebula_msgs/msg/NebulaPackets"
 VELODYNE_BYTES, PANDAR_BYTES = 1206, 1500
-# Stamp and length: what a packet of any of these takes at least.
+# Stamp and length: the least size of a packet of any of these types.
 LEAST_PACKET_BYTES = 12
-# Of a revolution at 5 Hz an OT128 sends 3,600; each costs some 30 KB while it is decoded.
+# In a revolution at 5 Hz an OT128 sends 3,600; decoding takes about 30 KB for each.
 MOST_PACKETS = 10_000
 
 
@@ -38,7 +38,7 @@ def _velodyne(cursor: Cursor) -> memoryview:
 
 
 def _pandar(cursor: Cursor) -> memoryview:
-    """Of the array's bytes so many as the size behind it says."""
+    """Return as many of the array's bytes as the size after it declares."""
     start = cursor.take(PANDAR_BYTES)
     return cursor.payload[start : start + min(cursor.u32(), PANDAR_BYTES)]
 
@@ -63,7 +63,7 @@ PACKET_READERS: Mapping[str, Callable[[Cursor], memoryview]] = {
 
 
 def packet_scan(payload: memoryview, type_name: str) -> PacketScan:
-    """The packets as views of `payload`. Raises: MessageLayoutError, ByteOrderError."""
+    """Return the packets as views of `payload`. Raises: MessageLayoutError, ByteOrderError."""
     cursor = Cursor(payload, type_name)
     stamp_ns, frame_id = cursor.stamp_ns(), cursor.text()
     read = PACKET_READERS[type_name]
@@ -76,7 +76,7 @@ def packet_scan(payload: memoryview, type_name: str) -> PacketScan:
 
 
 def first_packet(head: memoryview, type_name: str) -> memoryview | None:
-    """The first packet of a message of which `head` is the beginning; None where it holds none.
+    """Return the first packet of a message whose start is `head`; None without packets.
 
     Raises: MessageLayoutError, ByteOrderError.
     """
@@ -90,7 +90,7 @@ def first_packet(head: memoryview, type_name: str) -> memoryview | None:
 
 
 def packet_count(head: memoryview, type_name: str) -> int:
-    """How many packets a message declares; 0 where its head cannot be read."""
+    """Return the declared number of packets; 0 if the head cannot be read."""
     try:
         cursor = Cursor(head, type_name)
         cursor.stamp_ns()

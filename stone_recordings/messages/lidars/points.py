@@ -1,9 +1,9 @@
-"""What the packets of a scan measured, as the records of a cloud.
+"""The measurements in the packets of a scan, as the records of a cloud.
 
-**Conventions.** Angles are degrees as the makers write them: azimuth clockwise seen from above, elevation upwards.
-`zero_deg` is the bearing (counter-clockwise from x) of azimuth 0: Velodyne looks along x there, Hesai along y. Time is
-the sensor's own spacing, laid on the clock of the packets' stamps by the median of what lies between the two: the
-jitter of arrival is not in it, its mean delay is (under 1 ms on a wired network).
+**Conventions.** Angles are degrees in the makers' convention: azimuth clockwise seen from above, elevation upwards.
+`zero_deg` is the bearing (counter-clockwise from x) of azimuth 0: along x for Velodyne, along y for Hesai. Times have
+the sensor's own spacing, shifted to the clock of the packets' stamps by the median of the differences. They contain the
+mean delay of arrival (under 1 ms on a wired network), but not its jitter.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ POINT = np.dtype(
 
 @dataclass(frozen=True, eq=False)
 class PacketReturns:
-    """Arrays that broadcast to one shape, that of `range_m`; a range of 0 is no return."""
+    """Arrays that broadcast to the shape of `range_m`; a range of 0 is no return."""
 
     range_m: NDArray[np.float64]
     azimuth_deg: NDArray[np.float64]
@@ -32,9 +32,9 @@ class PacketReturns:
 
 
 def records_of(returns: PacketReturns, stamp_ns: int) -> NDArray[np.void]:
-    """The returns alone, in the order in which they were sent; times are relative to `stamp_ns`.
+    """Return the returns, in the order in which they were sent; times are relative to `stamp_ns`.
 
-    Where the packets were stamped by another clock than the header, times stay absolute, by which readers know it.
+    If the packets were stamped by another clock than the header, times stay absolute, which readers detect.
     """
     is_return = returns.range_m > 0
     shape = is_return.shape
@@ -53,7 +53,7 @@ def records_of(returns: PacketReturns, stamp_ns: int) -> NDArray[np.void]:
 
 
 def packet_times_ns(counted_us: NDArray[np.int64], cycle_us: int, stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """When packets (P,) were sent, P > 0; `counted_us` begins anew after every `cycle_us`."""
+    """Return when packets (P,) were sent, P > 0; `counted_us` restarts after every `cycle_us`."""
     steps_us = (np.diff(counted_us) + cycle_us // 2) % cycle_us - cycle_us // 2
     own_ns = 1000 * np.concatenate([[0], np.cumsum(steps_us)]).astype(np.int64)
     apart_ns = np.sort(stamps_ns - own_ns)
@@ -61,7 +61,7 @@ def packet_times_ns(counted_us: NDArray[np.int64], cycle_us: int, stamps_ns: NDA
 
 
 def without_repeats(counts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Distances (P, G, R, C) of R returns of one pulse, with 0 for each that a later one repeats."""
+    """Return the ranges (P, G, R, C) of R returns of one pulse, with 0 for each that a later one repeats."""
     kept = counts.copy()
     for earlier in range(counts.shape[2] - 1):
         for later in range(earlier + 1, counts.shape[2]):
@@ -69,13 +69,12 @@ def without_repeats(counts: NDArray[np.int64]) -> NDArray[np.int64]:
     return kept
 
 
-# The makers' default angles and firing times of each laser, in the order in which packets hold them.
-#
-# **Conventions.** Degrees: elevations upwards, azimuth offsets clockwise seen from above and added to a packet's
-# azimuth. A unit's own angles differ from these by up to some tenths of a degree; they are in the sensor, not in its
-# packets. Heights of the lasers in the housing (VLP-16: up to 11 mm) are left out, as Nebula does. Times are
-# nanoseconds. Source: user manuals of the sensors; velodyne_pointcloud (params/), Nebula (calibration/, pandar_40,
-# pandar_128e4x), whose values these are. Velodyne's files hold the offsets with the other sign.
+# The makers' default angles and firing times of each laser, in the order of the packets. Degrees: elevations upwards,
+# azimuth offsets clockwise seen from above and added to a packet's azimuth. A unit's own angles differ from these by up
+# to some tenths of a degree; they are in the sensor, not in its packets. Heights of the lasers in the housing (VLP-16:
+# up to 11 mm) are left out, as in Nebula. Times are nanoseconds. Source: user manuals of the sensors;
+# velodyne_pointcloud (params/), Nebula (calibration/, pandar_40, pandar_128e4x), which list these values. Velodyne's
+# files hold the offsets with the other sign.
 
 
 _VLP16_ELEVATION = (

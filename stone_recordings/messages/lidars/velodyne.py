@@ -1,9 +1,9 @@
 """Packets of Velodyne's VLP-16, VLP-32C and VLS-128 as returns.
 
-**Conventions.** Twelve blocks of a bank, an azimuth (hundredths of a degree) and 32 ranges; blocks that were fired
-together are a sequence, which turns on by what lies between its azimuth and the next one's while its lasers fire. In
-dual mode a block of last returns is followed by one of the strongest. Source: user manuals 63-9243 (VLP-16), 63-9325
-(VLP-32C), 63-9483 (VLS-128).
+**Conventions.** A packet has twelve blocks of a bank, an azimuth (hundredths of a degree) and 32 ranges. Blocks fired
+together form a sequence, during which the azimuth advances to that of the next sequence. In dual mode a block of last
+returns is followed by one of the strongest. Source: user manuals 63-9243 (VLP-16), 63-9325 (VLP-32C), 63-9483
+(VLS-128).
 """
 
 from dataclasses import dataclass
@@ -27,13 +27,13 @@ _PACKET = np.dtype([("blocks", _BLOCK, BLOCKS), ("time_us", "<u4"), ("mode", "u1
 DUAL = 0x39
 HOUR_US = 3_600_000_000
 BANKS = (0xEEFF, 0xDDFF, 0xCCFF, 0xBBFF)
-# Farther apart than any sensor turns in a sequence: packets between the two were lost.
+# A larger step than any sensor turns in a sequence: packets between the two were lost.
 MOST_STEP = 300
 
 
 @dataclass(frozen=True)
 class _Firing:
-    """How a model fires: so many blocks a sequence, each of one bank, in so many packets' sequences."""
+    """The firing pattern of a model: blocks per sequence, each of one bank, and sequences per packet."""
 
     unit_m: float
     blocks: int
@@ -51,7 +51,7 @@ FIRINGS: dict[str, _Firing] = {
 
 
 def velodyne_returns(packets: list[memoryview], model: LidarModel, stamps_ns: NDArray[np.int64]) -> PacketReturns:
-    """Of P packets of one model, P > 0, as (P, sequences, returns, lasers)."""
+    """Return P packets of one model, P > 0, as (P, sequences, returns, lasers)."""
     raw = np.frombuffer(b"".join(packet[:VELODYNE_BYTES] for packet in packets), _PACKET)
     firing, is_dual = FIRINGS[model], bool(raw["mode"][0] == DUAL)
     echoes = 2 if is_dual else 1
@@ -79,13 +79,15 @@ def velodyne_returns(packets: list[memoryview], model: LidarModel, stamps_ns: ND
 
 
 def _by_echo(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(P, S, B, E, 32) as (P, S, E, 32 B): the lasers of all banks of a sequence side by side."""
+    """Reorder (P, S, B, E, 32) as (P, S, E, 32 B): the lasers of all banks of a sequence side by side."""
     packets, sequences, banks, echoes, lasers = values.shape
     return values.transpose(0, 1, 3, 2, 4).reshape(packets, sequences, echoes, banks * lasers)
 
 
 def _azimuths(begin: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Azimuths (P, S) and how far each sequence turns, in hundredths of a degree; of the last as of the one before."""
+    """Return azimuths (P, S) and the turn of each sequence, in hundredths of a degree; the last turn repeats the
+    previous.
+    """
     flat = begin.reshape(-1)
     step = np.zeros_like(flat)
     step[:-1] = (np.diff(flat) + 18_000) % 36_000 - 18_000
