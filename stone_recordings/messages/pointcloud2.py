@@ -1,13 +1,12 @@
-"""sensor_msgs/msg/PointCloud2 as a structured view of its own bytes, checked before it is believed.
+"""sensor_msgs/msg/PointCloud2 as a structured view of its own bytes, checked before use.
 
-What a cloud declares twice may contradict itself. Its bytes decide then: rows, sizes and steps that the length of the
-data refutes are ignored and named in `Cloud.ignored`; a cloud is refused only if its bytes leave a doubt.
+If a cloud's declarations contradict each other, its bytes decide: rows, sizes and steps that the length of the data
+refutes are ignored and named in `Cloud.ignored`. A cloud is refused only if its bytes are ambiguous.
 
-**Conventions.** `points` has one record a point, in the order of the message, with the driver's field names; nothing
-is copied unless rows are padded or numbers big-endian. Offsets need not be aligned (Hesai: 26 bytes a point). Numbers
-leave little-endian. `is_bigendian` is believed unless the places that follow are none and the little-endian ones are:
-some drivers set it and write little-endian. Of several fields of one name the first counts. Source: sensor_msgs
-(Humble).
+**Conventions.** `points` has one record per point, in the order of the message, with the driver's field names; nothing
+is copied unless rows are padded or numbers big-endian. Offsets need not be aligned (Hesai: 26 bytes per point). Numbers
+leave little-endian. `is_bigendian` is ignored if it gives impossible positions and little-endian possible ones: some
+drivers set it and write little-endian. Of several fields of one name the first counts. Source: sensor_msgs (Humble).
 """
 
 from collections.abc import Callable
@@ -27,11 +26,11 @@ __all__ = ["Cloud", "LidarPoints", "decode_cloud", "lidar_points"]
 
 TYPE = "sensor_msgs/msg/PointCloud2"
 FORMATS = {1: "i1", 2: "u1", 3: "<i2", 4: "<u2", 5: "<i4", 6: "<u4", 7: "<f4", 8: "<f8"}
-# name length, terminator, offset, datatype, count: what a PointField takes at least.
+# The least size of a PointField: name length, terminator, offset, datatype, count.
 LEAST_FIELD_BYTES = 4 + 1 + 4 + 1 + 4
 FIELD_LIMIT, MOST_STEP_BYTES = 256, 1 << 16
 PLACE_NAMES = frozenset("xyz")
-# Coordinates that a LiDAR can report; a number whose bytes are swapped has an exponent like any other.
+# Coordinates that a LiDAR can report; a number with swapped bytes can have any exponent.
 LEAST_PLACE_M, LAST_PLACE_M = 1e-6, 1e5
 LEAST_PLACES = 0.5
 
@@ -54,7 +53,7 @@ class _CloudLayout(NamedTuple):
 
 
 class CloudSize(NamedTuple):
-    """What a cloud declares: how many points, the bytes that they take and that their rows do, those that follow."""
+    """The declared number of points, the bytes of the points and of their rows, and the bytes that follow."""
 
     points: int
     points_bytes: int
@@ -64,9 +63,9 @@ class CloudSize(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """One message: stamp, frame and N point records; `is_misdeclared` where its byte order is not the declared one.
+    """One message: stamp, frame and N point records; `is_misdeclared` if its byte order is not the declared one.
 
-    `ignored` names what it declares against its own bytes, with the value; "" for nothing.
+    `ignored` names the declarations that its bytes contradict, with their values; "" without any.
     """
 
     stamp_ns: int
@@ -77,7 +76,7 @@ class Cloud:
 
 
 class _Rows(NamedTuple):
-    """Where the points lie: `height` rows of `width` points, by what the bytes decide; `ignored` as of a Cloud."""
+    """The layout of the points: `height` rows of `width` points, as the bytes decide; `ignored` as in a Cloud."""
 
     height: int
     width: int
@@ -87,7 +86,7 @@ class _Rows(NamedTuple):
 
 
 def decode_cloud(payload: memoryview) -> Cloud:
-    """The cloud as a view of `payload`, or a copy of one that is big-endian.
+    """Return the cloud as a view of `payload`, or as a copy if it is big-endian.
 
     Raises: MessageLayoutError, ByteOrderError (of the CDR), CloudLayoutError (a field beyond point_step, steps or data
     that contradict the size of the cloud).
@@ -107,9 +106,9 @@ def decode_cloud(payload: memoryview) -> Cloud:
 
 
 def _places_ratio(points: NDArray[np.void]) -> float:
-    """How many of the finite coordinates can be a sensor's; 1 where there are none."""
+    """Return the share of finite coordinates that a sensor can measure; 1 without coordinates."""
     names = [name for name in "xyz" if name in (points.dtype.names or ()) and points.dtype[name].kind == "f"]
-    with np.errstate(invalid="ignore"):  # a swapped number may be a NaN that signals
+    with np.errstate(invalid="ignore"):  # a swapped number may be a signalling NaN
         values = np.abs(np.array([points[name].astype(np.float64) for name in names]))
     values = values[np.isfinite(values)]
     is_place = (values == 0) | ((values >= LEAST_PLACE_M) & (values <= LAST_PLACE_M))
@@ -117,10 +116,10 @@ def _places_ratio(points: NDArray[np.void]) -> float:
 
 
 def layout_problem(head: memoryview, size_bytes: Callable[[], int]) -> str:
-    """Why a cloud that begins so cannot be decoded; "" where nothing speaks against it.
+    """Return why a cloud with this head cannot be decoded; "" if the head is valid.
 
-    The first bytes tell, up to where the points begin; `size_bytes` is the size of the whole message, asked for only
-    where the head does not reach as far as its points.
+    The first bytes up to the points decide; `size_bytes`, the size of the whole message, is called only if the head
+    does not reach its points.
     """
     try:
         cursor = Cursor(head, TYPE)
@@ -137,9 +136,9 @@ def layout_problem(head: memoryview, size_bytes: Callable[[], int]) -> str:
 
 
 def xyz_problem(head: memoryview, *, is_compressed: bool = False) -> str:
-    """Why a cloud that begins so, and can be decoded, holds no points in space; "" where it does.
+    """Return why a decodable cloud with this head holds no points in space; "" if it does.
 
-    Of a compressed one the length of the data decides nothing.
+    The length of the data of a compressed cloud decides nothing.
     """
     cursor = Cursor(head, TYPE)
     cursor.stamp_ns()
@@ -153,7 +152,7 @@ def xyz_problem(head: memoryview, *, is_compressed: bool = False) -> str:
 
 
 def points_of_head(head: memoryview) -> int:
-    """Return how many points a cloud holds that begins so. Raises as `decode_cloud`."""
+    """Return the number of points of a cloud with this head. Raises the errors of `decode_cloud`."""
     cursor = Cursor(head, TYPE)
     cursor.stamp_ns()
     cursor.text()
@@ -162,7 +161,7 @@ def points_of_head(head: memoryview) -> int:
 
 
 def cloud_size(cursor: Cursor) -> CloudSize:
-    """Return the declared size behind the header, where the cursor stands. Raises: CloudLayoutError (its fields)."""
+    """Return the declared size after the header, at the cursor. Raises: CloudLayoutError (its fields)."""
     layout = _layout(cursor)
     record_of(layout.fields, layout.point_step)
     points = layout.height * layout.width
@@ -170,7 +169,7 @@ def cloud_size(cursor: Cursor) -> CloudSize:
 
 
 def _layout(cursor: Cursor) -> _CloudLayout:
-    """What stands between the header and the points."""
+    """Return the layout between the header and the points."""
     height, width = cursor.u32(), cursor.u32()
     count = cursor.count(LEAST_FIELD_BYTES)
     if count > FIELD_LIMIT:
@@ -182,13 +181,13 @@ def _layout(cursor: Cursor) -> _CloudLayout:
 
 
 def lidar_points(cloud: Cloud, *, with_ring: bool = True, clock: PointClock | None = None) -> LidarPoints:
-    """Finite, non-zero points with their time and, unless spared, ring; see `stone_recordings.messages.lidar`."""
+    """Return finite, non-zero points with their time and, by default, ring; see `stone_recordings.messages.lidar`."""
     return resolve_points(cloud.points, cloud.stamp_ns, with_ring=with_ring, clock=clock)
 
 
 @lru_cache(maxsize=64)
 def record_of(fields: tuple[_PointField, ...], point_step: int) -> tuple[np.dtype[np.void], str]:
-    """The numpy record of a point, and the fields that are ignored; those named "" or "_…" are padding.
+    """Return the numpy record of a point, and the ignored fields; fields named "" or "_…" are padding.
 
     A field that no bytes can hold is ignored unless it is a coordinate. Raises: CloudLayoutError.
     """
@@ -226,12 +225,12 @@ def _end_of(field: _PointField) -> int:
 
 
 def _rows(layout: _CloudLayout) -> _Rows:
-    """What the length of the data decides of the declared sizes. Raises: CloudLayoutError."""
+    """Return the rows that fit the length of the data. Raises: CloudLayoutError."""
     height, width, row_step, data_bytes = layout.height, layout.width, layout.row_step, layout.data_bytes
     step = _point_step(layout)
     record, ignored = record_of(layout.fields, step)
     wrong = [f"point_step {layout.point_step}"] * (step != layout.point_step)
-    # No row is padded by whole points, or holds none: its width is wrong then.
+    # No row is padded by whole points, or empty: its width is wrong then.
     is_padded = row_step > width * step > 0 and row_step % step > 0
     is_of_rows = height * row_step == data_bytes and (row_step == width * step or is_padded)
     is_of_points = data_bytes % step == 0 and data_bytes > 0 and height <= 1
@@ -257,9 +256,9 @@ def _rows(layout: _CloudLayout) -> _Rows:
 
 
 def _point_step(layout: _CloudLayout) -> int:
-    """The declared step, unless the bytes of a point are another number by both the rows and the data.
+    """Return the declared step, unless both the rows and the data imply another size of a point.
 
-    More bytes than the declared step, in which every field fits, are those of more points.
+    A larger size that holds every field means more points, not a larger step.
     """
     points, step = layout.height * layout.width, layout.point_step
     ends = {one.name: _end_of(one) for one in layout.fields if one.datatype in FORMATS}

@@ -1,4 +1,4 @@
-"""What keeps one message from being used, told by its first bytes: one path for inspection and synchronisation.
+"""Faults of single messages, detected in their first bytes: one path for inspection and synchronisation.
 
 **Conventions.** A head is a whole message, or at least the first `HEAD_BYTES` of one (`Bag.heads`). Codes are words for
 programs: they become the codes of excluded frames.
@@ -31,20 +31,20 @@ MALFORMED, UNSTAMPED, DAMAGED, OTHER_FRAME, STRAY = (
     "stray_stamp",
 )
 Read = TypeVar("Read")
-# Types of which more than the header is looked at.
+# Types that are checked beyond the header.
 _LOOKED_AT = frozenset({POINT_CLOUD, COMPRESSED_CLOUD, *LIVOX_TYPES, *CAMERA_TYPES})
 
 
 @dataclass(frozen=True, slots=True)
 class MessageProblem:
-    """Why a message is left out: `code` for programs, `reason` for people."""
+    """The reason why a message is left out: `code` for programs, `reason` for people."""
 
     code: str
     reason: str
 
 
 def head_problem(head: memoryview, type_name: str, size_bytes: Callable[[], int]) -> MessageProblem | None:
-    """What is wrong with a stamped message; `size_bytes` tells how long it is beyond its head."""
+    """Return the fault of a stamped message, or None; `size_bytes` returns the size beyond its head."""
     try:
         cursor = Cursor(head, type_name)
         stamp_ns = cursor.stamp_ns()
@@ -61,17 +61,17 @@ def head_problem(head: memoryview, type_name: str, size_bytes: Callable[[], int]
 
 @dataclass
 class TopicHeads:
-    """`head_problem` of the messages of one topic, one after another.
+    """Checks the messages of one topic by `head_problem`, one after another.
 
-    Most have the name of one frame behind the stamp: where nothing was wrong with the last that was read, and the type
-    has nothing else to look at, one that begins with the same bytes is told by them.
+    Most messages have the same frame name after the stamp. If the last one was valid, and only the header of the type
+    is checked, a message with the same first bytes is valid too.
     """
 
     type_name: str
     _name: bytes = b""
 
     def problem(self, head: memoryview, size_bytes: Callable[[], int]) -> MessageProblem | None:
-        """As `head_problem`."""
+        """Return the fault of a message as `head_problem` does."""
         if self._name and head[STAMP_END : STAMP_END + len(self._name)] == self._name and _is_dated(head):
             return None
         problem = head_problem(head, self.type_name, size_bytes)
@@ -84,16 +84,16 @@ class TopicHeads:
 
 
 def _is_dated(head: memoryview) -> bool:
-    """Whether it is plain CDR with a stamp after 1970; what is not may have one all the same."""
+    """Return whether it is plain CDR with a stamp after 1970; other messages may have a stamp all the same."""
     return head[:2] == PLAIN_CDR and head[STAMP_END - 5] < SIGN and any(head[HEAD_BYTES : HEAD_BYTES + 4])
 
 
 def read_readable(
     topic: str, messages: Iterable[StampedMessage], read: Callable[[list[StampedMessage]], Read]
 ) -> tuple[Read, tuple[Finding, ...]]:
-    """What `read` makes of the messages of a topic that it can read, and MSG-311 for the others.
+    """Return the result of `read` for a topic's readable messages, and MSG-311 for the others.
 
-    Raises what `read` raises where it can read none.
+    Raises the error of `read` if it can read none.
     """
     listed = list(messages)
     try:
@@ -106,10 +106,9 @@ def read_readable(
 def readable(
     topic: str, messages: Iterable[StampedMessage], read: Callable[[list[StampedMessage]], Read]
 ) -> tuple[list[StampedMessage], tuple[Finding, ...]]:
-    """The messages of a topic that `read` can read, and MSG-311 for the others; all where it can read none.
+    """Return the messages of a topic that `read` can read, and MSG-311 for the others; all if it can read none.
 
-    Where none can be read, `read` says so better. Halves are tried again, so that a few bad ones among many cost
-    little.
+    Then the error of `read` is more precise. Halves are tried separately, so that a few invalid messages cost little.
     """
     listed = list(messages)
     found = _unreadable(listed, read, 0)
@@ -127,7 +126,9 @@ def readable(
 def left_out_finding(
     topic: str, problems: Mapping[int, MessageProblem], stamps_ns: NDArray[np.int64]
 ) -> tuple[Finding, ...]:
-    """MSG-311 for messages of a topic that are left out, () for none; `stamps_ns` are those of all its messages."""
+    """Return MSG-311 for messages of a topic that are left out, () for none; `stamps_ns` are those of all its
+    messages.
+    """
     told = {at: problem for at, problem in problems.items() if problem.code != DAMAGED}
     if not told:
         return ()
@@ -156,5 +157,5 @@ def _unreadable(
 
 
 def majority(words: Iterable[str]) -> str:
-    """The word that is said most often, of several the first; "" of none."""
+    """Return the most frequent word, of several the first; "" without words."""
     return next((word for word, _count in Counter(words).most_common(1)), "")

@@ -1,8 +1,8 @@
-"""The cloud of a sweep from whatever a driver recorded: sensor_msgs/PointCloud2, as it is or compressed, Livox's own
-message of points, or the LiDAR's own packets.
+"""The cloud of a sweep from any supported message: sensor_msgs/PointCloud2, plain or compressed, Livox's own message of
+points, or the LiDAR's own packets.
 
 **Conventions.** A message is one revolution. Packets are decoded with the maker's default angles of the model that they
-name; of one message all are of the model of its first, and the others are left out.
+name; all packets of a message are of the model of its first, and the others are left out.
 """
 
 from collections.abc import Callable
@@ -39,7 +39,7 @@ SWEEP_TYPES = PACKET_TYPES | CLOUD_TYPES | LIVOX_TYPES
 
 @dataclass(frozen=True, eq=False)
 class PacketCloud:
-    """The cloud of one message of packets, the model, and how many of its packets are not of it."""
+    """The cloud of one message of packets, the model, and the number of packets of other models."""
 
     cloud: Cloud
     model: LidarModel
@@ -48,13 +48,13 @@ class PacketCloud:
 
 
 def cloud_at(bag: Bag, topic: str, index: int) -> Cloud:
-    """The cloud of one message of a LiDAR's topic. Raises what reading it and `sweep_cloud` raise."""
+    """Return the cloud of one message of a LiDAR's topic. Raises the errors of reading it and of `sweep_cloud`."""
     return sweep_cloud(bag.message(topic, index).payload, bag.type_of(topic))
 
 
 def sweep_cloud(payload: memoryview, type_name: str) -> Cloud:
-    """Raises: MessageLayoutError, ByteOrderError, CloudLayoutError, `MSG-330` and LidarPacketError (a compression or a
-    model that is not decoded).
+    """Decode a message. Raises: MessageLayoutError, ByteOrderError, CloudLayoutError, `MSG-330` and LidarPacketError
+    (an unsupported compression or model).
     """
     if type_name in PACKET_TYPES:
         return packet_cloud(payload, type_name).cloud
@@ -64,10 +64,10 @@ def sweep_cloud(payload: memoryview, type_name: str) -> Cloud:
 
 
 def points_declared(head: memoryview, type_name: str) -> int | None:
-    """Return the points of a message that begins so, or the packets that take their place.
+    """Return the points of a message with this head, or the packets that take their place.
 
-    Of a PointCloud2 they are those that its bytes decide, of one whose fields the head does not hold the declared ones.
-    None if the head of a cloud cannot be read, 0 if that of another message cannot.
+    The bytes of a PointCloud2 decide; if the head does not hold all of its fields, the declared number counts. None if
+    the head of a cloud cannot be read, 0 if that of another message cannot.
     """
     if type_name in PACKET_TYPES:
         return packet_count(head, type_name)
@@ -86,8 +86,9 @@ def points_declared(head: memoryview, type_name: str) -> int | None:
 
 
 def points_problem(head: memoryview, type_name: str, size_bytes: Callable[[], int]) -> str:
-    """Return why a message of points that begins so cannot be decoded; "" for other types, and if nothing speaks
-    against it. `size_bytes` returns the size of the whole message, of which `head` may be all.
+    """Return why a message of points with this head cannot be decoded; "" for other types, and if the head is valid.
+
+    `size_bytes` returns the size of the whole message, of which `head` may be all.
     """
     if type_name == POINT_CLOUD:
         return layout_problem(head, size_bytes)
@@ -97,7 +98,7 @@ def points_problem(head: memoryview, type_name: str, size_bytes: Callable[[], in
 
 
 def packet_cloud(payload: memoryview, type_name: str) -> PacketCloud:
-    """Of a message of one of PACKET_TYPES. Raises: MessageLayoutError, ByteOrderError, LidarPacketError."""
+    """Decode a message of one of PACKET_TYPES. Raises: MessageLayoutError, ByteOrderError, LidarPacketError."""
     scan = packet_scan(payload, type_name)
     kinds = [(model, layout_of(one)) if (model := model_of(one)) else None for one in scan.packets]
     kind = next((one for one in kinds if one), None)
@@ -116,7 +117,7 @@ def _returns(packets: list[memoryview], model: LidarModel, stamps_ns: NDArray[np
 
 
 def sweep_problem(head: memoryview, type_name: str) -> str:
-    """Why a message that begins so, and whose layout is right, holds no sweep; "" where nothing speaks against it."""
+    """Return why a message with this head and a valid layout holds no sweep; "" if it may hold one."""
     if type_name in PACKET_TYPES:
         return _packets_problem(head, type_name)
     return xyz_problem(head, is_compressed=type_name == COMPRESSED_CLOUD) if type_name in CLOUD_TYPES else ""

@@ -21,7 +21,9 @@ TYPE = "tf2_msgs/msg/TFMessage"
 
 @dataclass(frozen=True, eq=False)
 class TransformSamples:
-    """N transforms of one pair of frames; `refused_ns` (R,) are the stamps of those that are none, `reason` is why."""
+    """N transforms of one pair of frames; `refused_ns` (R,) are the stamps of invalid ones, `reason` is that of the
+    first.
+    """
 
     parent: str
     child: str
@@ -32,8 +34,9 @@ class TransformSamples:
 
 
 def decode_transforms(messages: Iterable[StampedMessage]) -> tuple[TransformSamples, ...]:
-    """One value per (parent, child) with a transform. Raises: MessageLayoutError, ByteOrderError, and PoseValueError
-    where none is one."""
+    """Return one value per (parent, child) with a transform. Raises: MessageLayoutError, ByteOrderError, and
+    PoseValueError if none is valid.
+    """
     table = decode_table(TYPE, messages)
     stamps_ns = _numbers(table, "header.stamp.sec").astype(np.int64) * NS_PER_S
     stamps_ns += _numbers(table, "header.stamp.nanosec")
@@ -48,7 +51,7 @@ def decode_transforms(messages: Iterable[StampedMessage]) -> tuple[TransformSamp
 def _samples(
     pair: tuple[str, str], rows: NDArray[np.int64], stamps_ns: NDArray[np.int64], found: Poses
 ) -> TransformSamples:
-    """Those of one pair, whose transforms are these rows of all."""
+    """Return the samples of one pair, whose transforms are these rows of all."""
     is_pose = np.isin(rows, found.rows)
     own = found.poses[np.searchsorted(found.rows, rows[is_pose])]
     refused_ns = stamps_ns[rows[~is_pose]]
@@ -56,7 +59,7 @@ def _samples(
 
 
 def _numbers(table: MessageTable, name: str) -> NDArray[Any]:
-    """One value a transform, in the order of the messages."""
+    """Return one value per transform, in the order of the messages."""
     return table.ragged(f"transforms.{name}")[1]
 
 

@@ -1,10 +1,10 @@
-"""Pictures whose brightness and colour are apart (YUV), as red, green and blue.
+"""Pictures with separate brightness and colour (YUV), as red, green and blue.
 
     R = y + 1.596 v   G = y − 0.392 u − 0.813 v   B = y + 2.017 u   y = 1.164 (Y − 16), u = U − 128, v = V − 128
 
-**Conventions.** Eight bits a sample, ITU-R BT.601 of limited range (Y 16 to 235), as cv_bridge converts. Two pixels of
-a row share a colour in 4:2:2, four of a square in 4:2:0, none in 4:4:4; the last pixel of an odd row or column has a
-colour alone. Behind the rows of Y of the planar ones come rows of U and V (or V and U) in turn. Source: sensor_msgs
+**Conventions.** Eight bits per sample, ITU-R BT.601 of limited range (Y 16 to 235), as in cv_bridge. Two pixels of a
+row share a colour in 4:2:2, four of a square in 4:2:0, none in 4:4:4; the last pixel of an odd row or column has a
+colour alone. In planar formats, rows of U and V (or V and U) alternate after the rows of Y. Source: sensor_msgs
 image_encodings, V4L2 pixel formats (YUYV, UYVY, NV12, NV21, NV24), ITU-R BT.601-7, 2.5.
 """
 
@@ -23,7 +23,7 @@ Bytes = NDArray[np.uint8]
 
 
 class _Packed(NamedTuple):
-    """Where of four bytes the first brightness and U and V are."""
+    """The positions of the first brightness and of U and V in four bytes."""
 
     luma: int
     u: int
@@ -31,7 +31,7 @@ class _Packed(NamedTuple):
 
 
 class _Planar(NamedTuple):
-    """How many columns and rows share a colour, and whether V is first."""
+    """The number of columns and rows that share a colour, and whether V is first."""
 
     across: int
     down: int
@@ -50,7 +50,7 @@ def row_bytes(encoding: str, width_px: int) -> int:
 
 
 def rows_of(encoding: str, height_px: int) -> int:
-    """Return how many rows a picture has; those of U and V behind the others count, too. Of any encoding."""
+    """Return the number of rows of a picture, including those of U and V after the others, for any encoding."""
     planar = _PLANAR.get(encoding)
     if planar is None:
         return height_px
@@ -58,7 +58,7 @@ def rows_of(encoding: str, height_px: int) -> int:
 
 
 def yuv_pixels(data: memoryview, encoding: str, size_px: tuple[int, int], step_bytes: int) -> Bytes:
-    """Return (H, W, 3) red, green and blue of a picture of this (width, height), whose size was checked."""
+    """Return (H, W, 3) red, green and blue of a picture of this (width, height) with a checked size."""
     width, height = size_px
     rows = np.ndarray((rows_of(encoding, height), step_bytes), np.uint8, data)
     picture = np.empty((height, width, 3), np.uint8)

@@ -1,8 +1,8 @@
-"""ars548_messages/msg/DetectionList: 800 places, of which the first `list_numofdetections` count.
+"""ars548_messages/msg/DetectionList: 800 slots, of which the first `list_numofdetections` count.
 
-**Conventions.** What follows the count is left over from earlier scans and never read: of each message only its head,
-its count and the detections that count are touched, which is what makes this fast. Header stamps are the host's by the
-driver's default; `sensor_stamps_ns` is the radar's own clock. Source: ars548_ros (ROS 2), ARS 548 RDI interface.
+**Conventions.** Slots beyond the count are left over from earlier scans and never read: only the head, the count and
+the valid detections of each message are touched, for speed. Header stamps are the host's by the driver's default;
+`sensor_stamps_ns` is the radar's own clock. Source: ars548_ros (ROS 2), ARS 548 RDI interface.
 """
 
 from collections.abc import Iterable, Sequence
@@ -28,13 +28,13 @@ from stone_recordings.messages.types.sketch import PayloadPiece, sketched
 
 TYPE = "ars548_messages/msg/DetectionList"
 PLACES, COUNT = "list_detections", "list_numofdetections"
-# Columns of ours and the driver's names for them.
+# Columns of the table and the driver's names for them.
 FIELDS = {
     "azimuth": "f_azimuthangle", "elevation": "f_elevationangle", "range": "f_range", "range_rate": "f_rangerate",
     "rcs": "s_rcs", "flags": "u_invalidflags",
 }  # fmt: skip
 STAMPS = ("header.stamp.sec", "header.stamp.nanosec", "timestamp_seconds", "timestamp_nanoseconds")
-# What the definition must make of them.
+# The columns that must be whole numbers in the definition.
 CODES = (
     {f"{PLACES}.{name}": "<f4" for name in FIELDS.values()}
     | {f"{PLACES}.s_rcs": "i1", f"{PLACES}.u_invalidflags": "u1", COUNT: "<u4"}
@@ -42,13 +42,13 @@ CODES = (
 )
 # Encapsulation and length of the frame's name: with the size, all that the layout of a message depends on.
 _KEY = Struct("<4s8xI")
-# So many messages are gathered at once: their detections stay in the processor's cache until they are columns.
+# The number of messages per batch: their detections stay in the processor's cache until they are columns.
 _BATCH = 32
 
 
 @dataclass(frozen=True, eq=False)
 class _Layout:
-    """Where things are in every message of one size and one length of its frame's name."""
+    """The offsets in every message of one size and one length of its frame's name."""
 
     stamps: np.dtype[np.void]
     count_at: int
@@ -58,7 +58,7 @@ class _Layout:
 
 
 def decode_ars548(messages: Iterable[StampedMessage], schema: str = "") -> RadarDetections:
-    """N = messages. Raises: MessageLayoutError (also for more detections than there are places), ByteOrderError."""
+    """Decode N messages. Raises: MessageLayoutError (also for more detections than slots), ByteOrderError."""
     payloads = payloads_of(messages)
     plan = resolved(TYPE, schema).registry.plan(TYPE)
     stamps = np.empty((len(payloads), len(STAMPS)), np.int64)
@@ -76,7 +76,7 @@ def decode_ars548(messages: Iterable[StampedMessage], schema: str = "") -> Radar
 
 
 def _alike(payloads: Sequence[memoryview]) -> Iterable[list[int]]:
-    """Rows of messages that share a layout."""
+    """Return rows of messages that share a layout."""
     by_key: dict[tuple[Any, ...], list[int]] = {}
     for row, payload in enumerate(payloads):
         key = (len(payload), *_KEY.unpack_from(payload)) if len(payload) >= _KEY.size else (len(payload),)
@@ -85,7 +85,7 @@ def _alike(payloads: Sequence[memoryview]) -> Iterable[list[int]]:
 
 
 def _layout(payload: memoryview, plan: Sequence[Node]) -> _Layout:
-    """From the definition, so that an embedded one that differs is followed."""
+    """Return the layout from the definition, so that a differing embedded one is followed."""
     pieces = {piece.node.name: piece for piece in sketched(payload, plan, TYPE).pieces}
     for name, code in CODES.items():
         node = pieces[name].node if name in pieces else None
@@ -125,7 +125,7 @@ def _stamps(payloads: Sequence[memoryview], layout: _Layout) -> NDArray[np.int64
 def _gathered(
     payloads: Sequence[memoryview], layouts: Sequence[tuple[NDArray[np.int64], _Layout]], offsets: NDArray[np.int64]
 ) -> dict[str, NDArray[Any]]:
-    """The columns of all detections, in the order of the messages."""
+    """Return the columns of all detections, in the order of the messages."""
     columns: dict[str, NDArray[Any]] = {name: np.empty(offsets[-1], np.float32) for name in FIELDS}
     columns["flags"] = np.empty(offsets[-1], np.uint8)
     for rows, layout in layouts:
@@ -141,7 +141,7 @@ def _gathered(
 
 
 def _places(rows: NDArray[np.int64], offsets: NDArray[np.int64]) -> slice | NDArray[np.int64]:
-    """Where the detections of `rows` go: in one piece unless messages of another layout lie between them."""
+    """Return the indices of the detections of `rows`: one slice unless messages of another layout lie between them."""
     if rows[-1] - rows[0] == len(rows) - 1:
         return slice(int(offsets[rows[0]]), int(offsets[rows[-1] + 1]))
     return np.concatenate([np.arange(offsets[row], offsets[row + 1]) for row in rows])

@@ -1,8 +1,8 @@
 """sensor_msgs/msg/PointCloud2 of a radar: points with a speed, a cross section, or both.
 
-**Conventions.** The points of the message are kept as they are; angles and range are computed from them where the
-driver gives none. Names differ by driver (ars548_ros: v, RCS; Nebula: range_rate, rcs), so they are looked up without
-their case. Points that are not finite stay, as invalid. Source: ars548_ros, Nebula, ti_mmwave and Smartmicro drivers.
+**Conventions.** The points of the message are kept unchanged; angles and range are computed from them if the driver
+gives none. Names differ by driver (ars548_ros: v, RCS; Nebula: range_rate, rcs), so the lookup ignores case. Points
+that are not finite stay, as invalid. Source: ars548_ros, Nebula, ti_mmwave and Smartmicro drivers.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -29,13 +29,13 @@ NAMES = {
 
 
 def decode_radar_cloud(messages: Iterable[StampedMessage], plain: Plain = memoryview) -> RadarDetections:
-    """N = messages; range rate and cross section are NaN where the driver gives none. `plain` unpacks a message.
+    """Decode N messages; range rate and cross section are NaN if the driver gives none. `plain` unpacks a message.
 
     Raises: MessageLayoutError, ByteOrderError, CloudLayoutError.
     """
     clouds = [decode_cloud(plain(message.payload)) for message in messages]
     points = [_points(cloud.points) for cloud in clouds]
-    with np.errstate(over="ignore", invalid="ignore"):  # what is too large for a float32 becomes infinite
+    with np.errstate(over="ignore", invalid="ignore"):  # values too large for a float32 become infinite
         parts = [_columns(cloud.points, xyz) for cloud, xyz in zip(clouds, points, strict=True)]
         columns = {name: _joined([part[name] for part in parts]).astype(np.float32) for name in COLUMNS}
     given = np.concatenate([np.empty((0, 3)), *points])

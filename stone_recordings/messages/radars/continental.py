@@ -1,7 +1,7 @@
-"""continental_msgs/msg/ContinentalArs548DetectionList, as Nebula publishes it: a sequence as long as the scan.
+"""continental_msgs/msg/ContinentalArs548DetectionList, as published by Nebula: a sequence as long as the scan.
 
-**Conventions.** The header stamp is the radar's or the packet's, by the driver's setting; the message does not say
-which. Source: tier4/nebula, continental_msgs.
+**Conventions.** The header stamp is the radar's or the packet's, depending on a setting of the driver that the message
+does not contain. Source: tier4/nebula, continental_msgs.
 """
 
 from collections.abc import Iterable
@@ -20,7 +20,7 @@ FLAGS = ("invalid_distance", "invalid_azimuth", "invalid_elevation", "invalid_ra
 
 
 def decode_continental(messages: Iterable[StampedMessage], schema: str = "") -> RadarDetections:
-    """N = messages. Raises: MessageLayoutError, ByteOrderError, and what an unreadable `schema` raises."""
+    """Decode N messages. Raises: MessageLayoutError, ByteOrderError, and the errors of an unreadable `schema`."""
     only = (*STAMP, *(f"detections.{name}" for name in (*FIELDS.values(), *FLAGS)))
     table = decode_table(TYPE, messages, resolved(TYPE, schema).registry, only)
     return from_sequence(table, "detections", FIELDS, FLAGS)

@@ -1,7 +1,7 @@
-"""Radar detections of many scans in one table, cut by offsets: what every radar message is decoded to.
+"""Radar detections of many scans in one table, cut by offsets: the result of decoding any radar message.
 
 **Conventions.** The radar's axes are x forward (boresight), y left, z up; azimuth is positive to the left, elevation
-upwards. Range rate is positive when the target moves away. A detection that the sensor itself calls invalid stays in
+upwards. Range rate is positive if the target moves away. A detection that the sensor itself marks as invalid stays in
 the table with `is_valid` False: nothing is dropped. Source: ARS 548 RDI interface, REP 103.
 """
 
@@ -27,8 +27,8 @@ COLUMNS = ("azimuth", "elevation", "range", "range_rate", "rcs")
 class RadarDetections:
     """M detections of N scans; scan i has the rows `offsets[i]:offsets[i + 1]`.
 
-    `stamps_ns` (N,) are header stamps; `sensor_stamps_ns` (N,) the radar's own clock, None where the message has none.
-    All other columns are (M,), or (M, 3) where `given_points` came with the message; NaN where a type does not say.
+    `stamps_ns` (N,) are header stamps; `sensor_stamps_ns` (N,) the radar's own clock, None if the message has none. All
+    other columns are (M,), or (M, 3) if the message contains `given_points`; NaN if a type lacks the value.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -47,12 +47,12 @@ class RadarDetections:
 
     @property
     def counts(self) -> NDArray[np.int64]:
-        """Detections of each scan (N,)."""
+        """The detections of each scan (N,)."""
         return np.diff(self.offsets)
 
     @cached_property
     def points_radar(self) -> NDArray[np.float64]:
-        """(M, 3) metres in the radar's axes, computed when first asked for."""
+        """The points (M, 3), metres in the radar's axes, computed on first use."""
         if self.given_points is not None:
             return self.given_points
         azimuth, elevation = as_doubles(self.azimuth_rad), as_doubles(self.elevation_rad)
@@ -62,7 +62,7 @@ class RadarDetections:
             return np.asarray(directions * as_doubles(self.range_m)[:, None], np.float64)
 
     def of(self, scan: int) -> "RadarDetections":
-        """One scan, as a table of N = 1; IndexError beyond the last."""
+        """Return one scan, as a table of N = 1. Raises IndexError beyond the last."""
         place = range(len(self))[scan]
         rows = slice(int(self.offsets[place]), int(self.offsets[place + 1]))
         own = None if self.sensor_stamps_ns is None else self.sensor_stamps_ns[place : place + 1]
@@ -86,9 +86,11 @@ def detections(
     columns: Mapping[str, NDArray[Any]],
     sensor_stamps_ns: NDArray[np.int64] | None = None,
 ) -> RadarDetections:
-    """From columns azimuth, elevation, range, range_rate, rcs and invalid (bool); a value that is not finite is
-    invalid whatever the sensor says."""
-    with np.errstate(over="ignore", invalid="ignore"):  # what is too large for a float32 becomes infinite
+    """Return the table from columns azimuth, elevation, range, range_rate, rcs and invalid (bool).
+
+    A value that is not finite is invalid, whatever the sensor reports.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):  # values too large for a float32 become infinite
         read = {name: np.ascontiguousarray(columns[name], np.float32) for name in COLUMNS}
     is_finite = np.ones(len(read["range"]), np.bool_)
     for name in COLUMNS[:4]:
@@ -109,9 +111,10 @@ def detections(
 def from_sequence(
     table: MessageTable, sequence: str, names: Mapping[str, str], flags: Sequence[str] = ()
 ) -> RadarDetections:
-    """From a sequence of detections: `names` are its fields for our columns, `flags` those that say "invalid".
+    """Return the table from a sequence of detections: `names` are its fields for the columns, `flags` its invalid
+    flags.
 
-    Raises: MessageLayoutError where the definition makes other things of them.
+    Raises: MessageLayoutError if the definition gives them other types.
     """
     read = {name: table.ragged(f"{sequence}.{name}") for name in (*names.values(), *flags)}
     offsets = next(iter(read.values()))[0]
@@ -126,7 +129,7 @@ def from_sequence(
 
 
 def joined(parts: Sequence[RadarDetections]) -> RadarDetections:
-    """One table of several of the same kind, one after the other; there is at least one."""
+    """Return several tables of the same kind as one; there is at least one."""
     if len(parts) == 1:
         return parts[0]
     columns = [_columns(part) for part in parts]
@@ -142,7 +145,7 @@ def _columns(part: RadarDetections) -> dict[str, NDArray[Any]]:
 
 
 def offsets_of(counts: NDArray[np.integer]) -> NDArray[np.int64]:
-    """(N + 1,) from (N,): where each scan begins, and the total."""
+    """Return the offsets (N + 1,) of N scans from their counts (N,): the start of each scan, and the total."""
     return np.concatenate([[0], np.cumsum(counts, dtype=np.int64)]).astype(np.int64)
 
 

@@ -1,8 +1,8 @@
-"""nebula_msgs/msg/NebulaPackets of an ARS 548: the SOME/IP packets as the radar sent them.
+"""nebula_msgs/msg/NebulaPackets of an ARS 548: the radar's original SOME/IP packets.
 
-**Conventions.** Packets are big-endian without padding. Only detection lists are read; object lists and status
-messages are passed over. A message is a scan: one without a detection list has no detections, and its sensor stamp is
-0. Source: ARS 548 RDI interface (method 336), as laid out in tier4/nebula.
+**Conventions.** Packets are big-endian without padding. Only detection lists are read; object lists and status messages
+are skipped. A message is a scan: without a detection list it has no detections, and its sensor stamp is 0. Source: ARS
+548 RDI interface (method 336), as laid out in tier4/nebula.
 """
 
 from collections.abc import Iterable, Sequence
@@ -53,7 +53,7 @@ DETECTION_LIST = np.dtype(
 
 
 class DetectionLists(NamedTuple):
-    """K detection lists, whole, and the message that each came in."""
+    """K detection lists, whole, and the message of each."""
 
     stamps_ns: NDArray[np.int64]
     rows: NDArray[np.int64]
@@ -61,8 +61,9 @@ class DetectionLists(NamedTuple):
 
 
 def decode_packets(messages: Iterable[StampedMessage], schema: str = "") -> RadarDetections:
-    """N = messages. Raises: MessageLayoutError, ByteOrderError, `MSG-308` (a detection list of another size, or of
-    more detections than it has places)."""
+    """Decode N messages. Raises: MessageLayoutError, ByteOrderError, `MSG-308` (a detection list of another size, or
+    with more detections than slots).
+    """
     read = detection_lists(messages, schema)
     counts_of_lists = read.lists["number_of_detections"].astype(np.int64)
     counts = np.bincount(read.rows, counts_of_lists, len(read.stamps_ns)).astype(np.int64)
@@ -83,7 +84,7 @@ _COLUMNS = {
 
 
 def detection_lists(messages: Iterable[StampedMessage], schema: str = "") -> DetectionLists:
-    """Every field of every detection list; raises as `decode_packets`."""
+    """Return every field of every detection list; raises the errors of `decode_packets`."""
     table = decode_table(TYPE, messages, resolved(TYPE, schema).registry)
     packets = table.columns.get("packets.data")
     if not isinstance(packets, Ragged) or not isinstance(packets.values, Ragged):
@@ -103,7 +104,7 @@ def detection_lists(messages: Iterable[StampedMessage], schema: str = "") -> Det
 
 
 def _detection_packets(offsets: NDArray[np.int64], content: NDArray[np.uint8]) -> Sequence[int]:
-    """Places of the packets that are detection lists, by their SOME/IP header."""
+    """Return the indices of the packets that are detection lists, by their SOME/IP header."""
     sizes = np.diff(offsets)
     heads = [
         np.frombuffer(content[start : start + HEADER.itemsize].tobytes(), HEADER)[0] if size >= 8 else None

@@ -1,6 +1,6 @@
-"""Any radar message that is understood → detections, by the type of its topic.
+"""Any supported radar message → detections, by the type of its topic.
 
-**Conventions.** `stone_recordings.messages.radars.detections` says what the columns mean. Scan i is message i.
+**Conventions.** `stone_recordings.messages.radars.detections` defines the columns. Scan i is message i.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -23,13 +23,13 @@ _DECODERS: dict[str, Callable[[Iterable[StampedMessage], str], RadarDetections]]
     cloud.TYPE: lambda messages, _schema: cloud.decode_radar_cloud(messages),
     COMPRESSED_CLOUD: lambda messages, _schema: cloud.decode_radar_cloud(messages, plain_cloud),
 }
-# An ARS 548 list has 41,741 bytes, so this is some 21 MB.
+# An ARS 548 list has 41,741 bytes, so this is about 21 MB.
 _PORTION = 512
 RADAR_TYPES = frozenset(_DECODERS)
 
 
 def decode_radar(topic_type: str, messages: Iterable[StampedMessage], schema: str = "") -> RadarDetections:
-    """`schema` is the definition that the recording embeds, "" for none.
+    """Decode a topic; `schema` is the embedded definition, "" for none.
 
     Raises: DefinitionMissingError (no radar type), MessageLayoutError, ByteOrderError, CloudLayoutError, `MSG-308`.
     """
@@ -40,8 +40,7 @@ def decode_radar(topic_type: str, messages: Iterable[StampedMessage], schema: st
 
 
 def _portions(messages: Iterable[StampedMessage]) -> Iterator[list[StampedMessage]]:
-    """So many at once that whoever inflates chunks to get at them need not keep them all; an empty one where there
-    are none."""
+    """Yield portions that bound the memory of a reader that inflates chunks; an empty portion without messages."""
     remaining = iter(messages)
     yield list(islice(remaining, _PORTION))
     while some := list(islice(remaining, _PORTION)):

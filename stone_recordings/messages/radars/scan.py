@@ -19,6 +19,6 @@ FIELDS = {
 
 
 def decode_radar_scan(messages: Iterable[StampedMessage], schema: str = "") -> RadarDetections:
-    """N = messages; a return is valid when it is finite. Raises: MessageLayoutError, ByteOrderError."""
+    """Decode N messages; a return is valid if it is finite. Raises: MessageLayoutError, ByteOrderError."""
     table = decode_table(TYPE, messages, resolved(TYPE, schema).registry)
     return from_sequence(table, "returns", FIELDS)

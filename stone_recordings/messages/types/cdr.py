@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from stone_recordings.bags.errors import ByteOrderError, MessageLayoutError
 
 HEAD_BYTES = 4
-# rmw implementations pad a message to four bytes or do not: so many bytes may follow the last field.
+# rmw implementations may pad a message to four bytes: the number of bytes that may follow the last field.
 PADDING_BYTES = 3
 NS_PER_S = 1_000_000_000
-# Splits of one size by comparison before every message is measured by itself: the first is fast for the many that
-# are alike, the second is linear for an adversary's that never are.
+# The splits of one size by comparison before every message is measured individually. The first way is fast for many
+# equal messages, the second is linear for hostile ones that all differ.
 MOST_SPLITS = 16
 
 _U32 = Struct("<I")
@@ -35,7 +35,7 @@ class Cursor:
         self.payload, self.type_name, self.at = payload, type_name, HEAD_BYTES
 
     def take(self, size: int, alignment: int = 1) -> int:
-        """Offset of the next `size` bytes in the payload."""
+        """Return the offset of the next `size` bytes in the payload, and advance past them."""
         start = self.at + -(self.at - HEAD_BYTES) % alignment
         if size > len(self.payload) - start:
             problem = f"{size} bytes are declared at byte {start}, the message has {len(self.payload)}"
@@ -47,7 +47,7 @@ class Cursor:
         return self.payload[self.take(1)]
 
     def length(self) -> tuple[int, int]:
-        """Offset of a length, and the length."""
+        """Return the offset of a length, and the length."""
         start = self.take(4, 4)
         return start, int(_U32.unpack_from(self.payload, start)[0])
 
@@ -65,17 +65,17 @@ class Cursor:
         return text_of(bytes(self.payload[start : start + size]), self.type_name)
 
     def end(self) -> None:
-        """Nothing but padding may follow."""
+        """Check that nothing but padding follows."""
         if len(self.payload) - self.at > PADDING_BYTES:
             problem = f"its fields end at byte {self.at}, the message has {len(self.payload)}"
             raise MessageLayoutError(self.type_name, problem)
 
     def count(self, least_bytes: int) -> int:
-        """Length of a sequence whose elements take at least `least_bytes` each."""
+        """Return the length of a sequence whose elements take at least `least_bytes` each."""
         return self.bounded(self.u32(), least_bytes)
 
     def bounded(self, count: int, least_bytes: int) -> int:
-        """`count`, when so many elements can follow."""
+        """Return `count`, if that many elements can follow."""
         if count * least_bytes > len(self.payload) - self.at:
             problem = f"a sequence declares {count} elements, {len(self.payload) - self.at} bytes are left"
             raise MessageLayoutError(self.type_name, problem)
@@ -83,7 +83,7 @@ class Cursor:
 
 
 def check_encapsulation(payload: memoryview, type_name: str) -> None:
-    """Raises: MessageLayoutError (no CDR), ByteOrderError (big-endian CDR)."""
+    """Check the encapsulation. Raises: MessageLayoutError (no CDR), ByteOrderError (big-endian CDR)."""
     if len(payload) < HEAD_BYTES:
         raise MessageLayoutError(type_name, f"{len(payload)} bytes are not a CDR message")
     if payload[0] == 0 and payload[1] == 0:
@@ -93,7 +93,7 @@ def check_encapsulation(payload: memoryview, type_name: str) -> None:
 
 
 def text_of(raw: bytes, type_name: str) -> str:
-    """Without its terminator; NULs before that are the sender's own (NovAtel's driver pads station ids with them)."""
+    """Return the text without its terminator; earlier NULs are the sender's own (NovAtel's driver pads station ids)."""
     try:
         return raw.removesuffix(b"\0").decode()
     except UnicodeDecodeError:
@@ -102,7 +102,7 @@ def text_of(raw: bytes, type_name: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Sheet(Generic[Layout]):
-    """Messages of one length and one layout: `rows` are their places in the input, `raw` (n, size) their bytes."""
+    """Messages of one length and one layout: `rows` are their indices in the input, `raw` (n, size) their bytes."""
 
     rows: NDArray[np.int64]
     raw: NDArray[np.uint8]
@@ -113,8 +113,11 @@ Measure = Callable[[memoryview], tuple[Layout, Sequence[int]]]
 
 
 def sheets(payloads: Sequence[memoryview], measure: Measure[Layout]) -> Iterator[Sheet[Layout]]:
-    """All payloads, stacked: `measure` gives the layout of one and the offsets of the lengths it depends on; every
-    message of the same size in which those words are the same shares it. Raises: what `measure` raises."""
+    """Yield all payloads, stacked by layout; `measure` returns the layout of one and the offsets of the lengths in it.
+
+    Every message of the same size with the same words at these offsets shares the layout. Raises the errors of
+    `measure`.
+    """
     by_size: dict[int, list[int]] = {}
     for row, payload in enumerate(payloads):
         by_size.setdefault(len(payload), []).append(row)
@@ -138,7 +141,7 @@ def _stacked(payloads: Sequence[memoryview], rows: NDArray[np.int64], size: int)
 
 
 def _alike(raw: NDArray[np.uint8], places: Sequence[int]) -> NDArray[np.bool_]:
-    """Rows whose encapsulation and lengths are those of the first row; the first always is."""
+    """Return the rows whose encapsulation and lengths equal those of the first row; the first always does."""
     words = np.array([0, *places], np.int64)
     columns = (words[:, None] + np.arange(4)).ravel()
     return np.asarray((raw[:, columns] == raw[0, columns]).all(axis=1))

@@ -1,8 +1,8 @@
 """Message definitions (`.msg`, ros2msg) as values: strict, bounded, nothing executed.
 
 **Conventions.** A type is "package/msg/Name". A field is one value, a fixed array or a sequence of a primitive or of
-another type; bounds of strings and sequences are read and not kept, for they do not change the wire. Definitions come
-from strangers: syntax, names and every size are checked. Source: ROS 2 interface definition, REP 9 (rosidl).
+another type; bounds of strings and sequences are read and dropped, since they do not change the wire. Definitions are
+untrusted: syntax, names and every size are checked. Source: ROS 2 interface definition, REP 9 (rosidl).
 """
 
 import re
@@ -12,13 +12,13 @@ from typing import Literal
 
 from stone_recordings.messages.errors import DefinitionRefusedError
 
-# The longest that is built in has 4,000 characters without comments.
+# The longest built-in definition has 4,000 characters without comments.
 MOST_CHARACTERS = 1 << 18
 MOST_TYPES = 512
 MOST_FIELDS = 1024
-# The longest fixed array met in the wild has 1,500 elements (a Pandar packet).
+# The longest known fixed array has 1,500 elements (a Pandar packet).
 MOST_ELEMENTS = 1 << 20
-# An empty message has one byte on the wire, which rosidl calls so.
+# An empty message has one byte on the wire, which rosidl gives this name.
 EMPTY_FIELD = "structure_needs_at_least_one_member"
 
 CODES = {
@@ -52,7 +52,7 @@ Types = Mapping[str, tuple[Field, ...]]
 
 
 def full_name(name: str, where: str) -> str:
-    """package/Name or package/msg/Name → package/msg/Name. Raises: DefinitionRefusedError."""
+    """Return package/msg/Name for package/Name or package/msg/Name. Raises: DefinitionRefusedError."""
     match = _TYPE.fullmatch(name)
     if match is None:
         raise DefinitionRefusedError(where, f"{name[:60]!r} is not the name of a type (package/msg/Name)")
@@ -60,9 +60,9 @@ def full_name(name: str, where: str) -> str:
 
 
 def parsed(text: str, type_name: str) -> dict[str, tuple[Field, ...]]:
-    """The fields of `type_name`, and of every type that follows under a line of "=" and "MSG: package/Name".
+    """Return the fields of `type_name`, and of every type after a line of "=" and "MSG: package/Name".
 
-    Raises: DefinitionRefusedError (syntax, names, twice the same name, more than any real definition holds).
+    Raises: DefinitionRefusedError (syntax, names, a duplicate name, more than any real definition holds).
     """
     if len(text) > MOST_CHARACTERS:
         raise DefinitionRefusedError(type_name, f"it has {len(text)} characters, the limit is {MOST_CHARACTERS}")
@@ -77,7 +77,7 @@ def parsed(text: str, type_name: str) -> dict[str, tuple[Field, ...]]:
 
 
 def _sections(text: str, name: str) -> Iterator[tuple[str, list[str]]]:
-    """(type, its lines) in the order of the text."""
+    """Yield (type, its lines) in the order of the text."""
     lines: list[str] = []
     is_heading = False
     for line in text.splitlines():

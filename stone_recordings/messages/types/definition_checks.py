@@ -1,7 +1,8 @@
 """The check that the message types of a recording have a known definition.
 
-**Conventions.** BAG-020: a `.db3` of Humble embeds no definitions, so a type that the registry does not know cannot be
-read; the topic passes through untouched. MSG-309: an embedded definition that differs from the one known here; it wins.
+**Conventions.** BAG-020: a `.db3` of Humble embeds no definitions, so a type without one in the registry cannot be
+read; the topic passes through untouched. MSG-309: an embedded definition that differs from the known one, over which it
+takes precedence.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,7 +19,9 @@ MOST_DEFINITIONS = 500
 
 
 def definition_findings(topics: Sequence[Topic]) -> Iterator[Finding]:
-    """One finding per topic with messages whose definition is missing, cannot be read, or is not the one known here."""
+    """Yield a finding per topic with messages whose definition is missing, unreadable, or different from the known
+    one.
+    """
     described = [topic for topic in topics if topic.count and topic.encoding == "cdr"]
     for topic in described[:MOST_DEFINITIONS]:
         yield from _of_topic(topic)

@@ -1,8 +1,8 @@
-"""Definitions of messages that lie beside a recording, for the topics whose recorder embedded none.
+"""Definitions of messages beside a recording, for the topics whose recorder embedded none.
 
-**Conventions.** Files `package.Name.msg` in the recording's own folder, flat as uploads are: `my_msgs.Reading.msg` is
-of `my_msgs/msg/Reading`. They describe each other; what they do not hold is looked up as everywhere. A definition that
-the recording embeds wins. Source: rosbag2 of ROS 2 Humble, whose databases hold no definitions.
+**Conventions.** Files `package.Name.msg` in the recording's own folder, flat as uploads are: `my_msgs.Reading.msg`
+defines `my_msgs/msg/Reading`. They may use each other; other types are looked up as usual. An embedded definition takes
+precedence. Source: rosbag2 of ROS 2 Humble, whose databases hold no definitions.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,7 +20,7 @@ SECTION = "=" * 80
 
 
 def described(topics: Sequence[Topic], folder: Path) -> tuple[tuple[Topic, ...], tuple[Finding, ...]]:
-    """The topics, those without a definition with one from `folder` if it holds theirs; and what is wrong with it."""
+    """Return the topics, with a definition from `folder` for those without one, and findings about the files."""
     try:
         texts = {text.type_name: text.text for text in _texts(folder)}
         registry(tuple(MessageText(name, text) for name, text in texts.items()))
@@ -33,7 +33,7 @@ def described(topics: Sequence[Topic], folder: Path) -> tuple[tuple[Topic, ...],
 
 
 def _texts(folder: Path) -> Iterator[MessageText]:
-    """Raises: DefinitionRefusedError."""
+    """Yield the files' texts. Raises: DefinitionRefusedError."""
     files = sorted(file for file in folder.glob("*.msg") if DEFINITION.fullmatch(file.name) and file.is_file())
     for file in files:
         package, name = file.name.removesuffix(".msg").split(".")
@@ -48,6 +48,6 @@ def _texts(folder: Path) -> Iterator[MessageText]:
 
 
 def _schema(type_name: str, texts: dict[str, str]) -> str:
-    """As MCAP embeds it: the type's own fields, then every other type in a section."""
+    """Return the definition in MCAP's form: the type's own fields, then every other type in a section."""
     others = (f"{SECTION}\nMSG: {name.replace('/msg/', '/')}\n{text}\n" for name, text in texts.items())
     return "\n".join([texts[type_name], *(text for text, name in zip(others, texts, strict=True) if name != type_name)])

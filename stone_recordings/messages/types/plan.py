@@ -1,7 +1,7 @@
 """Compiled message definitions: nested types as dotted names, arrays as nodes.
 
-**Conventions.** A plan says everything of a type that does not depend on a payload. Definitions may be hostile: cycles,
-depth, the number of nodes and the bytes that fixed arrays take are bounded here, once per type.
+**Conventions.** A plan contains everything about a type that does not depend on a payload. Definitions may be hostile:
+cycles, depth, the number of nodes and the bytes of fixed arrays are bounded here, once per type.
 """
 
 from collections.abc import Iterator
@@ -39,7 +39,7 @@ class TextNode:
 
 @dataclass(frozen=True)
 class Repeat:
-    """`length` elements, or as many as the payload says (None)."""
+    """`length` elements, or the number in the payload (None)."""
 
     name: str
     length: int | None
@@ -56,12 +56,12 @@ class Repeat:
 
     @cached_property
     def least_bytes(self) -> int:
-        """What one element takes at least."""
+        """The least bytes of one element."""
         return max(1, sum(_least_bytes(node) for node in self.element))
 
     @cached_property
     def alignment(self) -> int:
-        """The strictest of an element's numbers."""
+        """The strictest alignment of an element's numbers."""
         return max((int(leaf.code.itemsize) for leaf in self.leaves), default=1)
 
 
@@ -69,7 +69,9 @@ Node = Leaf | TextNode | Repeat
 
 
 def compiled(type_name: str, types: Types) -> tuple[Node, ...]:
-    """Raises: DefinitionRefusedError (a type that is missing, contains itself, or is larger than any real message)."""
+    """Compile a type. Raises: DefinitionRefusedError (a type that is missing, contains itself, or exceeds any real
+    message).
+    """
     plan = tuple(_Compiler(type_name, types).nodes(type_name, "", ()))
     fixed_bytes = sum(_least_bytes(node) for node in plan)
     if fixed_bytes > MOST_FIXED_BYTES:

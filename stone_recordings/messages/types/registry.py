@@ -1,9 +1,9 @@
-"""Definitions of the message types that recordings of this rig hold: built in, uploaded, or embedded in the recording.
+"""Definitions of message types: built in, uploaded, or embedded in the recording.
 
-**Conventions.** `ros2msg`: the type's own fields, then for every type it uses a line of 80 "=", "MSG: package/Name" and
-that type's fields. Standard types are ROS 2 Humble's, from rosbags; those under `definitions/` are ours, written from
-field lists (`definitions/README.md` says whose, and under which licence). A definition that a recording embeds wins
-over what is known here, for it says what was written; where the two differ, a finding says so.
+**Conventions.** `ros2msg`: the type's own fields, then for every type in use a line of 80 "=", "MSG: package/Name" and
+that type's fields. Standard types are ROS 2 Humble's, from rosbags; the types under `definitions/` are ours, written
+from field lists (`definitions/README.md` lists sources and licences). An embedded definition takes precedence over a
+known one, because it describes the recorded bytes; a finding reports a difference.
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,7 +42,7 @@ class MessageText(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Registry:
-    """What is known of message types; `types` maps full names to fields. Plans are made once and kept with it."""
+    """The known message types; `types` maps full names to fields. Plans are compiled once and kept with it."""
 
     types: Types
     _plans: dict[str, tuple[Node, ...]] = field(default_factory=dict, repr=False)
@@ -51,7 +51,7 @@ class Registry:
         return type_name in self.types
 
     def plan(self, type_name: str) -> tuple[Node, ...]:
-        """Raises: DefinitionMissingError, DefinitionRefusedError."""
+        """Return the plan of a type. Raises: DefinitionMissingError, DefinitionRefusedError."""
         if type_name not in self.types:
             raise DefinitionMissingError(type_name, PACKAGES)
         if type_name not in self._plans:
@@ -59,19 +59,20 @@ class Registry:
         return self._plans[type_name]
 
     def with_types(self, types: Types) -> "Registry":
-        """These types first, then those known already."""
+        """Return a registry with these types before the known ones."""
         return Registry({**self.types, **types})
 
 
 class ResolvedRegistry(NamedTuple):
-    """The registry to decode one topic with, and what was noticed about its definition."""
+    """The registry to decode one topic with, and the finding about its definition."""
 
     registry: Registry
     findings: tuple[Finding, ...]
 
 
 def registry(extra: Sequence[Path | MessageText] = ()) -> Registry:
-    """Everything built in, and `extra` definitions, which win: files named …/package/msg/Name.msg, or texts.
+    """Return the registry of built-in and `extra` definitions, which take precedence: files …/package/msg/Name.msg, or
+    texts.
 
     Raises: DefinitionRefusedError.
     """
@@ -96,10 +97,10 @@ def registry(extra: Sequence[Path | MessageText] = ()) -> Registry:
 
 @lru_cache(maxsize=64)
 def resolved(type_name: str, schema: str, known: Registry | None = None) -> ResolvedRegistry:
-    """How to decode a topic of `type_name` that embeds `schema` ("" for none).
+    """Return how to decode a topic of `type_name` that embeds `schema` ("" for none).
 
-    An embedded definition that cannot be read (ros2idl) leaves what is known; raises DefinitionRefusedError only where
-    nothing is known either, DefinitionMissingError where there is neither.
+    If an embedded definition cannot be read (ros2idl), the known one is used. Raises DefinitionRefusedError only if
+    none is known either, DefinitionMissingError without any definition.
     """
     base = known or registry()
     if not schema.strip():
@@ -123,7 +124,7 @@ def resolved(type_name: str, schema: str, known: Registry | None = None) -> Reso
 
 @cache
 def message_definition(type_name: str) -> str:
-    """ros2msg text of a built-in type such as "sensor_msgs/msg/Imu". Raises: DefinitionMissingError."""
+    """Return the ros2msg text of a built-in type such as "sensor_msgs/msg/Imu". Raises: DefinitionMissingError."""
     if type_name not in registry():
         raise DefinitionMissingError(type_name, PACKAGES)
     return typestore().generate_msgdef(type_name, ros_version=2)[0]
@@ -131,7 +132,9 @@ def message_definition(type_name: str) -> str:
 
 @cache
 def typestore() -> Typestore:
-    """rosbags' Humble types and ours, for what writes messages: serialises, deserialises and describes them."""
+    """Return rosbags' Humble types and ours, for code that writes messages: serialises, deserialises and describes
+    them.
+    """
     store = get_typestore(Stores.ROS2_HUMBLE)
     types: Typesdict = {}
     for named in _own_texts():
@@ -141,7 +144,7 @@ def typestore() -> Typestore:
 
 
 def _difference(known: Mapping[str, tuple[Field, ...]], types: Mapping[str, tuple[Field, ...]]) -> str:
-    """The first field, in the first type, that is not the same; "" where there is none."""
+    """Return the first field, in the first type, that differs; "" without a difference."""
     for name, fields in types.items():
         if name not in known or known[name] == fields:
             continue
@@ -186,7 +189,7 @@ def _own_texts() -> tuple[MessageText, ...]:
 
 
 def _described(name: str, described: FieldDesc) -> Field:
-    """A field as rosbags describes it."""
+    """Return a field from rosbags' description."""
     if described[0] == Nodetype.BASE:
         return Field(name, described[1][0])
     if described[0] == Nodetype.NAME:

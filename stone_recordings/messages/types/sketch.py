@@ -1,8 +1,8 @@
-"""The byte layout of one payload: where each field lies, with every length checked.
+"""The byte layout of one payload: the offset of each field, with every length checked.
 
 **Conventions.** Offsets are bytes from the start of the payload, encapsulation included. Elements of numbers lie in
-strides; because CDR aligns from the body's start, the first elements of a sequence can be laid out otherwise than the
-rest: such a sequence becomes several runs. Whatever holds text or sequences is walked element by element.
+strides. CDR aligns from the body's start, so the first elements of a sequence can have another layout than the rest:
+such a sequence becomes several runs. Elements with text or sequences are walked one by one.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,7 +13,7 @@ from stone_recordings.bags.errors import MessageLayoutError
 from stone_recordings.messages.types.cdr import HEAD_BYTES, Cursor
 from stone_recordings.messages.types.plan import Leaf, Node, Repeat, TextNode
 
-# Elements that hold text or sequences are walked one by one: more of them than any real message has are refused.
+# Elements with text or sequences are walked one by one: more than any real message has are refused.
 MOST_WALKED = 100_000
 
 
@@ -29,7 +29,7 @@ class ElementRun(NamedTuple):
 class PayloadPiece(NamedTuple):
     """One leaf or text (`text_bytes` of it): the elements that enclose it (outermost first), then a run of them.
 
-    `run` is None where the last enclosing repetition, if any, is in `above` already.
+    `run` is None if `above` already contains the last enclosing repetition.
     """
 
     node: Leaf | TextNode
@@ -41,8 +41,9 @@ class PayloadPiece(NamedTuple):
 
 @dataclass
 class Sketch:
-    """`counts` holds, for every repetition of unknown length, how many elements it has in which enclosing elements;
-    `lengths` are the offsets of all words that this layout depends on."""
+    """The layout of a payload: `counts` holds, for every repetition of unknown length, its number of elements in each
+    enclosing element; `lengths` are the offsets of all words that this layout depends on.
+    """
 
     pieces: list[PayloadPiece] = field(default_factory=list)
     counts: dict[str, list[tuple[tuple[int, ...], int]]] = field(default_factory=dict)
@@ -50,7 +51,9 @@ class Sketch:
 
 
 def sketched(payload: memoryview, plan: Sequence[Node], type_name: str) -> Sketch:
-    """Raises: MessageLayoutError (fields end beyond or well before the payload's end), ByteOrderError."""
+    """Return the layout. Raises: MessageLayoutError (fields end beyond or well before the payload's end),
+    ByteOrderError.
+    """
     cursor = Cursor(payload, type_name)
     pen = _Pen(cursor)
     pen.draw(plan, ())
@@ -97,7 +100,7 @@ class _Pen:
                 self.sketch.pieces.append(PayloadPiece(leaf, above, offset, run))
 
     def _runs(self, node: Repeat, count: int) -> Iterator[tuple[ElementRun, list[int]]]:
-        """Elements one by one until one begins as an earlier one did; from there on they repeat."""
+        """Yield elements one by one until one starts like an earlier one; from there on they repeat."""
         seen: dict[int, int] = {}
         begun: list[list[int]] = []
         for index in range(count):
@@ -113,9 +116,9 @@ class _Pen:
     def _cycle(
         self, node: Repeat, begun: list[list[int]], again: tuple[int, int, int], count: int
     ) -> Iterator[tuple[ElementRun, list[int]]]:
-        """Elements before the cycle by themselves, then one run for each that the cycle has.
+        """Yield the elements before the cycle one by one, then one run for each element of the cycle.
 
-        `again` is the element with which it begins, the one with which it begins again, and that one's offset.
+        `again` is the cycle's first element, the element at which it repeats, and the offset of the latter.
         """
         first, index, offset = again
         step, stride = index - first, offset - begun[first][0]

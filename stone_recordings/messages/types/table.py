@@ -1,7 +1,7 @@
 """Messages of any type → columns, compiled from the definition of the type.
 
 **Conventions.** Columns (`Ragged`, `MessageTable`) are below; `stone_recordings.messages.types.cdr` is the wire format.
-Messages of one layout are copied together; layouts are few, so what costs is the copying.
+Messages of one layout are copied together; layouts are few, so copying dominates the cost.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,15 +18,13 @@ from stone_recordings.messages.types.plan import Leaf, Node, Repeat, TextNode
 from stone_recordings.messages.types.registry import Registry, registry
 from stone_recordings.messages.types.sketch import PayloadPiece, Sketch, sketched
 
-# Decoded messages as columns, asked for by name and kind.
-#
-# **Conventions.** A column is named by its dotted path ("header.stamp.sec"). Numbers outside of sequences are arrays
-# (N,) or, for fixed arrays, (N, length); texts are lists of N; what lies in a sequence is `Ragged`, once for every
-# sequence around it. Rows are in the order of the messages.
+# Decoded messages as columns, by name and kind. A column is named by its dotted path ("header.stamp.sec"). Numbers
+# outside of sequences are arrays (N,) or, for fixed arrays, (N, length); texts are lists of N; values in a sequence are
+# `Ragged`, once for every sequence around them. Rows are in the order of the messages.
 
 
 def as_doubles(values: NDArray[Any]) -> NDArray[np.float64]:
-    """A damaged message may hold a signalling NaN, which is as good as any other."""
+    """Convert to float64; a signalling NaN of a damaged message counts as any other NaN."""
     with np.errstate(invalid="ignore"):
         return values.astype(np.float64, copy=False)
 
@@ -44,10 +42,10 @@ Column = NDArray[Any] | list[str] | Ragged
 
 @dataclass(frozen=True, eq=False)
 class MessageTable:
-    """N messages; `columns` has the leaves that were asked for, by dotted path.
+    """N messages; `columns` has the requested leaves, by dotted path.
 
-    A recording's own definition may lack a field or make another thing of it, so whoever wants a column says of what
-    kind: every accessor raises MessageLayoutError where it is none of that kind.
+    A recording's own definition may lack a field or change its type, so a reader states the expected kind: every
+    accessor raises MessageLayoutError if the column is of another kind.
     """
 
     type_name: str
@@ -55,7 +53,7 @@ class MessageTable:
     columns: Mapping[str, Column]
 
     def numbers(self, name: str, length: int | None = None, kinds: str = "fiu") -> NDArray[Any]:
-        """(N,), or (N, length) of a fixed array; `kinds` are numpy's, "iu" for whole numbers only."""
+        """Return (N,), or (N, length) of a fixed array; `kinds` are numpy's, "iu" for whole numbers only."""
         column = self._column(name)
         shape = () if length is None else (length,)
         if not isinstance(column, np.ndarray) or column.shape[1:] != shape or column.dtype.kind not in kinds:
@@ -65,26 +63,26 @@ class MessageTable:
         return column
 
     def vectors(self, name: str, axes: str = "xyz") -> NDArray[np.float64]:
-        """(N, len(axes)) from the columns name.x, name.y, …"""
+        """Return (N, len(axes)) from the columns name.x, name.y, …"""
         columns = [self.numbers(f"{name}.{axis}") for axis in axes]
         return as_doubles(np.stack(columns, axis=1))
 
     def texts(self, name: str) -> list[str]:
-        """One text a message."""
+        """Return one text per message."""
         column = self._column(name)
         if not isinstance(column, list):
             raise MessageLayoutError(self.type_name, f"its definition does not declare {name} as a string")
         return column
 
     def ragged(self, name: str) -> tuple[NDArray[np.int64], NDArray[Any]]:
-        """Offsets (N + 1,) and numbers (M,) of a sequence."""
+        """Return the offsets (N + 1,) and numbers (M,) of a sequence."""
         column = self._column(name)
         if isinstance(column, Ragged) and isinstance(column.values, np.ndarray) and column.values.ndim == 1:
             return column.offsets, column.values
         raise MessageLayoutError(self.type_name, f"its definition does not declare {name} as a sequence of numbers")
 
     def ragged_texts(self, name: str) -> tuple[NDArray[np.int64], list[str]]:
-        """Offsets (N + 1,) and texts (M) of a sequence."""
+        """Return the offsets (N + 1,) and texts (M) of a sequence."""
         column = self._column(name)
         if isinstance(column, Ragged) and isinstance(column.values, list):
             return column.offsets, column.values
@@ -101,7 +99,7 @@ class MessageTable:
 
 
 def joined_column(parts: Sequence[Column]) -> Column:
-    """One column of parts of the same kind, one after the other; there is at least one."""
+    """Return parts of the same kind as one column; there is at least one."""
     if len(parts) == 1:
         return parts[0]
     arrays = [part for part in parts if isinstance(part, np.ndarray)]
@@ -115,7 +113,8 @@ def joined_column(parts: Sequence[Column]) -> Column:
     return [text for part in parts if isinstance(part, list) for text in part]
 
 
-# Parts of all layouts together, some 300 bytes each; a topic of one publisher has a few layouts of a hundred parts.
+# The limit of parts of all layouts, about 300 bytes each; a topic of one publisher has a few layouts of a hundred
+# parts.
 MOST_PIECES = 200_000
 
 Values = NDArray[Any] | list[str]
@@ -129,7 +128,7 @@ def decode_table(
     known: Registry | None = None,
     only: Sequence[str] | None = None,
 ) -> MessageTable:
-    """Every column of every message, or those in `only` (a path, or what begins with it and a dot).
+    """Decode every column of every message, or those in `only` (a path, or the start of one before a dot).
 
     Raises: DefinitionMissingError, DefinitionRefusedError, MessageLayoutError, ByteOrderError.
     """
@@ -149,7 +148,7 @@ def _decoded(
 
 
 def _stacked(payloads: Sequence[memoryview], plan: Sequence[Node], type_name: str) -> list[Sheet[Sketch]]:
-    """All sheets; refuses messages that are so unlike each other that their layouts outgrow them."""
+    """Return all sheets; refuse messages that differ so much that their layouts outgrow them."""
 
     def measure(payload: memoryview) -> tuple[Sketch, list[int]]:
         sketch = sketched(payload, plan, type_name)
@@ -168,7 +167,7 @@ def _stacked(payloads: Sequence[memoryview], plan: Sequence[Node], type_name: st
 
 @dataclass(frozen=True, eq=False)
 class _RepeatLevel:
-    """A repetition around the node at hand: where the elements of each element above begin."""
+    """A repetition around the current node: the start of the elements of each element above."""
 
     repeat: Repeat
     offsets: NDArray[np.int64]
@@ -226,7 +225,7 @@ class _Filler:
         return values != 0 if node.is_bool else values
 
     def _texts(self, sheet: Sheet[Sketch], piece: PayloadPiece) -> NDArray[np.object_]:
-        """Decoded once per distinct value."""
+        """Return the texts, decoded once per distinct value."""
         raw = [bytes(row) for row in sheet.raw[:, piece.offset : piece.offset + piece.text_bytes]]
         known = {text: text_of(text, self._type_name) for text in set(raw)}
         texts = np.empty(len(raw), object)
@@ -235,7 +234,7 @@ class _Filler:
 
 
 def _places(rows: NDArray[np.int64], above: tuple[int, ...], levels: tuple[_RepeatLevel, ...]) -> NDArray[np.int64]:
-    """Rows of the table that elements `above` of the messages `rows` have."""
+    """Return the rows of the table for the elements `above` of the messages `rows`."""
     for index, level in zip(above, levels, strict=False):
         rows = level.offsets[rows] + index
     return rows
@@ -250,7 +249,7 @@ def _run_places(rows: NDArray[np.int64], piece: PayloadPiece, levels: tuple[_Rep
 
 
 def _view(raw: NDArray[np.uint8], piece: PayloadPiece, leaf: Leaf) -> NDArray[Any]:
-    """(n,), (n, run), (n, length) or (n, run, length): the numbers where they lie, aligned or not."""
+    """Return (n,), (n, run), (n, length) or (n, run, length): a view of the numbers, aligned or not."""
     shape, strides = [len(raw)], [raw.shape[1]]
     if piece.run is not None:
         shape, strides = [*shape, piece.run.elements], [*strides, piece.run.stride]
