@@ -1,8 +1,8 @@
-"""A calibration from the parts of a bundle: which frame is the LiDAR's, which the ego frame, which are sensors'.
+"""A calibration from the parts of a bundle: the LiDAR's frame, the ego frame, and the frames of sensors.
 
-**Conventions.** Nothing is chosen between two that fit: a rig document (`stone_rig: 1`) says what names leave open. The
-ego frame is the one on the ground, where there are several. A camera frame that is not known to be optical is judged by
-how it is turned: a link (x forward, z up) is turned to its optical frame, and a finding says so.
+**Conventions.** If two frames fit, neither is chosen: a rig document (`stone_rig: 1`) decides. If several frames can be
+the ego frame, it is the one on the ground. A camera frame that is not known to be optical is judged by its rotation: a
+link (x forward, z up) is turned to its optical frame, and a finding reports it.
 """
 
 import re
@@ -29,7 +29,7 @@ KINDS: tuple[SensorKind, ...] = ("camera", "radar", "ins", "imu", "lidar")
 
 
 def assembled(draft: RigDraft, rig: RigDocument) -> tuple[Calibration, Findings]:
-    """Raises `CAL-424`, `CAL-425`, `CAL-405`, `CAL-422`, and what the checks raise."""
+    """Assemble the calibration. Raises `CAL-424`, `CAL-425`, `CAL-405`, `CAL-422`, and the errors of the checks."""
     _check_kits(draft)
     lidar = _lidar(draft, rig)
     ego = _ego(draft, rig, lidar)
@@ -49,7 +49,7 @@ def assembled(draft: RigDraft, rig: RigDocument) -> tuple[Calibration, Findings]
 
 
 def _check_kits(draft: RigDraft) -> None:
-    """Raises `CAL-424` where a sensor kit is placed on the robot and its own sensors are not there."""
+    """Raise `CAL-424` if a sensor kit is placed on the robot and its own sensors are missing."""
     parents = {parent for parent, _ in draft.tree.down}
     for frame in draft.frames:
         if "kit" in words_of(frame) and frame not in parents:
@@ -60,11 +60,11 @@ def _check_kits(draft: RigDraft) -> None:
 def _lidar(draft: RigDraft, rig: RigDocument) -> str:
     if rig.lidar is not None:
         return _known(draft, "lidar", rig.lidar)
-    found = draft.sensors_of("lidar")
-    if len(found) > 1:
-        raise ambiguous_rig(draft.name, "the LiDAR", found, f"{ADD_RIG} that has `lidar: {found[0]}`, say")
-    if found:
-        return found[0]
+    lidars = draft.sensors_of("lidar")
+    if len(lidars) > 1:
+        raise ambiguous_rig(draft.name, "the LiDAR", lidars, f"{ADD_RIG} that has `lidar: {lidars[0]}`, say")
+    if lidars:
+        return lidars[0]
     if not draft.frames and not draft.lenses:
         raise half_rig(draft.name, "it has no extrinsics (only an IMU's noise model?)", "send the camchain with it")
     placed = ", ".join(list(dict.fromkeys((*draft.lenses, *draft.frames)))[:6])
@@ -95,7 +95,7 @@ def _known(draft: RigDraft, key: str, frame: str) -> str:
 
 
 def _sensors(draft: RigDraft, rig: RigDocument, lidar: str) -> list[tuple[str, str, RigSensor | None]]:
-    """(channel, frame, what the rig says of it) of every sensor but the LiDAR, cameras first."""
+    """Return (channel, frame, entry in the rig document) of every sensor but the LiDAR, cameras first."""
     named = {draft.frame_of_lens(sensor.frame): (channel, sensor) for channel, sensor in rig.sensors.items()}
     lensed = [draft.frame_of_lens(lens) for lens in draft.lenses]
     others = [frame for kind in KINDS for frame in draft.sensors_of(kind)]
@@ -140,7 +140,7 @@ def _offset_ns(draft: RigDraft, frame: str, sensor: RigSensor | None) -> int:
 
 
 def as_optical(mount: Mount, ego_from_frame: SE3) -> tuple[Mount, Findings]:
-    """The mount of a camera in its optical frame, judged by how its own is turned, and a finding about it."""
+    """Return the mount of a camera in its optical frame, judged by its rotation, and a finding about it."""
     turn = ego_from_frame.rotation()
     upas_optical, up_as_link = (turn @ (0.0, -1.0, 0.0))[2], (turn @ (0.0, 0.0, 1.0))[2]
     if upas_optical >= UPRIGHT_LEAST:

@@ -1,9 +1,9 @@
 """Autoware: sensor_kit_calibration.yaml and sensors_calibration.yaml, x y z roll pitch yaw by parent and child.
 
 **Conventions.** Angles are URDF's: fixed axes, R = Rz(yaw) Ry(pitch) Rx(roll). The kit file places sensors on
-`sensor_kit_base_link`, the other one places that on `base_link`; a rig needs both. Camera frames are links (x forward):
-the optical frame is turned by (−90°, 0, −90°) from them, as Autoware's xacro does. No file of Autoware's says how a
-camera projects: camera_info files go into the same bundle.
+`sensor_kit_base_link`, the other one places that frame on `base_link`; a rig needs both. Camera frames are links (x
+forward): the optical frame is turned by (−90°, 0, −90°) from them, as in Autoware's xacro. Autoware's files contain no
+intrinsics: camera_info files go into the same bundle.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 def is_autoware(content: dict[str, object]) -> bool:
-    """Mappings of mappings of the six numbers."""
+    """Return whether these are mappings of mappings of the six numbers."""
     children = [child for inner in content.values() if isinstance(inner, dict) for child in inner.values()]
     are_mappings = all(isinstance(inner, dict) for inner in content.values())
     return (
@@ -27,7 +27,7 @@ def is_autoware(content: dict[str, object]) -> bool:
 
 
 def autoware(document: Node) -> CalibrationPart:
-    """One edge for each child."""
+    """Return a part with one edge for each child."""
     edges, findings = list[Edge](), Findings()
     for parent, children in document.entries().items():
         for child, node in children.entries().items():
@@ -41,7 +41,7 @@ def autoware(document: Node) -> CalibrationPart:
 
 
 def rotation_from_rpy(roll: float, pitch: float, yaw: float) -> NDArray[np.float64]:
-    """Rz(yaw) Ry(pitch) Rx(roll), (3, 3); NaN where an angle is infinite."""
+    """Return Rz(yaw) Ry(pitch) Rx(roll), (3, 3); NaN if an angle is infinite."""
     with np.errstate(invalid="ignore"):
         (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
     return np.array(

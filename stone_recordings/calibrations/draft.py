@@ -1,7 +1,7 @@
 """The merged parts of a calibration bundle: one frame tree, the lenses by name, and the sensors.
 
-**Conventions.** Frames come in the order in which files name them. Two files may say the same twice; where they differ
-by more than rounding they are refused, because the shortest path would silently choose one.
+**Conventions.** Frames are in the order in which files name them. Two files may contain the same entry; if the entries
+differ by more than rounding they are refused, because the shortest path would silently choose one.
 """
 
 import re
@@ -20,7 +20,7 @@ SAME_M_OR_RATIO = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class RigDraft:
-    """`name` is the file's, folder's or zip's; the rest is what all parts say together."""
+    """`name` is that of the file, folder or zip; the rest is the content of all parts."""
 
     name: str
     tree: StaticTree
@@ -36,7 +36,9 @@ class RigDraft:
         return "camera" if frame in self.lenses else kind_of(frame)
 
     def frame_of_lens(self, lens: str) -> str:
-        """The frame a camera's lens sits in: called as it, else the only camera's frame that means the same sensor."""
+        """Return the frame of a camera's lens: the frame of the same name, else the only camera's frame of the same
+        sensor.
+        """
         if lens in self.frames:
             return lens
         same = [frame for frame in self.frames_of("camera") if sensor_key(frame) == sensor_key(lens)]
@@ -46,7 +48,7 @@ class RigDraft:
         return [frame for frame in self.frames if self.kind(frame) == kind]
 
     def sensors_of(self, kind: SensorKind) -> list[str]:
-        """One frame for each sensor of a kind: those that mean the same sensor are one."""
+        """Return one frame for each sensor of a kind: frames of the same sensor count once."""
         groups: dict[str, list[str]] = {}
         for frame in self.frames_of(kind):
             key = frame if frame in self.kinds or frame in self.lenses else sensor_key(frame)
@@ -54,7 +56,7 @@ class RigDraft:
         return [self.foremost(group) for group in groups.values()]
 
     def foremost(self, frames: list[str]) -> str:
-        """The optical frame, else the one at the end of the chain."""
+        """Return the optical frame, else the one at the end of the chain."""
         optical = [frame for frame in frames if frame in self.optical or is_optical(frame)]
         parents = {parent for parent, child in self.tree.edges if child in frames and self.tree.is_down(parent, child)}
         ends = [frame for frame in frames if frame not in parents]
@@ -62,7 +64,7 @@ class RigDraft:
 
 
 def draft_of(name: str, parts: Iterable[CalibrationPart]) -> RigDraft:
-    """Raises `CAL-429`."""
+    """Merge parts. Raises `CAL-429`."""
     edges: dict[frozenset[str], tuple[Edge, str]] = {}
     lenses: dict[str, tuple[CameraIntrinsics, str]] = {}
     offsets_ns, kinds, optical = dict[str, int](), dict[str, SensorKind](), frozenset[str]()
@@ -94,12 +96,11 @@ def _add_edge(name: str, edges: dict[frozenset[str], tuple[Edge, str]], edge: Ed
         raise conflicting_files(name, f"the transform from {edge.child} to {edge.parent}", files)
 
 
-# Names of frames on robots: the kind of sensor each means, which two mean one sensor, its channel.
-#
-# **Conventions.** A name is split at everything that is no letter, and digits are dropped from its words for the kind
-# (`cam0` is a camera). Names decide nothing that a file says otherwise, and nothing at all between two that fit.
+# Names of frames on robots: the kind of a sensor, frames of the same sensor, and channels. A name is split at every
+# non-letter, and its words lose their digits for the kind (`cam0` is a camera). A file's own statement takes precedence
+# over names, and names never choose between two that fit.
 
-# In the order in which they are asked: `os_imu` is an IMU, `lidar_camera` a camera.
+# In the order of evaluation: `os_imu` is an IMU, `lidar_camera` a camera.
 KINDS: tuple[tuple[SensorKind, frozenset[str]], ...] = (
     ("imu", frozenset({"imu", "xsens", "microstrain"})),
     ("camera", frozenset({"camera", "cam"})),
@@ -108,12 +109,13 @@ KINDS: tuple[tuple[SensorKind, frozenset[str]], ...] = (
     ("lidar", frozenset({"lidar", "laser", "velodyne", "hesai", "pandar", "ouster", "os", "vlp", "livox", "rslidar"})),
 )
 MEANINGLESS = frozenset({"link", "frame", "optical", "base", "sensor", "mount"})
-# Where a robot stands on the ground comes first: the ego frame's origin is there (REP 105 and 120).
+# Frames on the ground come first: the ego frame's origin is there (REP 105 and 120).
 EGO_FRAMES = ("base_footprint", "ground_projection", "ego", "ego_vehicle", "base_link", "base", "car_center")
 DIRECTIONS = {
     "front": "FRONT", "forward": "FRONT", "back": "BACK", "rear": "BACK", "left": "LEFT", "right": "RIGHT",
 }  # fmt: skip
-# What may stand beside a direction: front_center_camera is the front one, traffic_light_right_camera no right one.
+# Words that may stand beside a direction: front_center_camera is the front one, traffic_light_right_camera no right
+# one.
 SAYING_NOTHING = frozenset({"camera", "cam", "radar", "center", "centre", "middle", "rgb", "color"})
 PREFIXES = {"camera": "CAM", "radar": "RADAR"}
 
@@ -123,7 +125,7 @@ def words_of(name: str) -> list[str]:
 
 
 def kind_of(name: str) -> SensorKind | None:
-    """What a frame or sensor is by its name; None for what names no sensor (base_link, sensor_kit_base_link)."""
+    """Return the kind of a frame or sensor by its name; None for other frames (base_link, sensor_kit_base_link)."""
     bare = {re.sub(r"\d+", "", word) for word in words_of(name)}
     if "kit" in bare:
         return None
@@ -131,7 +133,9 @@ def kind_of(name: str) -> SensorKind | None:
 
 
 def sensor_key(name: str) -> str:
-    """Equal for the frames of one sensor: camera_front_link, camera_front_optical_frame; os_sensor, os_lidar."""
+    """Return a key that the frames of one sensor share: camera_front_link, camera_front_optical_frame; os_sensor,
+    os_lidar.
+    """
     kinds = frozenset[str]().union(*(meaning for _, meaning in KINDS)) - {"os"}
     words = [word for word in words_of(name) if word not in MEANINGLESS]
     return "_".join(word for word in words if word not in kinds) or "_".join(words)
@@ -142,11 +146,11 @@ def is_optical(name: str) -> bool:
 
 
 def channel_of(name: str, kind: SensorKind) -> str:
-    """CAM_FRONT_LEFT for camera_front_left, INS and IMU for theirs; else the name itself."""
+    """Return CAM_FRONT_LEFT for camera_front_left, INS and IMU for theirs; else the name itself."""
     if kind in ("ins", "imu"):
         return kind.upper()
     words = words_of(name)
     others = set(words) - MEANINGLESS - SAYING_NOTHING - set(DIRECTIONS)
-    found = {DIRECTIONS[word] for word in words if word in DIRECTIONS}
-    places = [place for place in ("FRONT", "BACK", "LEFT", "RIGHT") if place in found]
+    directions = {DIRECTIONS[word] for word in words if word in DIRECTIONS}
+    places = [direction for direction in ("FRONT", "BACK", "LEFT", "RIGHT") if direction in directions]
     return "_".join([PREFIXES[kind], *places]) if kind in PREFIXES and places and not others else name

@@ -1,6 +1,6 @@
-"""Why a calibration file is refused before its numbers are looked at: size, YAML, format, keys.
+"""Refusals of a calibration file before its numbers are read: size, YAML, format, keys.
 
-**Conventions.** Codes CAL-42x; what is wrong with the numbers is said by `stone.sensors.calibration_errors`.
+**Conventions.** Codes CAL-42x; `stone.sensors.calibration_errors` is about the numbers.
 """
 
 from collections.abc import Iterable
@@ -9,7 +9,7 @@ from stone.errors import Refused, StoneError
 
 
 class CalibrationYamlError(StoneError):
-    """The file is not the plain YAML that calibrations are written in."""
+    """The file is not the plain YAML of calibrations."""
 
     code = "CAL-421"
 

@@ -2,13 +2,13 @@
 
     bytes, bounded → documents → parts, one per document → draft, all parts together → calibration → checks
 
-**Conventions.** Fifteen formats are read. The native one is YAML that begins with `stone_calibration: 1` and says all.
-Every other one was made to say less: ROS camera_info and Kalibr place no LiDAR, Autoware no lens, nuScenes no image
-size, a URDF no lens; KITTI, RELLIS-3D, OpenCV, direct_visual_lidar_calibration, FAST-LIVO2, FAST-LIO and LIO-SAM place
-nothing on the ground under the robot. They are completed by each other's files in one zip or
-folder, and by a rig document (`stone_rig: 1`, `stone_recordings.calibrations.rig`) for what no tool writes. What is
-still missing is refused as half a rig, with what to add. A recording is read by its /tf_static and CameraInfo. Findings
-are what was repaired or is doubtful; everything worse is raised.
+**Conventions.** Fifteen formats are read. The native one is YAML that starts with `stone_calibration: 1` and contains
+everything. Every other one lacks something: ROS camera_info and Kalibr place no LiDAR, Autoware has no lens, nuScenes
+no image size, a URDF no lens. KITTI, RELLIS-3D, OpenCV, direct_visual_lidar_calibration, FAST-LIVO2, FAST-LIO and
+LIO-SAM place nothing on the ground under the robot. Other files in the same zip or folder complete them, and a rig
+document (`stone_rig: 1`, `stone_recordings.calibrations.rig`) adds values that no tool writes. If something is still
+missing, the refusal names the missing part. A recording is read by its /tf_static and CameraInfo. Findings report
+repairs and doubts; worse faults are raised.
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ from stone_recordings.calibrations.part import CalibrationPart, Format
 from stone_recordings.calibrations.recognition import RecognisedBundle, recognised
 from stone_recordings.calibrations.recording_rig import is_recording, recorded_part
 
-# Of the formats in a bundle, the first of these is what it is called.
+# The formats in order of precedence: the first in a bundle names the bundle's format.
 RANKS: tuple[Format, ...] = (
     "native", "kalibr", "opencalib", "nuscenes", "autoware", "kitti", "rellis", "opencv", "visual_lidar",
     "fast_livo2", "fast_lio", "lio_sam", "ros_camera_info", "urdf", "tf_static",
@@ -39,7 +39,7 @@ DEFAULT_FOOTPRINT = "CAL-436"
 
 @dataclass(frozen=True, eq=False)
 class CalibrationRead:
-    """A calibration, what was noticed about it, and the format it came in."""
+    """A calibration, its findings, and its format."""
 
     calibration: Calibration
     findings: Findings
@@ -47,9 +47,9 @@ class CalibrationRead:
 
 
 def read_calibration(path: Path, recording: Bag | None = None) -> tuple[Calibration, Findings]:
-    """The calibration at `path`, and what was repaired or is doubtful about it; raises as `read_any_calibration`.
+    """Return the calibration at `path`, and its findings; raises the errors of `read_any_calibration`.
 
-    A `recording` that the caller has open is not opened again where `path` is that recording.
+    If `path` is a `recording` that the caller has open, it is not opened again.
     """
     if recording is not None and recording.path == path:
         read = _recorded(recorded_part(recording), path.name)
@@ -59,9 +59,9 @@ def read_calibration(path: Path, recording: Bag | None = None) -> tuple[Calibrat
 
 
 def read_any_calibration(path: Path) -> CalibrationRead:
-    """As `read_calibration_files`, or from a recording's own topics.
+    """Read a calibration as `read_calibration_files` does, or from a recording's own topics.
 
-    Raises as `read_calibration_files`, and what opening and decoding a recording raise (BAG-*, MSG-*).
+    Raises the errors of `read_calibration_files`, and of opening and decoding a recording (BAG-*, MSG-*).
     """
     if not is_recording(path):
         return read_calibration_files(path)
@@ -74,33 +74,35 @@ def _recorded(part: CalibrationPart, name: str) -> CalibrationRead:
 
 
 def read_calibration_files(path: Path) -> CalibrationRead:
-    """The calibration in a YAML or JSON file, or in a zip or folder of them.
+    """Read the calibration in a YAML or JSON file, or in a zip or folder of them.
 
-    Raises OSError; CAL-42x for the files, CAL-40x and CAL-41x for the numbers; ShapeError for another length.
+    Raises OSError; CAL-42x for the files, CAL-40x and CAL-41x for the numbers; ShapeError for a wrong length.
     """
     return read_files(read_bundle(path), path.name)
 
 
 def read_files(bundle: Bundle, name: str) -> CalibrationRead:
-    """The calibration in files that were read already; `name` is what they are called together. Raises as above."""
-    found = recognised(bundle, name)
-    if found.native is None:
-        return _assembled(found, bundle, name)
-    calibration, findings = native(*found.native)
-    content = found.native[1]
+    """Return the calibration in files that were read already; `name` is their common name. Raises as above."""
+    recognised_bundle = recognised(bundle, name)
+    if recognised_bundle.native is None:
+        return _assembled(recognised_bundle, bundle, name)
+    calibration, findings = native(*recognised_bundle.native)
+    content = recognised_bundle.native[1]
     findings += _footprint_finding(isinstance(content, dict) and content.get("footprint") is not None)
     return CalibrationRead(calibration, findings + _whole(calibration, bundle), "native")
 
 
-def _assembled(found: RecognisedBundle, bundle: Bundle, name: str) -> CalibrationRead:
-    calibration, findings = assembled(draft_of(name, found.parts), found.rig)
-    noticed = tuple(finding for part in found.parts for finding in part.findings)
-    noticed += _footprint_finding(found.rig.footprint is not None)
-    return CalibrationRead(calibration, noticed + findings + _whole(calibration, bundle), _format(found))
+def _assembled(recognised_bundle: RecognisedBundle, bundle: Bundle, name: str) -> CalibrationRead:
+    calibration, findings = assembled(draft_of(name, recognised_bundle.parts), recognised_bundle.rig)
+    noticed = tuple(finding for part in recognised_bundle.parts for finding in part.findings)
+    noticed += _footprint_finding(recognised_bundle.rig.footprint is not None)
+    return CalibrationRead(calibration, noticed + findings + _whole(calibration, bundle), _format(recognised_bundle))
 
 
 def calibration_sha256(path: Path) -> str:
-    """Of a file its bytes; of a folder the names and bytes of its documents. Raises as `read_bundle`."""
+    """Return the hash of a file's bytes, or of a folder's document names and bytes. Raises the errors of
+    `read_bundle`.
+    """
     if path.is_file():
         return sha256(path.read_bytes()).hexdigest()
     digest = sha256()
@@ -109,8 +111,8 @@ def calibration_sha256(path: Path) -> str:
     return digest.hexdigest()
 
 
-def _format(found: RecognisedBundle) -> Format:
-    formats = {part.format for part in found.parts}
+def _format(recognised_bundle: RecognisedBundle) -> Format:
+    formats = {part.format for part in recognised_bundle.parts}
     return next((rank for rank in RANKS if rank in formats), "native")
 
 
@@ -123,7 +125,7 @@ def _whole(calibration: Calibration, bundle: Bundle) -> Findings:
 
 
 def _footprint_finding(is_given: bool) -> Findings:
-    """CAL-436 where no file says how much ground the robot covers, from which T is made."""
+    """Return CAL-436 if no file contains the robot's footprint, from which T is computed."""
     default = Footprint()
     sentence = f"no footprint is given: {default.length_m:g} x {default.width_m:g} m, the paper's robot, is taken"
     return () if is_given else (Finding(DEFAULT_FOOTPRINT, "info", "", sentence),)

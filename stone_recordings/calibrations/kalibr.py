@@ -1,6 +1,6 @@
-"""Kalibr: camchain and camchain-imucam (ETH), as OpenVINS and msckf_vio write them too.
+"""Kalibr: camchain and camchain-imucam (ETH), also written by OpenVINS and msckf_vio.
 
-**Conventions.** `T_cam_imu` maps IMU to camera coordinates, `T_cn_cnm1` those of the camera before to this one's;
+**Conventions.** `T_cam_imu` maps IMU to camera coordinates, `T_cn_cnm1` those of the previous camera to this one's;
 OpenVINS' older files give `T_imu_cam`, the inverse. `timeshift_cam_imu`: t_imu = t_cam + shift, so it is added to the
 camera's stamps. Distortion: radtan 4, equidistant 4, none. Source: Kalibr wiki, "YAML formats".
 """
@@ -24,21 +24,21 @@ def is_camchain(content: dict[str, object]) -> bool:
 
 
 def is_imu(content: dict[str, object]) -> bool:
-    """imu.yaml: noise densities, and where one IMU sits to another; nothing that a rig needs."""
+    """Return whether this is imu.yaml: noise densities, and one IMU's pose to another, of which a rig needs nothing."""
     return any(IMU.fullmatch(key) for key in content)
 
 
 def camchain(document: Node) -> CalibrationPart:
-    """Cameras cam0, cam1, … and, where they are given to it, imu0; never a LiDAR."""
+    """Return cameras cam0, cam1, … and, if they are given relative to it, imu0; never a LiDAR."""
     edges, findings = list[Edge](), Findings()
     lenses, offsets_ns = dict[str, CameraIntrinsics](), dict[str, int]()
     for name, camera in document.entries().items():
-        if not (found := CAMERA.fullmatch(name)):
+        if not (match := CAMERA.fullmatch(name)):
             continue
         lenses[name] = _lens(name, camera)
         if camera.has("timeshift_cam_imu"):
             offsets_ns[name] = camera.at("timeshift_cam_imu").offset_ns()
-        for edge, noticed in _edges(name, int(found[1]), camera):
+        for edge, noticed in _edges(name, int(match[1]), camera):
             edges.append(edge)
             findings += noticed
     has_imu = any(edge.child == IMU_FRAME for edge in edges)
@@ -50,15 +50,15 @@ def camchain(document: Node) -> CalibrationPart:
 
 def _edges(name: str, number: int, camera: Node) -> list[tuple[Edge, Findings]]:
     others = {"T_cam_imu": IMU_FRAME, "T_cn_cnm1": f"cam{number - 1}"}
-    found = []
+    edges = []
     for key, other in others.items():
         if camera.has(key):
             transform, noticed = checked_transform(name, camera.at(key).matrix(4, 4))
-            found.append((Edge(name, other, transform), noticed))
+            edges.append((Edge(name, other, transform), noticed))
     if camera.has("T_imu_cam"):
         transform, noticed = checked_transform(name, camera.at("T_imu_cam").matrix(4, 4))
-        found.append((Edge(name, IMU_FRAME, transform.inverse()), noticed))
-    return found
+        edges.append((Edge(name, IMU_FRAME, transform.inverse()), noticed))
+    return edges
 
 
 def _lens(name: str, camera: Node) -> CameraIntrinsics:

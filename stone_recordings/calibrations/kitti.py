@@ -1,16 +1,16 @@
-"""KITTI: calib text files of object, tracking, odometry and raw, and of data sets written like it (View-of-Delft).
+"""KITTI: calib text files of object, tracking, odometry and raw, and of data sets in its format (View-of-Delft).
 
 **Conventions.** Lines are `key: numbers`, matrices by rows, metres. `Tr_velo_to_cam` (tracking: `Tr_velo_cam`) is
-`reference_from_velodyne`, `R0_rect` (`R_rect`) is `rectified_from_reference`, `Tr` of odometry is
-`rectified_from_velodyne` at once, `Tr_imu_to_velo` is `velodyne_from_imu`. A point of the scanner is at
-`P_i R0_rect Tr_velo_to_cam x` in image i. P_i = K [I | t] is of rectified images: the lens is K without distortion,
-and camera i is `cam_i_from_rectified` = t; where P_i are all equal (View-of-Delft) there is one camera, cam2. Raw:
-`calib_velo_to_cam.txt` and `calib_imu_to_velo.txt` have R and T in the same directions; `calib_cam_to_cam.txt` gives
-`P_rect_0i`, `R_rect_00` and `S_rect_0i`, the size of the rectified images (synced data, what kitti2bag records; the
-unrectified ones need K and D by camera_info). The other files say no size: a rig.yaml does. View-of-Delft writes its
-radar's file with the LiDAR's key, `Tr_velo_to_cam`, and tells them apart by the folder alone: in a folder `radar` it
-is the radar's. None says where the vehicle stands on the ground.
-Source: Geiger et al., IJRR 2013, eq. 3–8; readme.txt of the object and odometry devkits; View-of-Delft's docs.
+`reference_from_velodyne`, `R0_rect` (`R_rect`) is `rectified_from_reference`. `Tr` of odometry is
+`rectified_from_velodyne`, `Tr_imu_to_velo` is `velodyne_from_imu`. A point of the scanner is at `P_i R0_rect
+Tr_velo_to_cam x` in image i. P_i = K [I | t] is of rectified images: the lens is K without distortion, and camera i is
+`cam_i_from_rectified` = t; if all P_i are equal (View-of-Delft) there is one camera, cam2. Raw: `calib_velo_to_cam.txt`
+and `calib_imu_to_velo.txt` have R and T in the same directions. `calib_cam_to_cam.txt` gives `P_rect_0i`, `R_rect_00`
+and `S_rect_0i`, the size of the rectified images (synced data, as recorded by kitti2bag; the unrectified ones need K
+and D by camera_info). The other files contain no size: a rig.yaml does. View-of-Delft writes its radar's file with the
+LiDAR's key, `Tr_velo_to_cam`, and only the folder distinguishes them: in a folder `radar` it is the radar's. None
+contains the vehicle's position on the ground. Source: Geiger et al., IJRR 2013, eq. 3–8; readme.txt of the object and
+odometry devkits; View-of-Delft's docs.
 """
 
 import re
@@ -37,12 +37,12 @@ TRANSFORMS = {
     "Tr_imu_velo": (LIDAR, IMU),
 }
 RECTIFYING = ("R0_rect", "R_rect", "R_rect_00")
-# The raw files of one transform have the same keys but for these, and their names.
+# The raw files of one transform have the same keys except these, and their names.
 OF_VELO_TO_CAM = ("delta_f", "delta_c")
 
 
 def is_kitti(content: dict[str, object]) -> bool:
-    """Matrices as texts of numbers under KITTI's keys."""
+    """Return whether these are matrices as texts of numbers under KITTI's keys."""
     texts = {key for key, value in content.items() if isinstance(value, str)}
     is_raw = "calib_time" in content and {"R", "T"} <= texts
     return is_raw or any(key in TRANSFORMS or PROJECTION.fullmatch(key) for key in texts)
@@ -68,23 +68,25 @@ def kitti(document: Node) -> CalibrationPart:
         findings += noticed
     frames = {frame for edge in edges for frame in (edge.parent, edge.child)}
     kinds: dict[str, SensorKind] = {LIDAR: "lidar", RADAR: "radar", IMU: "imu"}
-    found = {frame: kind for frame, kind in kinds.items() if frame in frames}
-    return CalibrationPart(document.file, "kitti", tuple(edges), lenses, {}, found, frozenset(lenses), findings)
+    present = {frame: kind for frame, kind in kinds.items() if frame in frames}
+    return CalibrationPart(document.file, "kitti", tuple(edges), lenses, {}, present, frozenset(lenses), findings)
 
 
 def _transforms(document: Node) -> list[tuple[str, str, NDArray[np.float64]]]:
-    """(parent, child, (3, 4)) of every transform that is filled in: View-of-Delft leaves `Tr_imu_to_velo` empty."""
+    """Return (parent, child, (3, 4)) of every transform that is filled in: View-of-Delft leaves `Tr_imu_to_velo`
+    empty.
+    """
     scanner = RADAR if RADAR in words_of(PurePath(document.file).parent.as_posix()) else LIDAR
     given = [(document.at(key), pair) for key, pair in TRANSFORMS.items() if document.has(key)]
-    found = [
+    transforms = [
         (parent, scanner if child == LIDAR else child, _matrix(node, 3, 4))
         for node, (parent, child) in given
         if node.value is not None
     ]
     if document.has("R") and document.has("T"):
         rotation, translation_m = _matrix(document.at("R"), 3, 3), _matrix(document.at("T"), 3, 1)
-        found.append((*_raw_pair(document), np.hstack([rotation, translation_m])))
-    return found
+        transforms.append((*_raw_pair(document), np.hstack([rotation, translation_m])))
+    return transforms
 
 
 def _raw_pair(document: Node) -> tuple[str, str]:
@@ -98,17 +100,17 @@ def _raw_pair(document: Node) -> tuple[str, str]:
 
 
 def _projections(document: Node) -> dict[str, NDArray[np.float64]]:
-    """(3, 4) by camera, but for identities, which stand for none; the main camera alone where all are equal."""
+    """Return (3, 4) by camera, without identities, which stand for none; the main camera alone if all are equal."""
     named = [(PROJECTION.fullmatch(key), node) for key, node in document.entries().items()]
     given = {f"cam{match[1] or match[2]}": _matrix(node, 3, 4) for match, node in named if match}
-    found = {camera: matrix for camera, matrix in given.items() if not np.array_equal(matrix[:, :3], np.eye(3))}
-    if MAIN_CAMERA in found and all(np.array_equal(matrix, found[MAIN_CAMERA]) for matrix in found.values()):
-        return {MAIN_CAMERA: found[MAIN_CAMERA]}
-    return found
+    cameras = {camera: matrix for camera, matrix in given.items() if not np.array_equal(matrix[:, :3], np.eye(3))}
+    if MAIN_CAMERA in cameras and all(np.array_equal(matrix, cameras[MAIN_CAMERA]) for matrix in cameras.values()):
+        return {MAIN_CAMERA: cameras[MAIN_CAMERA]}
+    return cameras
 
 
 def _camera(document: Node, camera: str, matrix: NDArray[np.float64]) -> tuple[CameraIntrinsics, NDArray[np.float64]]:
-    """The lens, and where the rectified frame's origin is in the camera (3,), metres."""
+    """Return the lens, and the origin of the rectified frame in the camera (3,), metres."""
     size_key = f"S_rect_0{camera.removeprefix('cam')}"
     width_px, height_px = _size_px(document.at(size_key)) if document.has(size_key) else (0, 0)
     lens = intrinsics(LensText(document.file, camera, "none", ()), matrix[:, :3], (width_px, height_px))
@@ -127,7 +129,7 @@ def _size_px(node: Node) -> tuple[int, int]:
 
 
 def _matrix(node: Node, rows: int, columns: int) -> NDArray[np.float64]:
-    """The numbers of a line, by rows."""
+    """Return the numbers of a line, by rows."""
     words = node.words()
     if len(words) != rows * columns:
         raise node.refused(f"{rows} x {columns} numbers by rows are expected and {len(words)} given")

@@ -1,4 +1,4 @@
-"""The native format: one YAML document that says everything.
+"""The native format: one YAML document with everything.
 
 **Conventions.** `stone_calibration: 1`; lengths in metres, quaternions wxyz, transforms `dst_from_src`.
 """
@@ -23,10 +23,9 @@ from stone.sensors.calibration_checks import (
 from stone_files.joined_file import MOST_OFFSET_NS
 from stone_recordings.calibrations.errors import bad_calibration_key
 
-# The keys of a native calibration file, and of the rig document that completes others, as their authors write them.
-#
-# **Conventions.** Unknown keys are refused, so that a typo is not a silent default. Values are of the declared kind
-# (no numbers in quotes); what they must amount to is checked by `stone.sensors.calibration_checks`.
+# The keys of a native calibration file, and of the rig document that completes others. Unknown keys are refused, so
+# that a typo is not a silent default. Values are of the declared kind (no numbers in quotes);
+# `stone.sensors.calibration_checks` checks their ranges.
 
 
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
@@ -36,7 +35,7 @@ Matrix = Annotated[list[Quaternion], Field(min_length=4, max_length=4)]
 Name = Annotated[str, Field(min_length=1, max_length=100)]
 Pixels = Annotated[int, Field(gt=0, le=100_000)]
 
-FILL_IN = "FILL_IN"  # what `stone calibration init` writes for what no topic gives
+FILL_IN = "FILL_IN"  # the placeholder that `stone calibration init` writes for unknown values
 ONE_TRANSFORM = "give either matrix, or translation_m with one of rotation_wxyz and rotation_matrix"
 
 
@@ -68,7 +67,7 @@ class FootprintDocument(Document):
 
 
 class VehicleDocument(Document):
-    """What is not given is the default's."""
+    """The vehicle's limits; missing ones are the default's."""
 
     max_slope_deg: Annotated[float, Field(ge=1.0, le=60.0)] = Vehicle().max_slope_deg
     max_step_m: Annotated[float, Field(ge=0.02, le=1.0)] = Vehicle().max_step_m
@@ -115,7 +114,7 @@ class RigTransform(TransformDocument):
 
 
 class RigSensor(Document):
-    """`kind` where the frame's name does not say it; sizes where the other file does not."""
+    """`kind` if the frame's name does not reveal it; sizes if the other file lacks them."""
 
     frame: Name
     kind: Literal["camera", "radar", "ins", "imu", "lidar"] | None = None
@@ -142,7 +141,7 @@ def is_native(content: dict[str, object]) -> bool:
 
 
 def native(file: str, content: object) -> tuple[Calibration, Findings]:
-    """Raises `CAL-453`, `CAL-422` and what the checks of single transforms and lenses raise."""
+    """Read the document. Raises `CAL-453`, `CAL-422` and the errors of checking single transforms and lenses."""
     missing = filled_in(content)
     if missing:
         shown = ", ".join(missing[:12]) + (f" and {len(missing) - 12} more" if len(missing) > 12 else "")
@@ -163,16 +162,16 @@ def native(file: str, content: object) -> tuple[Calibration, Findings]:
 
 
 def filled_in(value: object, key: str = "") -> tuple[str, ...]:
-    """The keys whose value, or a number of whose list, is still `FILL_IN`."""
+    """Return the keys whose value, or a number in whose list, is still `FILL_IN`."""
     if isinstance(value, dict):
-        return tuple(found for name, inner in value.items() for found in filled_in(inner, f"{key}.{name}".lstrip(".")))
+        return tuple(path for name, inner in value.items() for path in filled_in(inner, f"{key}.{name}".lstrip(".")))
     if isinstance(value, list):
         return (key,) if any(filled_in(inner, key) for inner in value) else ()
     return (key,) if value == FILL_IN else ()
 
 
 def key_error(name: str, error: ValidationError) -> Refused:
-    """The first complaint, with the key as the author would find it."""
+    """Return the first complaint, with the key as written by the author."""
     first = error.errors(include_url=False, include_context=False)[0]
     key = ".".join(str(part) for part in first["loc"])[:120]
     problem = first["msg"].removeprefix("Value error, ")
@@ -182,7 +181,7 @@ def key_error(name: str, error: ValidationError) -> Refused:
 
 
 def transform_of(name: str, kind: SensorKind | None, document: TransformDocument) -> tuple[SE3, Findings]:
-    """A transform in any of its spellings; without a kind the order of its quaternion is not doubted."""
+    """Return a transform in any of its spellings; without a kind the order of its quaternion is not checked."""
     if document.matrix is not None:
         return checked_transform(name, np.array(document.matrix))
     translation_m = np.array(document.translation_m)

@@ -1,8 +1,8 @@
 """nuScenes: rows of calibrated_sensor.json, with their channels from sensor.json beside it.
 
 **Conventions.** `ego_from_sensor`, quaternions wxyz; some converters write 3 × 3 rotations instead, which are read with
-a warning. Cameras are optical and their images rectified; no table here says how large they are. A table may hold the
-same sensor for many scenes; it is one calibration only where they agree.
+a warning. Cameras are optical and their images rectified; no table contains their size. A table may hold the same
+sensor for many scenes; it is one calibration only if they agree.
 """
 
 import numpy as np
@@ -27,7 +27,7 @@ def is_sensors(content: list[object]) -> bool:
 
 
 def nuscenes(document: Node, sensors: Node | None) -> CalibrationPart:
-    """Every row of the table. Raises `CAL-424` without sensor.json, `CAL-429` for a channel twice."""
+    """Return every row of the table. Raises `CAL-424` without sensor.json, `CAL-429` for a duplicate channel."""
     if sensors is None:
         raise half_rig(document.file, "its rows name their sensors by token only", "send sensor.json along in a zip")
     named = {row.at("token").text(): (row.at("channel").text(), row.at("modality").text()) for row in sensors.items()}

@@ -5,13 +5,13 @@
 - FAST-LIO, Point-LIO (`mapping`) and FAST-LIVO2 (`extrin_calib`): `extrinsic_T`, `extrinsic_R` are the LiDAR's pose in
   the IMU's frame, `imu_from_lidar`;
 - FAST-LIVO2: `Rcl`, `Pcl` are `camera_from_lidar`; camera_*.yaml gives the lens at the size `cam_width` × `cam_height`
-  (`scale` shrinks both alike when the package runs, so it is left aside);
-- LIO-SAM: `extrinsicRot` turns what the IMU measures into the LiDAR's axes, `extrinsicTrans` is the IMU's place in
+  (`scale` shrinks both alike when the package runs, so it is ignored);
+- LIO-SAM: `extrinsicRot` turns the IMU's measurements into the LiDAR's axes, `extrinsicTrans` is the IMU's position in
   them: `lidar_from_imu`, though a comment of its file calls it `T_lb (lidar -> imu)`. `extrinsicRPY` turns attitudes
-  alone and is left aside.
+  alone and is ignored.
 
-Source: hku-mars/FAST_LIO, README.md ("the LiDAR's pose … in IMU body frame"); hku-mars/FAST-LIVO2, src/vio.cpp
-(`Rci = Rcl * Rli`), config/; TixiaoShan/LIO-SAM, include/utility.h (`acc = extRot * acc`), src/imuPreintegration.cpp
+Source: hku-mars/FAST_LIO, README.md ("the LiDAR's pose … in IMU body frame"); hku-mars/FAST-LIVO2, src/vio.cpp (`Rci =
+Rcl * Rli`), config/; TixiaoShan/LIO-SAM, include/utility.h (`acc = extRot * acc`), src/imuPreintegration.cpp
 (`lidarPose.compose(lidar2Imu)`), README.md (KITTI's calib_imu_to_velo).
 """
 
@@ -61,14 +61,14 @@ def odometry(document: Node) -> CalibrationPart:
                 findings += noticed
         form = "lio_sam" if group.has(LIO_SAM[0]) else "fast_livo2" if group.has("Rcl") else form
     kinds = {frame: KINDS[frame] for edge in edges for frame in (edge.parent, edge.child)}
-    found: Format = "lio_sam" if form == "lio_sam" else "fast_livo2" if form == "fast_livo2" else "fast_lio"
+    format_name: Format = "lio_sam" if form == "lio_sam" else "fast_livo2" if form == "fast_livo2" else "fast_lio"
     return CalibrationPart(
-        document.file, found, tuple(edges), kinds=kinds, optical=frozenset({CAMERA}), findings=findings
+        document.file, format_name, tuple(edges), kinds=kinds, optical=frozenset({CAMERA}), findings=findings
     )
 
 
 def odometry_camera(document: Node) -> CalibrationPart:
-    """The lens of FAST-LIVO2's camera. Raises `CAL-427`."""
+    """Return the lens of FAST-LIVO2's camera. Raises `CAL-427`."""
     camera = next(group for group in _groups(document) if group.has("cam_model"))
     name = camera.at("cam_model").text()
     if name not in LENSES:
@@ -83,7 +83,7 @@ def odometry_camera(document: Node) -> CalibrationPart:
 
 
 def _groups(document: Node) -> Iterator[Node]:
-    """The mappings in which the packages' parameters stand: the file, its ROS 2 node's, and their groups."""
+    """Yield the mappings with the packages' parameters: the file, its ROS 2 node's, and their groups."""
     nodes = [document]
     if isinstance(document.value, dict):
         inner = (entry for entry in document.entries().values() if entry.has(ROS2))
@@ -97,22 +97,22 @@ def _groups(document: Node) -> Iterator[Node]:
 
 
 def _dotted(node: Node) -> Iterator[Node]:
-    """Groups that ROS 2 also lets files write as `extrin_calib.extrinsic_T`."""
+    """Yield groups that ROS 2 files may also write as `extrin_calib.extrinsic_T`."""
     if not isinstance(node.value, dict):
         return
     for group in GROUPS:
-        found = {
+        entries = {
             str(key).removeprefix(f"{group}."): value
             for key, value in node.value.items()
             if str(key).startswith(f"{group}.")
         }
-        if found:
-            yield Node(node.file, f"{node.key}.{group}".lstrip("."), found)
+        if entries:
+            yield Node(node.file, f"{node.key}.{group}".lstrip("."), entries)
 
 
 def _transform(group: Node, sensor: str, keys: tuple[str, str]) -> tuple[SE3, Findings]:
-    rotation, place = (group.at(key) for key in keys)
-    translation_m = place.vector()
+    rotation, position = (group.at(key) for key in keys)
+    translation_m = position.vector()
     if translation_m.shape != (3,):
-        raise place.refused("three numbers are expected, metres")
+        raise position.refused("three numbers are expected, metres")
     return rotation_and_translation(sensor, rotation.matrix(3, 3), translation_m)

@@ -1,8 +1,8 @@
 """OpenCalib (SensorsCalibration): JSON of `<sensor>-to-<target>-extrinsic` and `<camera>-intrinsic` entries.
 
 **Conventions.** `sensor_calib` maps coordinates of the sensor to those of the target: `target_from_sensor`. Cameras are
-optical. `time_lag`, seconds, is read as 0 only: no document says which clock it is added to. Their own samples
-contradict themselves (`cols: 4` over five coefficients), so rows and columns are compared with the data.
+optical. `time_lag`, seconds, is accepted as 0 only: no document defines its clock. Their own samples contradict
+themselves (`cols: 4` over five coefficients), so rows and columns are compared with the data.
 """
 
 from stone.sensors.calibration import CameraIntrinsics, SensorKind
@@ -16,7 +16,9 @@ def is_opencalib(content: dict[str, object]) -> bool:
 
 
 def opencalib(document: Node) -> CalibrationPart:
-    """The extrinsics and intrinsics of one file; other kinds of parameters (homographies, heading) are left aside."""
+    """Return the extrinsics and intrinsics of one file; other kinds of parameters (homographies, heading) are
+    ignored.
+    """
     edges, findings = list[Edge](), Findings()
     lenses, kinds = dict[str, CameraIntrinsics](), dict[str, SensorKind]()
     for node in document.entries().values():
@@ -51,12 +53,12 @@ def _lens(name: str, parameters: Node) -> CameraIntrinsics:
 
 
 def _sized(matrix: Node) -> Node:
-    """The data of a matrix whose rows and columns are what it says."""
+    """Return the data of a matrix with consistent rows and columns."""
     data = matrix.at("data")
     rows = data.items()
     declared = (matrix.at("rows").whole("rows"), matrix.at("cols").whole("columns"))
-    found = (len(rows), len(rows[0].items()) if rows else 0)
-    if declared != found:
-        problem = f"{declared[0]} x {declared[1]} numbers are declared and {found[0]} x {found[1]} given"
+    given = (len(rows), len(rows[0].items()) if rows else 0)
+    if declared != given:
+        problem = f"{declared[0]} x {declared[1]} numbers are declared and {given[0]} x {given[1]} given"
         raise data.refused(problem)
     return data

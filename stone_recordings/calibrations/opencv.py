@@ -1,18 +1,17 @@
 """OpenCV: files of `cv::FileStorage` (`%YAML:1.0`, later `%YAML 1.2`), whose matrices are tagged `!!opencv-matrix`.
 
-**Conventions.** Distortion in OpenCV's order with 4, 5, 8, 12 or 14 numbers, `fisheye_model: 1` with 4; what models
-thin prisms or a tilted sensor is refused. Transforms, by their keys:
+**Conventions.** Distortion in OpenCV's order with 4, 5, 8, 12 or 14 numbers, `fisheye_model: 1` with 4; models with
+thin prisms or a tilted sensor are refused. Transforms, by their keys:
 
 - `R`, `T` beside `M1`, `M2` or `cameraMatrix1`, `cameraMatrix2` (stereoCalibrate): `second_from_first`; the cameras
   are called camera_left and camera_right as in OpenCV's sample;
 - `R`, `T` beside one camera matrix (solvePnP, calibrateCamera): `camera_from_points`, here `camera_from_lidar`;
-- `CameraExtrinsicMat` (Autoware.AI): `lidar_from_camera`; the identity, which its camera calibrator writes, says
-  nothing;
+- `CameraExtrinsicMat` (Autoware.AI): `lidar_from_camera`; the identity, which its camera calibrator writes, is ignored;
 - `a_T_b` (`body_T_cam0` of VINS-Fusion): `a_from_b`, where `body` is the IMU.
 
-A file with one camera names it by `camera_name`, else by its own name. A transform that makes the camera lie on its
-side and whose inverse does not is read as its key says, with a warning.
-Source: OpenCV 4, calib3d and persistence; Autoware.AI points2image (inverts it); VINS-Fusion config.
+A file with one camera names it by `camera_name`, else by its own name. If a transform makes the camera lie on its side
+and its inverse does not, the transform is still read by its key, with a warning. Source: OpenCV 4, calib3d and
+persistence; Autoware.AI points2image (inverts it); VINS-Fusion config.
 """
 
 import re
@@ -32,7 +31,7 @@ from stone_recordings.calibrations.plain_yaml import OpenCvMatrix
 
 LIDAR, BODY, LEFT, RIGHT = "lidar", "body", "camera_left", "camera_right"
 PAIR = re.compile(r"(\w+?)_T_(\w+)")
-# The camera matrix and the distortion of the one camera of a file, of the first and the second of a pair.
+# The keys of camera matrix and distortion: for the only camera of a file, for the first and the second of a pair.
 ALONE = (
     ("camera_matrix", "distortion_coefficients"),
     ("Camera_Matrix", "Distortion_Coefficients"),
@@ -47,7 +46,7 @@ RATIONAL = 8
 
 
 def is_opencv(content: dict[str, object]) -> bool:
-    """A tagged matrix, or a stereo pair's lenses without the tags (Nerian)."""
+    """Return whether the document has a tagged matrix, or a stereo pair's lenses without the tags (Nerian)."""
     is_pair = any(first[0] in content and second[0] in content for first, second in PAIRED)
     return is_pair or any(isinstance(value, OpenCvMatrix) for value in content.values())
 
@@ -60,7 +59,7 @@ class _OpenCvCamera:
 
 
 def opencv(document: Node, stem: str) -> CalibrationPart:
-    """Lenses and transforms of one file. Raises `CAL-422` where it has neither."""
+    """Return lenses and transforms of one file. Raises `CAL-422` if it has neither."""
     cameras = _cameras(document, stem)
     lenses = {camera.name: _lens(document, camera) for camera in cameras}
     edges, findings = list[Edge](), Findings()
@@ -103,7 +102,7 @@ def _lens(document: Node, camera: _OpenCvCamera) -> CameraIntrinsics:
 
 
 def _size_px(document: Node) -> tuple[int, int]:
-    """Width and height; zeros where the file does not say."""
+    """Return width and height; zeros if the file lacks them."""
     for width, height in SIZES:
         if document.has(width) and document.has(height):
             return document.at(width).whole(), document.at(height).whole()
@@ -117,27 +116,27 @@ def _size_px(document: Node) -> tuple[int, int]:
 
 
 def _edges(document: Node, cameras: list[str]) -> list[tuple[Edge, Findings]]:
-    found = list[tuple[Edge, Findings]]()
+    edges = list[tuple[Edge, Findings]]()
     if document.has("R") and document.has("T"):
         rotation, translation_m = _sized(document.at("R"), 3, 3), _sized(document.at("T"), 3, 1).ravel()
         transform, noticed = rotation_and_translation(cameras[-1], rotation, translation_m)
         child = cameras[0] if len(cameras) == 2 else LIDAR
         doubts = _doubt(cameras[-1], transform.inverse()) if child == LIDAR else ()
-        found.append((Edge(cameras[-1], child, transform), noticed + doubts))
+        edges.append((Edge(cameras[-1], child, transform), noticed + doubts))
     if document.has("CameraExtrinsicMat"):
         matrix = _sized(document.at("CameraExtrinsicMat"), 4, 4)
         transform, noticed = checked_transform(cameras[0], matrix)
         if not np.array_equal(matrix, np.eye(4)):
-            found.append((Edge(LIDAR, cameras[0], transform), noticed + _doubt(cameras[0], transform)))
+            edges.append((Edge(LIDAR, cameras[0], transform), noticed + _doubt(cameras[0], transform)))
     for key, node in document.entries().items():
         if pair := PAIR.fullmatch(key):
             transform, noticed = checked_transform(pair[2], _sized(node, 4, 4))
-            found.append((Edge(pair[1], pair[2], transform), noticed))
-    return found
+            edges.append((Edge(pair[1], pair[2], transform), noticed))
+    return edges
 
 
 def _doubt(camera: str, lidar_from_camera: SE3) -> Findings:
-    """A warning where the inverse would hold the camera upright on an upright LiDAR, and this does not."""
+    """Return a warning if only the inverse would hold the camera upright on an upright LiDAR."""
     up, up_of_inverse = (
         pose.rotation()[2] @ (0.0, -1.0, 0.0) for pose in (lidar_from_camera, lidar_from_camera.inverse())
     )
@@ -148,7 +147,7 @@ def _doubt(camera: str, lidar_from_camera: SE3) -> Findings:
 
 
 def _sized(node: Node, rows: int, columns: int) -> NDArray[np.float64]:
-    """A matrix that says its own size, or a list of its numbers; vectors may stand or lie."""
+    """Return a matrix with its own size, or a list of its numbers; vectors may be rows or columns."""
     if isinstance(node.value, list):
         return node.matrix(rows, columns)
     declared = (node.at("rows").whole("rows"), node.at("cols").whole("columns"))
@@ -158,7 +157,7 @@ def _sized(node: Node, rows: int, columns: int) -> NDArray[np.float64]:
 
 
 def _numbers(node: Node) -> NDArray[np.float64]:
-    """A vector of any length, as its matrix declares it."""
+    """Return a vector of any length, as its matrix declares it."""
     if isinstance(node.value, list):
         return node.vector()
     count = node.at("rows").whole("rows") * node.at("cols").whole("columns")

@@ -1,7 +1,7 @@
 """One document of a calibration bundle, before it is merged with the others.
 
-**Conventions.** Sensors and frames have the names the file gives them; an edge is `parent_from_child`, metres. A lens
-without a size (nuScenes) has 0 × 0 pixels here. Numbers come as numbers or as texts of numbers (ROS 1 wrote both).
+**Conventions.** Sensors and frames have the names in the file; an edge is `parent_from_child`, metres. A lens without a
+size (nuScenes) has 0 × 0 pixels here. Numbers are numbers or texts of numbers (ROS 1 wrote both).
 """
 
 from collections.abc import Mapping
@@ -50,9 +50,9 @@ class Edge:
 
 @dataclass(frozen=True, eq=False)
 class CalibrationPart:
-    """`lenses` and `offsets_ns` by camera; `kinds` of frames that the file itself calls sensors.
+    """`lenses` and `offsets_ns` by camera; `kinds` of the frames that the file itself calls sensors.
 
-    `optical` are frames known to be optical (z forward); the others are judged by how they are turned.
+    `optical` are frames known to be optical (z forward); the others are judged by their rotation.
     """
 
     file: str
@@ -67,7 +67,7 @@ class CalibrationPart:
 
 @dataclass(frozen=True)
 class Node:
-    """A value inside a document, and the way to it; every reading checks and names it in its refusal.
+    """A value inside a document, and its path; every reading checks the value and names the path in its refusal.
 
     Raises `CAL-422` throughout.
     """
@@ -81,7 +81,7 @@ class Node:
         return bad_calibration_key(self.file, self.key[:120], problem + shown, 0)
 
     def entries(self) -> dict[str, "Node"]:
-        """The entries of a mapping, in order, by key."""
+        """Return the entries of a mapping, in order, by key."""
         if not isinstance(self.value, dict):
             raise self.refused("a mapping is expected")
         return {str(key): self._inner(str(key), value) for key, value in self.value.items()}
@@ -89,7 +89,7 @@ class Node:
     def items(self) -> list["Node"]:
         if not isinstance(self.value, list):
             raise self.refused("a list is expected")
-        return [self._inner(str(place), value) for place, value in enumerate(self.value)]
+        return [self._inner(str(index), value) for index, value in enumerate(self.value)]
 
     def has(self, key: str) -> bool:
         return isinstance(self.value, dict) and key in self.value
@@ -109,14 +109,14 @@ class Node:
         raise self.refused("a number is expected")
 
     def whole(self, what: str = "pixels") -> int:
-        """A count, at least 1."""
+        """Return a count, at least 1."""
         number = self.number()
         if not (1 <= number <= LARGEST_COUNT and number == int(number)):
             raise self.refused(f"a whole number of {what} from 1 to {LARGEST_COUNT} is expected")
         return int(number)
 
     def offset_ns(self) -> int:
-        """Seconds as whole nanoseconds."""
+        """Return seconds as whole nanoseconds."""
         if not abs(self.number()) * 1e9 <= MOST_OFFSET_NS:
             raise self.refused(f"a time of at most {MOST_OFFSET_NS / 1e9:.0f} s is expected")
         return round(Decimal(str(self.value)) * 10**9)
@@ -127,7 +127,7 @@ class Node:
         return self.value
 
     def words(self) -> list["Node"]:
-        """What a line has between its spaces."""
+        """Return the words of a line."""
         if not isinstance(self.value, (int, float, str)):
             raise self.refused("numbers between spaces are expected")
         return [Node(self.file, self.key, word) for word in str(self.value).split()]
@@ -136,7 +136,7 @@ class Node:
         return np.array([item.number() for item in self.items()], np.float64)
 
     def matrix(self, rows: int, columns: int) -> NDArray[np.float64]:
-        """Rows of numbers, or all of them in one list by rows (OpenCV, msckf)."""
+        """Return rows of numbers, or all of them in one list by rows (OpenCV, msckf)."""
         items = self.items()
         is_nested = any(isinstance(item.value, list) for item in items)
         numbers = [item.vector() for item in items] if is_nested else [self.vector()]
@@ -149,10 +149,9 @@ class Node:
         return Node(self.file, f"{self.key}.{key}".lstrip("."), value)
 
 
-# Camera matrices and distortion vectors of all formats → one kind of intrinsics.
-#
-# **Conventions.** A 3 × 3 matrix K with no skew; the names of lens models are those of ROS, Kalibr and OpenCV.
-# `radtan` is plumb_bob without k3. Sizes of 0 mean that the file does not say.
+# Camera matrices and distortion vectors of all formats → one kind of intrinsics. A 3 × 3 matrix K with no skew; the
+# names of lens models are those of ROS, Kalibr and OpenCV. `radtan` is plumb_bob without k3. Sizes of 0 mean that the
+# file lacks them.
 
 
 MODELS: dict[str, CameraModel] = {
@@ -170,7 +169,7 @@ SHORT_BY_ONE = ("radtan",)
 
 @dataclass(frozen=True)
 class LensText:
-    """What a file calls the lens: `sensor` for messages, `model` in its own word, the distortion as written."""
+    """A file's names for the lens: `sensor` for messages, `model` in its own word, the distortion as written."""
 
     file: str
     sensor: str
@@ -179,7 +178,7 @@ class LensText:
 
 
 def intrinsics(lens: LensText, matrix: NDArray[np.float64], size_px: tuple[int, int]) -> CameraIntrinsics:
-    """Raises `CAL-427`, `CAL-410`, `CAL-416`, `CAL-422` (skew)."""
+    """Return the intrinsics. Raises `CAL-427`, `CAL-410`, `CAL-416`, `CAL-422` (skew)."""
     model = MODELS.get(lens.model or ("plumb_bob" if lens.distortion else "none"))
     if model is None:
         raise unread_lens_model(lens.file, lens.sensor, lens.model)
@@ -200,7 +199,7 @@ def intrinsics(lens: LensText, matrix: NDArray[np.float64], size_px: tuple[int, 
 
 
 def distortion_of(node: Node) -> tuple[float, ...]:
-    """A list of coefficients, or a list that holds one."""
+    """Return a list of coefficients, also from a list that holds one."""
     items = node.items()
     if len(items) == 1 and isinstance(items[0].value, list):
         return distortion_of(items[0])

@@ -1,10 +1,10 @@
-"""Small plain YAML or JSON from a hostile file: no aliases, no tags, no depth, no size, and one sentence on refusal.
+"""Small plain YAML or JSON from a hostile file: no aliases, no tags, bounded depth and size, one sentence per refusal.
 
 **Conventions.** YAML 1.2 by ruamel's safe loader in pure Python; the events are counted before anything is built from
-them, so that a bomb costs what its bytes cost. What begins with a brace or a bracket is tried as JSON first, its depth
-counted before it is parsed. OpenCV's `%YAML:1.0` (which is no YAML) is read as the `%YAML 1.0` it means, and its tag
-`!!opencv-matrix` is the one tag that is let through, on a mapping. KITTI's tracking files lack three colons, which are
-put in. Several documents in one file are what `ros2 topic echo /tf_static` prints; in anything else they are refused.
+them, so that a bomb costs no more than its bytes. A text that starts with a brace or a bracket is tried as JSON first;
+its depth is counted before parsing. OpenCV's `%YAML:1.0` (invalid YAML) is read as `%YAML 1.0`, and its tag
+`!!opencv-matrix` is the only accepted tag, on a mapping. KITTI's tracking files lack three colons, which are inserted.
+Several documents in one file are the output of `ros2 topic echo /tf_static`; elsewhere they are refused.
 """
 
 import json
@@ -35,11 +35,11 @@ JSON_STRING = re.compile(r'"(?:[^"\\]|\\.)*"')
 
 
 class OpenCvMatrix(dict[str, object]):
-    """A mapping that the file calls a matrix of OpenCV's: rows, cols, dt and data."""
+    """A mapping tagged as a matrix of OpenCV: rows, cols, dt and data."""
 
 
 class _MatrixConstructor(SafeConstructor):
-    """Builds those, beside what is safe."""
+    """Builds OpenCV matrices, beside safe values."""
 
     def matrix(self, node: Any) -> OpenCvMatrix:
         return OpenCvMatrix(self.construct_mapping(node, deep=True))
@@ -49,18 +49,18 @@ _MatrixConstructor.add_constructor(OPENCV_TAG, _MatrixConstructor.matrix)
 
 
 def parse_documents(name: str, content: bytes) -> tuple[object, ...]:
-    """The documents in `content`, at least one; trailing empty ones are dropped. Raises CalibrationYamlError."""
+    """Return the documents in `content`, at least one; trailing empty ones are dropped. Raises CalibrationYamlError."""
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise CalibrationYamlError(name, f"byte {error.start} is not UTF-8 text (a binary file?)") from None
-    if text.lstrip()[:1] in ("{", "[") and (found := _json(name, text)) is not None:
-        return (found,)
+    if text.lstrip()[:1] in ("{", "[") and (value := _json(name, text)) is not None:
+        return (value,)
     return _yaml(name, KITTI_WITHOUT_COLON.sub(r"\1:", OPENCV_HEAD.sub("", text)))
 
 
 def _json(name: str, text: str) -> object | None:
-    """The value, or None where the text is no JSON (it may be YAML in flow style)."""
+    """Return the value, or None if the text is no JSON (it may be YAML in flow style)."""
     depth = deepest = 0
     skeleton = re.sub(r"[^][{},]", "", JSON_STRING.sub("", text))
     for sign in skeleton:
@@ -71,8 +71,8 @@ def _json(name: str, text: str) -> object | None:
     if len(skeleton) > 3 * NODE_LIMIT:
         raise CalibrationYamlError(name, f"it has more than {NODE_LIMIT} values")
     try:
-        found: object = json.loads(text, object_pairs_hook=_entries)
-        return found
+        value: object = json.loads(text, object_pairs_hook=_entries)
+        return value
     except _RepeatedKeyError as error:
         raise CalibrationYamlError(name, str(error)) from None
     except ValueError:
@@ -100,20 +100,22 @@ def _yaml(name: str, text: str) -> tuple[object, ...]:
         documents = list(loader.load_all(text))
     except YAMLError as error:
         raise CalibrationYamlError(name, _sentence(error)) from None
-    except TypeError:  # the loader's word for a key that cannot be one
+    except TypeError:  # the loader's error for an invalid key
         problem = "a key is itself a list or a mapping (a comma or a quote too many?)"
         raise CalibrationYamlError(name, problem) from None
     except (ValueError, OverflowError, AssertionError) as error:  # ruamel asserts the numbers of a %YAML line
         raise CalibrationYamlError(name, str(error)[:SHOWN_CHARACTERS]) from None
     while len(documents) > 1 and documents[-1] is None:
         documents.pop()
-    if len(documents) > 1 and not all(isinstance(found, dict) and "transforms" in found for found in documents):
+    if len(documents) > 1 and not all(
+        isinstance(document, dict) and "transforms" in document for document in documents
+    ):
         raise CalibrationYamlError(name, f"found another document on line {second_line}")
     return tuple(documents or [None])
 
 
 def _check_events(name: str, text: str) -> int:
-    """The line on which the second document begins, 0 for one only."""
+    """Return the line on which the second document starts, 0 for a single document."""
     depth = nodes = 0
     lines: list[int] = []
     for event in YAML(typ="safe", pure=True).parse(text):

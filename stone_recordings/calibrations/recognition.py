@@ -1,7 +1,7 @@
 """Recognition of a document's format, and its content as a part of a rig.
 
-**Conventions.** A format is known by keys that only it has at its top level, never by a file's name. What is close to a
-calibration and is none that is read is named in the refusal.
+**Conventions.** Keys that only one format has at its top level identify it, never a file's name. If a document
+resembles a calibration in an unsupported format, the refusal names the format.
 """
 
 from collections.abc import Callable
@@ -30,7 +30,7 @@ from stone_recordings.calibrations.part import CalibrationPart, Node
 from stone_recordings.calibrations.plain_yaml import parse_documents
 
 Mapping = dict[str, object]
-# In the order in which they are asked: a claim → the part. What carries camera names is told the file's stem.
+# In the order of evaluation: a test of the format → the part. Formats with camera names receive the file's stem.
 READERS: tuple[tuple[Callable[[Mapping], bool], Callable[[Node], CalibrationPart]], ...] = (
     (opencv.is_opencv, lambda node: opencv.opencv(node, stem_of(node.file))),
     (ros.is_camera_info, lambda node: ros.camera_info(node, stem_of(node.file))),
@@ -63,7 +63,7 @@ class RecognisedBundle:
 
 
 def recognised(bundle: Bundle, name: str) -> RecognisedBundle:
-    """Raises what reading YAML and the formats raise; `CAL-429` for two files that each claim the whole."""
+    """Return the recognised bundle. Raises the errors of YAML and formats; `CAL-429` for two complete calibrations."""
     robots = [(file, content) for file, content in bundle.documents if urdf.is_urdf(content)]
     texts = [(file, content) for file, content in bundle.documents if not urdf.is_urdf(content)]
     documents = [(file, parse_documents(file, content)) for file, content in texts]
@@ -111,7 +111,7 @@ def _part(file: str, documents: tuple[object, ...]) -> CalibrationPart:
 
 
 def _tables(tables: dict[str, object]) -> list[CalibrationPart]:
-    """The nuScenes tables among lists; a list that is none of them is refused."""
+    """Return the nuScenes tables among lists; any other list is refused."""
     rows = {file: content for file, content in tables.items() if isinstance(content, list)}
     calibrated = [file for file, content in rows.items() if nuscenes.is_calibrated(content)]
     sensors = [file for file, content in rows.items() if nuscenes.is_sensors(content)]

@@ -13,7 +13,7 @@ from stone.sensors.calibration import Box, Calibration, CameraIntrinsics, Footpr
 
 
 def calibration_record(calibration: Calibration) -> dict[str, Any]:
-    """A JSON object; poses are seven numbers, wxyz then xyz."""
+    """Return a JSON object; poses are seven numbers, wxyz then xyz."""
     return {
         "name": calibration.name,
         "ego_from_lidar": calibration.ego_from_lidar.wxyz_xyz.tolist(),
@@ -25,7 +25,7 @@ def calibration_record(calibration: Calibration) -> dict[str, Any]:
 
 
 def calibration_of(record: dict[str, Any]) -> Calibration:
-    """What `calibration_record` wrote. Raises `KeyError`, `TypeError`, `ValueError`, `ShapeError` for other things."""
+    """Return the calibration from `calibration_record`. Raises `KeyError`, `TypeError`, `ValueError`, `ShapeError`."""
     return Calibration(
         name=record["name"],
         ego_from_lidar=SE3(np.array(record["ego_from_lidar"])),

@@ -1,7 +1,7 @@
-"""A rig from a recording itself: /tf_static places the sensors, CameraInfo says how the cameras project.
+"""A rig from a recording itself: /tf_static places the sensors, CameraInfo contains the cameras' intrinsics.
 
-**Conventions.** Of CameraInfo the first message of each topic counts, of tf_static the last transform of a pair. A
-camera that calls itself uncalibrated (k = 0) has no lens.
+**Conventions.** For CameraInfo the first message of each topic counts, for tf_static the last transform of a pair. A
+camera that is marked as uncalibrated (k = 0) has no lens.
 """
 
 from pathlib import Path
@@ -21,14 +21,14 @@ BAG_SUFFIXES = (".mcap", ".db3", ".bag", ".active", ".zstd")
 
 
 def is_recording(path: Path) -> bool:
-    """A bag file, or a folder that holds one."""
+    """Return whether the path is a bag file, or a folder that holds one."""
     if path.is_dir():
         return any(file.suffix in BAG_SUFFIXES for file in path.iterdir())
     return path.is_file() and is_container(path)
 
 
 def recorded_part(bag: Bag) -> CalibrationPart:
-    """Raises `CAL-424` without /tf_static, and as `recorded_facts`."""
+    """Return the rig as a part. Raises `CAL-424` without /tf_static, and the errors of `recorded_facts`."""
     part = recorded_facts(bag)
     if not part.edges:
         raise half_rig(bag.path.name, "it recorded no /tf_static", "give the calibration as a file of its own")
@@ -36,7 +36,7 @@ def recorded_part(bag: Bag) -> CalibrationPart:
 
 
 def recorded_facts(bag: Bag) -> CalibrationPart:
-    """Return the facts of its rig that a recording holds. Raises what decoding (BAG-*, MSG-*) and the lenses raise."""
+    """Return the rig's facts in a recording. Raises the errors of decoding (BAG-*, MSG-*) and of the lenses."""
     topics = [topic for topic in bag.topics if topic.count and topic.encoding == "cdr"]
     static = [topic.name for topic in topics if topic.type == tf.TYPE and topic.name.endswith(TF_STATIC)]
     cameras = [topic.name for topic in topics if topic.type == camera_info.TYPE]
@@ -46,13 +46,13 @@ def recorded_facts(bag: Bag) -> CalibrationPart:
 
 
 def _edges(bag: Bag, topics: list[str]) -> tuple[tuple[Edge, ...], Findings]:
-    found, findings = dict[tuple[str, str], Edge](), Findings()
+    edges, findings = dict[tuple[str, str], Edge](), Findings()
     for topic in topics:
         for pair in tf.decode_transforms(list(bag.messages(topic, 0, MOST_MESSAGES))):
             edge = Edge(plain(pair.parent), plain(pair.child), pair.parent_from_child[-1])
-            found[(edge.parent, edge.child)] = edge
+            edges[(edge.parent, edge.child)] = edge
             findings += check_translation(edge.child, edge.parent_from_child.translation_m)
-    return tuple(found.values()), findings
+    return tuple(edges.values()), findings
 
 
 def _lenses(bag: Bag, topics: list[str]) -> dict[str, CameraIntrinsics]:

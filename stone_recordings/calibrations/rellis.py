@@ -1,9 +1,9 @@
 """RELLIS-3D: transforms.yaml and vel2os1.yaml, quaternion and translation by a pair of frames, and camera_info.txt.
 
-**Conventions.** `a-b: {q: {w, x, y, z}, t: {x, y, z}}` is `a_from_b`: `os1_cloud_node-pylon_camera_node` is where the
-camera sits in the LiDAR's frame, whose x points backward; RELLIS-3D's own code inverts it before it projects. `vel2os1`
-is `os1_from_vel`, of the clouds' frames (`…_cloud_node`). `camera_info.txt` has `fx fy cx cy` of the pylon camera and
-no distortion. Source: utils/lidar2img.ipynb of unmannedlab/RELLIS-3D; both directions are held by the example scan
+**Conventions.** `a-b: {q: {w, x, y, z}, t: {x, y, z}}` is `a_from_b`: `os1_cloud_node-pylon_camera_node` is the
+camera's pose in the LiDAR's frame, whose x points backward; RELLIS-3D's own code inverts it before it projects.
+`vel2os1` is `os1_from_vel`, of the clouds' frames (`…_cloud_node`). `camera_info.txt` has `fx fy cx cy` of the pylon
+camera and no distortion. Source: utils/lidar2img.ipynb of unmannedlab/RELLIS-3D; the example scan tests both directions
 (`tests/stone_recordings/calibrations/test_rellis.py`).
 """
 
@@ -26,12 +26,12 @@ FOUR_NUMBERS = re.compile(r"\s*(?:\d[\d.eE+-]*\s+){3}\d[\d.eE+-]*\s*")
 
 
 def is_rellis(content: dict[str, object]) -> bool:
-    """Mappings of q and t."""
+    """Return whether these are mappings of q and t."""
     return bool(content) and all(isinstance(value, dict) and {"q", "t"} <= set(value) for value in content.values())
 
 
 def rellis(document: Node) -> CalibrationPart:
-    """One edge for each pair. Raises `CAL-422` for a key that names no two frames."""
+    """Return a part with one edge for each pair. Raises `CAL-422` for a key without two frames."""
     edges, findings = list[Edge](), Findings()
     for key, node in document.entries().items():
         parent, child = _pair(document.file, key)
@@ -46,12 +46,12 @@ def rellis(document: Node) -> CalibrationPart:
 
 
 def is_camera_text(content: object) -> bool:
-    """Four numbers and nothing else."""
+    """Return whether the content is four numbers and nothing else."""
     return isinstance(content, str) and FOUR_NUMBERS.fullmatch(content) is not None
 
 
 def camera_text(document: Node) -> CalibrationPart:
-    """The lens of the pylon camera, without distortion and image size, which other files say."""
+    """Return the lens of the pylon camera, without distortion and image size, which other files contain."""
     fx, fy, cx, cy = (word.number() for word in document.words())
     lens = intrinsics(
         LensText(document.file, CAMERA, "none", ()), np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), (0, 0)
@@ -64,9 +64,9 @@ def camera_text(document: Node) -> CalibrationPart:
 
 
 def _pair(file: str, key: str) -> tuple[str, str]:
-    """Parent and child."""
-    if found := CLOUDS.fullmatch(key):
-        return f"{found[2]}_cloud_node", f"{found[1]}_cloud_node"
-    if found := PARENT_CHILD.fullmatch(key):
-        return found[1], found[2]
+    """Return parent and child."""
+    if match := CLOUDS.fullmatch(key):
+        return f"{match[2]}_cloud_node", f"{match[1]}_cloud_node"
+    if match := PARENT_CHILD.fullmatch(key):
+        return match[1], match[2]
     raise bad_calibration_key(file, key[:120], "two frames are expected, as in os1_cloud_node-pylon_camera_node", 0)

@@ -2,17 +2,17 @@
 
     stone_rig: 1
     name: warthog-1
-    ego: base_link            # which frame is the ego frame, where names leave a doubt
-    lidar: os_sensor          # which frame is the LiDAR's
-    transforms:               # what no other file says; parent_from_child
+    ego: base_link            # the ego frame, if names are ambiguous
+    lidar: os_sensor          # the LiDAR's frame
+    transforms:               # transforms that no other file has; parent_from_child
       - {parent: base_link, child: os_sensor, translation_m: [0, 0, 0.9], rotation_wxyz: [1, 0, 0, 0]}
-    sensors:                  # which frame of the other files is which channel
+    sensors:                  # the frame of each channel in the other files
       CAM_FRONT: {frame: cam0, frame_id: cam_front_optical, width_px: 1920, height_px: 1200}
     footprint: {length_m: 1.06, width_m: 0.85}
     vehicle: {max_slope_deg: 20, max_step_m: 0.12, height_m: 1.6}
 
-**Conventions.** As in the native format. A sensor that is named here is of the calibration even if its frame's name
-says nothing; sensors that are not named stay, under the channel their frame's name gives.
+**Conventions.** As in the native format. A sensor named here belongs to the calibration even if its frame's name
+reveals nothing; other sensors stay, under the channel that their frame's name gives.
 """
 
 from pydantic import ValidationError
@@ -28,7 +28,7 @@ def is_rig(content: dict[str, object]) -> bool:
 
 
 def rig_document(document: Node) -> RigDocument:
-    """Raises `CAL-422`."""
+    """Read the document. Raises `CAL-422`."""
     try:
         return RigDocument.model_validate(document.value)
     except ValidationError as error:
@@ -36,7 +36,7 @@ def rig_document(document: Node) -> RigDocument:
 
 
 def rig_part(file: str, rig: RigDocument) -> CalibrationPart:
-    """The transforms and kinds the rig adds."""
+    """Return the transforms and kinds that the rig adds."""
     edges, findings = list[Edge](), Findings()
     for given in rig.transforms:
         transform, noticed = transform_of(given.child, None, given)

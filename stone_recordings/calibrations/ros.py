@@ -1,8 +1,8 @@
-"""ROS: camera_info files, CameraInfo messages as `ros2 topic echo` prints them, tf_static likewise, and T_a__b files.
+"""ROS: camera_info files, CameraInfo messages as printed by `ros2 topic echo`, tf_static likewise, and T_a__b files.
 
-**Conventions.** `camera_info` (camera_calibration's YAML) says how one camera projects and never where it sits; its
-`camera_name` is taken for its frame. A TF transform, and `T_a__b`, are `a_from_b`. TF quaternions are written by key,
-so their order is never in doubt.
+**Conventions.** `camera_info` (camera_calibration's YAML) contains one camera's intrinsics and never its pose; its
+`camera_name` serves as its frame. A TF transform, and `T_a__b`, are `a_from_b`. TF quaternions are written by key, so
+their order is certain.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ def is_camera_info(content: dict[str, object]) -> bool:
 
 
 def camera_info(document: Node, stem: str) -> CalibrationPart:
-    """The lens of one camera, called as its `camera_name`, else as the file (`stem`)."""
+    """Return the lens of one camera, named by its `camera_name`, else by the file (`stem`)."""
     name = document.at("camera_name").text() if document.has("camera_name") else stem
     size_px = (document.at("image_width").whole(), document.at("image_height").whole())
     matrix = document.at("camera_matrix").at("data").matrix(3, 3)
@@ -33,7 +33,7 @@ def is_camera_info_message(content: dict[str, object]) -> bool:
 
 
 def camera_info_message(document: Node, stem: str) -> CalibrationPart:
-    """The same from a message, called as its `header.frame_id`, which is the optical frame."""
+    """Return the lens from a message, named by its `header.frame_id`, which is the optical frame."""
     header = document.at("header") if document.has("header") else None
     name = header.at("frame_id").text().lstrip("/") if header is not None else stem
     text = LensText(document.file, name, _model(document), distortion_of(document.at("d")))
@@ -52,7 +52,7 @@ def is_matrices(content: dict[str, object]) -> bool:
 
 
 def matrices(document: Node) -> CalibrationPart:
-    """`T_base_link__camera_front: {rows: 4, cols: 4, data: [...]}` for each pair of frames."""
+    """Return a part from `T_base_link__camera_front: {rows: 4, cols: 4, data: [...]}` for each pair of frames."""
     edges, findings = [], Findings()
     for key, node in document.entries().items():
         parent, _, child = key.removeprefix(MATRIX_PREFIX).partition(BETWEEN)
@@ -64,7 +64,7 @@ def matrices(document: Node) -> CalibrationPart:
 
 
 def tf_message(documents: list[Node]) -> CalibrationPart:
-    """All transforms of the messages; of a pair that is published twice the last counts, as in tf2."""
+    """Return all transforms of the messages; if a pair is published twice the last counts, as in tf2."""
     edges, findings = dict[tuple[str, str], Edge](), Findings()
     for document in documents:
         for stamped in document.at("transforms").items():

@@ -1,9 +1,9 @@
 """URDF: a robot's links and the joints between them, whose origins are the extrinsics.
 
 **Conventions.** A joint's `origin` is `parent_from_child` with the joint at zero, metres, and rpy about fixed axes: the
-rotation is Rz(yaw) · Ry(pitch) · Rx(roll). Movable joints are read at zero, with a finding. Names of frames
-show their sensors, as in tf_static. XML is hostile: no document type, no entities, bounded depth and number of joints.
-What xacro has not expanded is refused with the command that does. Source: wiki.ros.org/urdf/XML/joint.
+rotation is Rz(yaw) · Ry(pitch) · Rx(roll). Movable joints are read at zero, with a finding. Names of frames reveal
+their sensors, as in tf_static. XML is hostile: no document type, no entities, bounded depth and number of joints.
+Unexpanded xacro is refused with the command that expands it. Source: wiki.ros.org/urdf/XML/joint.
 """
 
 from shlex import quote
@@ -28,7 +28,7 @@ def is_urdf(content: bytes) -> bool:
 
 
 def urdf(file: str, content: bytes) -> CalibrationPart:
-    """The tree of links. Raises `CAL-450` (no XML, a document type, too deep), `CAL-451` (xacro), `CAL-422`."""
+    """Return the tree of links. Raises `CAL-450` (no XML, a document type, too deep), `CAL-451` (xacro), `CAL-422`."""
     joints = _joints(file, content)
     edges, findings, parents = list[Edge](), Findings(), dict[str, str]()
     movable = [joint["name"] for joint in joints if joint.get("type", "fixed") != "fixed"]
@@ -49,7 +49,7 @@ def urdf(file: str, content: bytes) -> CalibrationPart:
 
 
 class _Reader:
-    """The joints of a robot, as expat calls its methods; each with name, type, parent, child, xyz, rpy."""
+    """Collects the joints of a robot in expat's callbacks; each with name, type, parent, child, xyz, rpy."""
 
     def __init__(self, file: str) -> None:
         self.file, self.joints, self.path, self.elements = file, list[Attributes](), list[str](), 0
@@ -96,7 +96,7 @@ def _joints(file: str, content: bytes) -> list[Attributes]:
         parser.Parse(content, True)
     except expat.ExpatError as error:
         raise bad_xml(file, f"{expat.ErrorString(error.code)} on line {error.lineno}") from None
-    except (ValueError, LookupError, UnicodeError) as error:  # an encoding that it names and nobody knows
+    except (ValueError, LookupError, UnicodeError) as error:  # an encoding with an unknown name
         raise bad_xml(file, str(error)[:80]) from None
     if not reader.joints:
         raise bad_xml(file, "it has no joint, so it places no sensor")

@@ -23,7 +23,7 @@ def is_visual_lidar(content: dict[str, object]) -> bool:
 
 
 def visual_lidar(document: Node) -> CalibrationPart:
-    """The camera, its lens without a size, and where it sits on the LiDAR. Raises `CAL-424`, `CAL-427`."""
+    """Return the camera, its lens without a size, and its pose on the LiDAR. Raises `CAL-424`, `CAL-427`."""
     results = document.at("results") if document.has("results") else None
     if results is None or not results.has("T_lidar_camera"):
         missing = "it has no T_lidar_camera (the initial guess alone?)"

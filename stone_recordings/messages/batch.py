@@ -85,13 +85,13 @@ def are_turns(norms: NDArray[np.float64]) -> NDArray[np.bool_]:
 
     None are if most are angles, whose norms differ, although one of them may be 1.
     """
-    told = norms[norms >= LEAST_ANGLES]
-    if not len(told):
+    known = norms[norms >= LEAST_ANGLES]
+    if not len(known):
         return np.zeros(len(norms), np.bool_)
-    usual = float(np.median(told))
-    is_scaled = float((np.abs(told - usual) <= ONE_SCALE * usual).mean()) >= 0.5
+    usual = float(np.median(known))
+    is_scaled = float((np.abs(known - usual) <= ONE_SCALE * usual).mean()) >= 0.5
     is_turn = np.abs(norms / (usual if is_scaled else 1.0) - 1.0) <= MOST_OFF_NORM
-    return np.asarray(is_turn & (2 * int(is_turn.sum()) >= len(told)))
+    return np.asarray(is_turn & (2 * int(is_turn.sum()) >= len(known)))
 
 
 def refused_finding(topic: str, refused_ns: NDArray[np.int64], reason: str) -> tuple[Finding, ...]:

@@ -220,8 +220,8 @@ def debayered(mosaic: NDArray[np.uint8], pattern: str) -> NDArray[np.uint8]:
     picture = np.empty((*mosaic.shape, 3), np.uint8)
     for channel, colour in enumerate(CHANNELS):
         known = np.zeros(mosaic.shape, np.uint16)
-        for place, name in enumerate(pattern):
-            known[place // 2 :: 2, place % 2 :: 2] = name == colour
+        for index, name in enumerate(pattern):
+            known[index // 2 :: 2, index % 2 :: 2] = name == colour
         weights = _spread(known)
         sums = _spread(known * mosaic)
         # A picture of one row or column may lack a colour altogether: it stays 0 there.
@@ -233,8 +233,8 @@ def binned(mosaic: NDArray[np.uint8], pattern: str) -> NDArray[np.uint8]:
     """Return (H // 2, W // 2, 3): every 2 × 2 pixels become one, green the mean of its two; for previews."""
     height, width = (size - size % 2 for size in mosaic.shape)
     sums = np.zeros((height // 2, width // 2, 3), np.uint16)
-    for place, name in enumerate(pattern):
-        sums[..., CHANNELS.index(name)] += mosaic[place // 2 : height : 2, place % 2 : width : 2]
+    for index, name in enumerate(pattern):
+        sums[..., CHANNELS.index(name)] += mosaic[index // 2 : height : 2, index % 2 : width : 2]
     return (sums // np.array([1, 2, 1], np.uint16)).astype(np.uint8)
 
 

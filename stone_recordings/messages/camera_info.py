@@ -53,7 +53,7 @@ def decode_camera_info(messages: Iterable[StampedMessage], schema: str = "") -> 
     first_rows: dict[tuple[object, ...], int] = {}
     for row, key in enumerate(keys):
         first_rows.setdefault(key, row)
-    places = {key: place for place, key in enumerate(first_rows)}
+    places = {key: index for index, key in enumerate(first_rows)}
     which = np.array([places[key] for key in keys], np.int64)
     return CameraInfoSamples(table.stamps_ns(), which, tuple(_info(table, row) for row in first_rows.values()))
 

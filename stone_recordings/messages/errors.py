@@ -27,9 +27,9 @@ class DefinitionRefusedError(IngestError):
 class LidarPacketError(IngestError):
     """LiDAR packets are of an unsupported model, or damaged."""
 
-    def __init__(self, type_name: str, found: str, instead: str) -> None:
+    def __init__(self, type_name: str, model: str, instead: str) -> None:
         super().__init__(
             "MSG-313",
-            f"{type_name}: its packets are of {found}; decoded are VLP-16, VLP-32C, VLS-128, Pandar40P and OT128: "
+            f"{type_name}: its packets are of {model}; decoded are VLP-16, VLP-32C, VLS-128, Pandar40P and OT128: "
             f"{instead}",
         )

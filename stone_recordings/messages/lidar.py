@@ -122,9 +122,9 @@ def small_wholes(column: NDArray[Any], kept: NDArray[np.int32], last: int, value
     """Set `values[i] = column[kept[i]]`; return False, with `values` unfinished, at the first that is not a whole
     0…last.
     """
-    for place in range(len(kept)):
-        value = column[kept[place]]
+    for index in range(len(kept)):
+        value = column[kept[index]]
         if not (value >= 0 and value <= last) or value != np.floor(value):
             return False
-        values[place] = np.uint16(value)
+        values[index] = np.uint16(value)
     return True

@@ -49,8 +49,8 @@ def decode_odometry(messages: Iterable[StampedMessage], type_name: str = TYPE) -
     Raises: MessageLayoutError, ByteOrderError, `MSG-304` (two sources on one topic), and PoseValueError if no message
     holds a pose.
     """
-    place, named = POSE_PLACES[type_name], (CHILD,) if type_name == TYPE else ()
-    table = decode_table(type_name, messages, only=(*STAMP, "header.frame_id", *named, place))
+    path, named = POSE_PLACES[type_name], (CHILD,) if type_name == TYPE else ()
+    table = decode_table(type_name, messages, only=(*STAMP, "header.frame_id", *named, path))
     parents = table.texts("header.frame_id")
     pairs = list(zip(parents, table.texts(CHILD) if named else [""] * len(parents), strict=True))
     counts = Counter(pairs).most_common()
@@ -59,11 +59,11 @@ def decode_odometry(messages: Iterable[StampedMessage], type_name: str = TYPE) -
         raise mixed_frames(type_name, tuple(f"{parent} → {child}" for parent, child in sorted(dict(counts))))
     parent, child = counts[0][0] if counts else ("", "")
     own = np.array([row for row, pair in enumerate(pairs) if pair == (parent, child)], np.int64)
-    places_m, turns = table.vectors(f"{place}.position"), table.vectors(f"{place}.orientation", "xyzw")
-    found = poses_in(places_m[own], turns[own], type_name)
+    places_m, turns = table.vectors(f"{path}.position"), table.vectors(f"{path}.orientation", "xyzw")
+    decoded = poses_in(places_m[own], turns[own], type_name)
     stamps_ns = table.stamps_ns()[own]
-    told = (parent, child, stamps_ns[found.refused], found.reason, others)
-    return OdometrySamples(stamps_ns[found.rows], found.poses, *told)
+    described = (parent, child, stamps_ns[decoded.refused], decoded.reason, others)
+    return OdometrySamples(stamps_ns[decoded.rows], decoded.poses, *described)
 
 
 def other_frames_finding(topic: str, samples: OdometrySamples) -> tuple[Finding, ...]:

@@ -94,13 +94,13 @@ def point_times(
     points: NDArray[np.void], kept: NDArray[np.int32], stamp_ns: int, clock: PointClock | None = None
 ) -> PointTimes:
     """Return the times of `points[kept]` by the first nominated field whose values are times."""
-    found = PointTimes(None, NO_TIMES)
+    times = PointTimes(None, NO_TIMES)
     for name in time_names(points):
         if len(kept):
-            found = offsets_from_values(points[name], kept, stamp_ns, clock)
-        if found.offset_ns is not None:
+            times = offsets_from_values(points[name], kept, stamp_ns, clock)
+        if times.offset_ns is not None:
             break
-    return found
+    return times
 
 
 def time_names(points: NDArray[np.void]) -> list[str]:
@@ -119,7 +119,7 @@ def offsets_from_values(
     (least, last), core = span(column, kept), core_of(column, kept)
     units = units_of(core, last - least)
     readings = (_reading(column, core, unit_ns, stamp_ns, clock) for unit_ns in units)
-    read = next((one for one in readings if one is not None), None)
+    read = next((each for each in readings if each is not None), None)
     if read is None:
         return PointTimes(None, _unread(column, core, stamp_ns, ANOTHER_CLOCK if units else NO_TIMES))
     unit_ns = read.unit_ns
@@ -151,8 +151,8 @@ def core_of(column: NDArray[Any], kept: NDArray[np.int32]) -> Core:
 def units_of(core: Core, length: float) -> tuple[int, ...]:
     """Return the units in ns in which the core has a sweep's duration; `length` is that of all values."""
     lengths = (length,) if length <= MOST_CORES * core.length else (core.length / CORE_SHARE, length)
-    found = (unit for one in lengths for unit in UNITS_NS if LEAST_SWEEP_NS < one * unit <= LAST_SWEEP_NS)
-    return tuple(dict.fromkeys(found)) if core.length else ()
+    units = (unit for duration in lengths for unit in UNITS_NS if LEAST_SWEEP_NS < duration * unit <= LAST_SWEEP_NS)
+    return tuple(dict.fromkeys(units)) if core.length else ()
 
 
 def reach_of(core: Core, unit_ns: int) -> float:
@@ -279,8 +279,8 @@ def scaled(
     column: NDArray[Any], kept: NDArray[np.int32], whole: float, unit_ns: float, offset_ns: NDArray[np.int64]
 ) -> None:
     """Set `offset_ns[i] = round((column[kept[i]] − whole) · unit_ns)`, half to even."""
-    for place in range(len(kept)):
-        offset_ns[place] = np.int64(np.rint((np.float64(column[kept[place]]) - whole) * unit_ns))
+    for index in range(len(kept)):
+        offset_ns[index] = np.int64(np.rint((np.float64(column[kept[index]]) - whole) * unit_ns))
 
 
 @njit(cache=True, nogil=True)
@@ -291,18 +291,18 @@ def placed(column, kept, how, limits, offset_ns):  # type: ignore[no-untyped-def
     """
     base, unit_ns, period, is_wrapped = how
     wrapped = 0
-    for place in range(len(kept)):
-        value = np.float64(column[kept[place]])
+    for index in range(len(kept)):
+        value = np.float64(column[kept[index]])
         as_read = unwrapped(value) if is_wrapped else value
         distance = as_read - base
         if period > 0 and 0 <= value <= period:
             distance -= period * np.rint(distance / period)
         distance *= unit_ns
         if limits[0] <= distance <= limits[1]:
-            offset_ns[place] = np.int64(np.rint(distance))
+            offset_ns[index] = np.int64(np.rint(distance))
             wrapped += as_read != value
         else:
-            offset_ns[place] = UNTIMED
+            offset_ns[index] = UNTIMED
     return wrapped
 
 
@@ -312,20 +312,20 @@ def fill(offset_ns, tolerance_ns):  # type: ignore[no-untyped-def]
     ones.
     """
     pairs = agreeing = filled = 0
-    for place in range(1, len(offset_ns)):
-        if offset_ns[place] != UNTIMED and offset_ns[place - 1] != UNTIMED:
+    for index in range(1, len(offset_ns)):
+        if offset_ns[index] != UNTIMED and offset_ns[index - 1] != UNTIMED:
             pairs += 1
-            agreeing += abs(offset_ns[place] - offset_ns[place - 1]) <= tolerance_ns
+            agreeing += abs(offset_ns[index] - offset_ns[index - 1]) <= tolerance_ns
     if pairs == 0 or agreeing < LEAST_ORDERED * pairs:
         return filled
     last = -1
-    for place in range(len(offset_ns)):
-        if offset_ns[place] == UNTIMED:
+    for index in range(len(offset_ns)):
+        if offset_ns[index] == UNTIMED:
             continue
-        if 0 <= last < place - 1 and abs(offset_ns[place] - offset_ns[last]) <= tolerance_ns:
-            step = (offset_ns[place] - offset_ns[last]) / (place - last)
-            for between in range(last + 1, place):
+        if 0 <= last < index - 1 and abs(offset_ns[index] - offset_ns[last]) <= tolerance_ns:
+            step = (offset_ns[index] - offset_ns[last]) / (index - last)
+            for between in range(last + 1, index):
                 offset_ns[between] = offset_ns[last] + np.int64(step * (between - last))
                 filled += 1
-        last = place
+        last = index
     return filled

@@ -251,8 +251,10 @@ def _rows(layout: _CloudLayout) -> _Rows:
             f"{height} rows of {width} points of {step} bytes are {height * width * step}, or {height * row_step} by "
             f"row_step {row_step}; data has {data_bytes}"
         )
-    said = f"{', '.join(wrong)} against {data_bytes} bytes of data" if wrong else ""
-    return _Rows(height, width, record, row_step, "; ".join(one for one in (said, ignored) if one))
+    contradiction = f"{', '.join(wrong)} against {data_bytes} bytes of data" if wrong else ""
+    return _Rows(
+        height, width, record, row_step, "; ".join(sentence for sentence in (contradiction, ignored) if sentence)
+    )
 
 
 def _point_step(layout: _CloudLayout) -> int:
@@ -261,12 +263,12 @@ def _point_step(layout: _CloudLayout) -> int:
     A larger size that holds every field means more points, not a larger step.
     """
     points, step = layout.height * layout.width, layout.point_step
-    ends = {one.name: _end_of(one) for one in layout.fields if one.datatype in FORMATS}
+    ends = {item.name: _end_of(item) for item in layout.fields if item.datatype in FORMATS}
     least = max((end for name, end in ends.items() if name in PLACE_NAMES), default=1)
     if not points or points * step == layout.data_bytes or layout.data_bytes % points:
         return step
-    told = layout.data_bytes // points
-    if step >= max(ends.values(), default=1) and told > step and layout.data_bytes % step == 0:
+    implied = layout.data_bytes // points
+    if step >= max(ends.values(), default=1) and implied > step and layout.data_bytes % step == 0:
         return step
-    is_told = step < least or layout.row_step == layout.width * told
-    return told if least <= told <= MOST_STEP_BYTES and is_told else step
+    is_told = step < least or layout.row_step == layout.width * implied
+    return implied if least <= implied <= MOST_STEP_BYTES and is_told else step

@@ -111,15 +111,15 @@ def readable(
     Then the error of `read` is more precise. Halves are tried separately, so that a few invalid messages cost little.
     """
     listed = list(messages)
-    found = _unreadable(listed, read, 0)
-    if not found or len(found) == len(listed):
+    problems = _unreadable(listed, read, 0)
+    if not problems or len(problems) == len(listed):
         return listed, ()
-    first = min(found)
+    first = min(problems)
     sentence = (
-        f"{len(found)} of {len(listed)} messages cannot be read and are left out (the first is number {first}: "
-        f"{found[first]})"
+        f"{len(problems)} of {len(listed)} messages cannot be read and are left out (the first is number {first}: "
+        f"{problems[first]})"
     )
-    good = [message for at, message in enumerate(listed) if at not in found]
+    good = [message for at, message in enumerate(listed) if at not in problems]
     return good, (Finding("MSG-311", "warning", topic, sentence),)
 
 
@@ -129,13 +129,13 @@ def left_out_finding(
     """Return MSG-311 for messages of a topic that are left out, () for none; `stamps_ns` are those of all its
     messages.
     """
-    told = {at: problem for at, problem in problems.items() if problem.code != DAMAGED}
-    if not told:
+    undamaged = {at: problem for at, problem in problems.items() if problem.code != DAMAGED}
+    if not undamaged:
         return ()
-    first = min(told)
+    first = min(undamaged)
     sentence = (
-        f"{len(told)} of {len(stamps_ns)} messages are left out "
-        f"(the first at {int(stamps_ns[first])} ns: {told[first].reason})"
+        f"{len(undamaged)} of {len(stamps_ns)} messages are left out "
+        f"(the first at {int(stamps_ns[first])} ns: {undamaged[first].reason})"
     )
     return (Finding("MSG-311", "warning", topic, sentence),)
 

@@ -100,11 +100,11 @@ def points_problem(head: memoryview, type_name: str, size_bytes: Callable[[], in
 def packet_cloud(payload: memoryview, type_name: str) -> PacketCloud:
     """Decode a message of one of PACKET_TYPES. Raises: MessageLayoutError, ByteOrderError, LidarPacketError."""
     scan = packet_scan(payload, type_name)
-    kinds = [(model, layout_of(one)) if (model := model_of(one)) else None for one in scan.packets]
-    kind = next((one for one in kinds if one), None)
+    kinds = [(model, layout_of(packet)) if (model := model_of(packet)) else None for packet in scan.packets]
+    kind = next((packet for packet in kinds if packet), None)
     if kind is None:
         raise refused(scan.packets[0] if scan.packets else memoryview(b""), type_name)
-    rows = [row for row, one in enumerate(kinds) if one == kind]
+    rows = [row for row, packet in enumerate(kinds) if packet == kind]
     packets = [scan.packets[row] for row in rows]
     points = records_of(_returns(packets, kind[0], scan.stamps_ns[rows]), scan.stamp_ns)
     return PacketCloud(Cloud(scan.stamp_ns, scan.frame_id, points), kind[0], len(kinds), len(kinds) - len(rows))

@@ -42,20 +42,20 @@ def decode_transforms(messages: Iterable[StampedMessage]) -> tuple[TransformSamp
     stamps_ns += _numbers(table, "header.stamp.nanosec")
     translations = np.stack([_numbers(table, f"transform.translation.{axis}") for axis in "xyz"], axis=1)
     rotations = np.stack([_numbers(table, f"transform.rotation.{axis}") for axis in "xyzw"], axis=1)
-    found = poses_in(translations, rotations, TYPE)
+    poses = poses_in(translations, rotations, TYPE)
     pairs = sorted(_rows_of_pairs(table).items())
-    every = (_samples(pair, np.array(rows), stamps_ns, found) for pair, rows in pairs)
+    every = (_samples(pair, np.array(rows), stamps_ns, poses) for pair, rows in pairs)
     return tuple(samples for samples in every if len(samples.stamps_ns))
 
 
 def _samples(
-    pair: tuple[str, str], rows: NDArray[np.int64], stamps_ns: NDArray[np.int64], found: Poses
+    pair: tuple[str, str], rows: NDArray[np.int64], stamps_ns: NDArray[np.int64], poses: Poses
 ) -> TransformSamples:
     """Return the samples of one pair, whose transforms are these rows of all."""
-    is_pose = np.isin(rows, found.rows)
-    own = found.poses[np.searchsorted(found.rows, rows[is_pose])]
+    is_pose = np.isin(rows, poses.rows)
+    own = poses.poses[np.searchsorted(poses.rows, rows[is_pose])]
     refused_ns = stamps_ns[rows[~is_pose]]
-    return TransformSamples(*pair, stamps_ns[rows[is_pose]], own, refused_ns, found.reason if len(refused_ns) else "")
+    return TransformSamples(*pair, stamps_ns[rows[is_pose]], own, refused_ns, poses.reason if len(refused_ns) else "")
 
 
 def _numbers(table: MessageTable, name: str) -> NDArray[Any]:

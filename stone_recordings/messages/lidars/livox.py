@@ -33,12 +33,12 @@ def livox_cloud(payload: memoryview, type_name: str) -> Cloud:
     timebase_ns, count = _to_points(cursor)
     start = cursor.take(_size_bytes(count), 4)
     cursor.end()
-    found = np.ndarray((count,), CUSTOM_POINT, payload, start, (STEP_BYTES,))
+    records = np.ndarray((count,), CUSTOM_POINT, payload, start, (STEP_BYTES,))
     points = np.empty(count, POINT)
     for name, theirs in (("x", "x"), ("y", "y"), ("z", "z"), ("intensity", "reflectivity"), ("ring", "line")):
-        points[name] = found[theirs]
+        points[name] = records[theirs]
     late_ns = timebase_ns - stamp_ns
-    points["time_stamp"] = found["offset_time"]
+    points["time_stamp"] = records["offset_time"]
     points["time_stamp"] += late_ns if abs(late_ns) <= NEAR_NS else 0
     return Cloud(stamp_ns, frame_id, points)
 

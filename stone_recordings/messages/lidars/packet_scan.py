@@ -72,7 +72,9 @@ def packet_scan(payload: memoryview, type_name: str) -> PacketScan:
         raise MessageLayoutError(type_name, f"{count} packets in one scan, the limit is {MOST_PACKETS}")
     parts = [(cursor.stamp_ns(), read(cursor)) for _ in range(count)]
     cursor.end()
-    return PacketScan(stamp_ns, frame_id, np.array([at for at, _ in parts], np.int64), tuple(one for _, one in parts))
+    return PacketScan(
+        stamp_ns, frame_id, np.array([at for at, _ in parts], np.int64), tuple(packet for _, packet in parts)
+    )
 
 
 def first_packet(head: memoryview, type_name: str) -> memoryview | None:

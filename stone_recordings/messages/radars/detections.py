@@ -63,11 +63,11 @@ class RadarDetections:
 
     def of(self, scan: int) -> "RadarDetections":
         """Return one scan, as a table of N = 1. Raises IndexError beyond the last."""
-        place = range(len(self))[scan]
-        rows = slice(int(self.offsets[place]), int(self.offsets[place + 1]))
-        own = None if self.sensor_stamps_ns is None else self.sensor_stamps_ns[place : place + 1]
+        index = range(len(self))[scan]
+        rows = slice(int(self.offsets[index]), int(self.offsets[index + 1]))
+        own = None if self.sensor_stamps_ns is None else self.sensor_stamps_ns[index : index + 1]
         return RadarDetections(
-            self.stamps_ns[place : place + 1],
+            self.stamps_ns[index : index + 1],
             np.array([0, rows.stop - rows.start], np.int64),
             self.azimuth_rad[rows],
             self.elevation_rad[rows],

@@ -94,7 +94,7 @@ def detection_lists(messages: Iterable[StampedMessage], schema: str = "") -> Det
         raise MessageLayoutError(TYPE, "its definition does not declare packets.data as bytes")
     rows = np.repeat(np.arange(table.count), np.diff(packets.offsets))
     ours = _detection_packets(offsets, content)
-    raw = [content[offsets[place] : offsets[place + 1]] for place in ours]
+    raw = [content[offsets[index] : offsets[index + 1]] for index in ours]
     lists = np.frombuffer(b"".join(part.tobytes() for part in raw), DETECTION_LIST)
     if len(lists) and lists["number_of_detections"].max() > PLACES:
         raise packet_refusal(
@@ -111,14 +111,14 @@ def _detection_packets(offsets: NDArray[np.int64], content: NDArray[np.uint8]) -
         for start, size in zip(offsets[:-1].tolist(), sizes.tolist(), strict=True)
     ]
     ours = []
-    for place, head in enumerate(heads):
+    for index, head in enumerate(heads):
         if head is None or head["service_id"] != 0 or head["method_id"] != DETECTION_METHOD:
             continue
-        if sizes[place] != DETECTION_LIST.itemsize or head["length"] != DETECTION_LIST.itemsize - HEADER.itemsize:
+        if sizes[index] != DETECTION_LIST.itemsize or head["length"] != DETECTION_LIST.itemsize - HEADER.itemsize:
             raise packet_refusal(
-                f"a detection list of {sizes[place]} bytes declares {head['length']}; it has {DETECTION_LIST.itemsize}"
+                f"a detection list of {sizes[index]} bytes declares {head['length']}; it has {DETECTION_LIST.itemsize}"
             )
-        ours.append(place)
+        ours.append(index)
     return ours
 
 

@@ -154,7 +154,7 @@ def _measured_each(
     for row in rows.tolist():
         payload = payloads[row]
         _layout, places = measure(payload)
-        key = b"".join(bytes(payload[place : place + 4]) for place in (0, *places))
+        key = b"".join(bytes(payload[offset : offset + 4]) for offset in (0, *places))
         by_lengths.setdefault(key, []).append(row)
     for listed in by_lengths.values():
         alike = np.array(listed, np.int64)

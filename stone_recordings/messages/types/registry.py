@@ -149,10 +149,10 @@ def _difference(known: Mapping[str, tuple[Field, ...]], types: Mapping[str, tupl
         if name not in known or known[name] == fields:
             continue
         ours = known[name]
-        place = next((i for i, pair in enumerate(zip(ours, fields, strict=False)) if pair[0] != pair[1]), None)
-        if place is None:
+        index = next((i for i, pair in enumerate(zip(ours, fields, strict=False)) if pair[0] != pair[1]), None)
+        if index is None:
             return f"{name} has {len(fields)} fields, {len(ours)} are known"
-        return f"{name} has {_line(fields[place])!r} where {_line(ours[place])!r} is known"
+        return f"{name} has {_line(fields[index])!r} where {_line(ours[index])!r} is known"
     return ""
 
 

@@ -71,8 +71,8 @@ class _Pen:
                 at = self.cursor.take(node.size_bytes, node.code.itemsize)
                 self.sketch.pieces.append(PayloadPiece(node, above, at))
             elif isinstance(node, TextNode):
-                place, size = self.cursor.length()
-                self.sketch.lengths.append(place)
+                offset, size = self.cursor.length()
+                self.sketch.lengths.append(offset)
                 self.sketch.pieces.append(PayloadPiece(node, above, self.cursor.take(size), None, size))
             else:
                 self._repeat(node, above)
@@ -80,8 +80,8 @@ class _Pen:
     def _repeat(self, node: Repeat, above: tuple[int, ...]) -> None:
         count = node.length
         if count is None:
-            place, count = self.cursor.length()
-            self.sketch.lengths.append(place)
+            offset, count = self.cursor.length()
+            self.sketch.lengths.append(offset)
         self.cursor.bounded(count, node.least_bytes)
         self.sketch.counts.setdefault(node.name, []).append((above, count))
         if node.is_flat:

@@ -57,8 +57,8 @@ class MessageTable:
         column = self._column(name)
         shape = () if length is None else (length,)
         if not isinstance(column, np.ndarray) or column.shape[1:] != shape or column.dtype.kind not in kinds:
-            one, many = ("a number", "numbers") if "f" in kinds else ("an integer", "integers")
-            kind = one if length is None else f"an array of {length} {many}"
+            single, many = ("a number", "numbers") if "f" in kinds else ("an integer", "integers")
+            kind = single if length is None else f"an array of {length} {many}"
             raise MessageLayoutError(self.type_name, f"its definition does not declare {name} as {kind}")
         return column
 
