@@ -1,8 +1,7 @@
 """Opens a recording of any container, and reads its messages by topic in log-time order.
 
-**Conventions.** Log time is integer nanoseconds. A payload is the whole CDR message, its 4-byte header included (of
-ROS 1 what its message is in CDR), and stays valid after the bag is closed. `index` counts within the topic, in log-time
-order.
+**Conventions.** Log time is integer nanoseconds. A payload is the whole CDR message with its 4-byte header (for ROS 1
+the message as CDR), and stays valid after the bag is closed. `index` counts within the topic, in log-time order.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -29,7 +28,7 @@ from stone_recordings.messages.types.definitions_beside import described
 
 __all__ = ["Bag", "MessageStore", "RawMessage", "Topic", "open_bag"]
 
-UNKNOWN_SIZE = 2**63 - 1  # more than any message has: nothing that is declared contradicts it
+UNKNOWN_SIZE = 2**63 - 1  # more than any message has: no declaration contradicts it
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +50,11 @@ class Bag:
     ) -> None:
         topics, noticed = described(store.topics, path) if path.is_dir() else (store.topics, ())
         self.path, self.topics = path, topics
-        """Every topic that is declared, by name; `count` may be 0."""
+        """Every declared topic, by name; `count` may be 0."""
         self.recordings = tuple(
             RecordingClock(member.name, member.offset_ns, member.sigma_ns, member.known_by) for member in members
         )
-        """Those that were joined; () for one alone."""
+        """The joined recordings; () for a single recording."""
         self.findings = (*findings, *store.findings, *noticed)
         self._store = store
         self._topics = {topic.name: topic for topic in topics}
@@ -72,48 +71,50 @@ class Bag:
         self._store.close()
 
     def release(self) -> None:
-        """Give back what can be had again; it is read on as before."""
+        """Release memory and files that can be loaded again; reading continues as before."""
         self._store.release()
 
     def believe(self) -> None:
-        """Take it from now on that nothing is damaged: `heads` checks nothing and `damaged` names nothing, which spares
-        reading everything first. What a message read later lies in is checked all the same, and `damaged_beside` looks
-        at the rest."""
+        """Assume that nothing is damaged: `heads` checks nothing and `damaged` is empty, which avoids reading
+        everything first. The container of a message that is read later is checked all the same, and `damaged_beside`
+        checks the rest.
+        """
         self.is_believed = True
 
     def read_sparingly(self) -> None:
-        """Believe the recording, and read of it no more than messages that are asked for: it is far away, and most of
-        its bytes are pictures. The checksum of a chunk that is not compressed is then checked only with a message that
-        is most of it."""
+        """Assume that the recording is sound, and read only requested messages: it is far away, and most of its bytes
+        are pictures. The checksum of an uncompressed chunk is then checked only with a message that is most of the
+        chunk.
+        """
         self.believe()
         self._store.read_sparingly()
 
     @property
     def is_indexed(self) -> bool:
-        """False where the recording had no usable index and had to be walked."""
+        """False if the recording had no usable index and was walked."""
         return self._store.is_indexed
 
     @cached_property
     def damaged(self) -> Mapping[str, Mapping[int, str]]:
-        """By topic and index, the messages that lie in damaged chunks, and why; what they carry is not to be had.
+        """By topic and index, the messages in damaged chunks, and the reason; their content is lost.
 
-        Asked for the first time it reads whatever has a checksum or is compressed. Once it was asked, `heads` passes
-        these messages over; `message` and `messages` refuse them always. Empty of a recording that is believed.
+        The first access reads everything with a checksum or compression. After it, `heads` skips these messages;
+        `message` and `messages` always refuse them. Empty for a recording that is assumed to be sound.
         """
         return {} if self.is_believed else self._store.damaged()
 
     def damaged_beside(self, messages: Messages) -> Mapping[str, Mapping[int, str]]:
-        """As `damaged`, but that what these messages lie in is not looked at: whoever reads them checks it."""
+        """Return `damaged`, without checking the containers of these messages: reading them checks them."""
         return self._store.damaged(messages)
 
     def size_bytes(self, topic: str, index: int) -> int:
-        """Of a message whose head was just given, so that it costs little; `UNKNOWN_SIZE` where it is packed."""
+        """Return the size of a message whose head was just yielded, cheaply; `UNKNOWN_SIZE` if it is packed."""
         self._check_readable(topic)
         return UNKNOWN_SIZE if topic in self._packed else self._store.size_bytes(topic, index)
 
     @property
     def damage_findings(self) -> tuple[Finding, ...]:
-        """BAG-016 for each topic with damaged messages."""
+        """Return BAG-016 for each topic with damaged messages."""
         return tuple(
             Finding("BAG-016", "warning", topic, _damage(reasons, self._topics[topic].count))
             for topic, reasons in sorted(self.damaged.items())
@@ -130,19 +131,19 @@ class Bag:
         return max((int(times[-1]) for times in self._all_times()), default=0)
 
     def type_of(self, topic: str) -> str:
-        """The type of a topic's messages. Raises: `BAG-015`."""
+        """Return the type of a topic's messages. Raises: `BAG-015`."""
         self._check_known(topic)
         return self._topics[topic].type
 
     def log_times_ns(self, topic: str) -> NDArray[np.int64]:
-        """Ascending log times (N,) of one topic."""
+        """Return the ascending log times (N,) of one topic."""
         self._check_known(topic)
         return self._store.log_times_ns(topic)
 
     def messages(self, topic: str, start: int = 0, stop: int | None = None) -> Iterator[RawMessage]:
-        """Messages `start` to `stop` (half-open indices within the topic) in log-time order.
+        """Yield messages `start` to `stop` (half-open indices within the topic) in log-time order.
 
-        Raises: `BAG-015`, `BAG-014`, and where the container lies, its coded refusals.
+        Raises: `BAG-015`, `BAG-014`, and for a damaged container its coded refusals.
         """
         self._check_readable(topic)
         times = self._store.log_times_ns(topic)
@@ -150,26 +151,26 @@ class Bag:
             yield RawMessage(int(times[index]), index, self._payload(topic, index))
 
     def message(self, topic: str, index: int) -> RawMessage:
-        """One message; raises IndexError beyond the topic's count, else as `messages`."""
+        """Return one message; raises IndexError beyond the topic's count, else as `messages`."""
         self._check_readable(topic)
         times = self._store.log_times_ns(topic)
         position = range(len(times))[index]
         return RawMessage(int(times[position]), position, self._payload(topic, position))
 
     def payload(self, topic: str, index: int) -> memoryview:
-        """That of one message. Raises: as `message`."""
+        """Return the payload of one message. Raises: as `message`."""
         return self.message(topic, index).payload
 
     def heads(
         self, topics: Sequence[str], whole: Collection[str] = (), *, is_checked: bool = False
     ) -> Iterator[tuple[str, int, memoryview]]:
-        """(topic, index, payload) of all messages, in storage order, for a scan of their first bytes.
+        """Yield (topic, index, payload) of all messages, in storage order, for a scan of their first bytes.
 
-        A payload may end after `stone_recordings.bags.message_store.HEAD_BYTES`, except of the topics named in `whole`.
-        Every chunk is inflated once, whatever the number of topics; plain chunks are neither read whole nor checked,
-        databases not beyond the pages that hold the heads. Where it `is_checked`, chunks are read whole, those that are
-        damaged are passed over, and `damaged` reads none of them again; not of a recording that is believed.
-        Raises: as `messages`.
+        A payload may end after `stone_recordings.bags.message_store.HEAD_BYTES`, except for the topics in `whole`.
+        Every chunk is inflated once, whatever the number of topics. Plain chunks are neither read whole nor checked;
+        databases are read only up to the pages that hold the heads. If `is_checked`, chunks are read whole, damaged
+        ones are skipped, and `damaged` reads none of them again; this does not apply to a recording that is assumed to
+        be sound. Raises: as `messages`.
         """
         is_checked &= not self.is_believed
         for topic in topics:
@@ -182,7 +183,7 @@ class Bag:
         return unpacked(payload, self._where(topic, index)) if is_packed(payload) else payload
 
     def _head(self, topic: str, index: int, is_whole: bool) -> memoryview:
-        """Of a packed message, which is read whole: its first bytes alone may not unpack."""
+        """Return the head of a packed message, which is read whole, because its first bytes alone may not unpack."""
         self._packed.add(topic)
         unpack = unpacked if is_whole else unpacked_head
         return unpack(self._store.payload(topic, index), self._where(topic, index))
@@ -212,12 +213,12 @@ def _damage(reasons: Mapping[int, str], count: int) -> str:
 
 
 def open_bag(path: Path) -> Bag:
-    """Open an `.mcap`, `.db3` or ROS 1 `.bag` file, a folder of a split one, or one of several that were joined.
+    """Open an `.mcap`, `.db3` or ROS 1 `.bag` file, a folder of a split recording, or one of several joined recordings.
 
-    Split and joined bags are one recording; files and messages that were compressed by the recorder are unpacked as
-    they are read. What was noticed is in `findings` (BAG-021 … BAG-031, of joined bags SYN-520 … SYN-528).
-    Raises: FileNotFoundError, NotABagError (BAG-001), CutBagError (BAG-010), MalformedBagError (BAG-012),
-    `BAG-019`, JoinedFileError (BAG-040), `BAG-041` and the other `BAG-*` refusals.
+    Split and joined bags are one recording; files and messages that the recorder compressed are unpacked on reading.
+    `findings` are BAG-021 … BAG-031, for joined bags SYN-520 … SYN-528. Raises: FileNotFoundError, NotABagError
+    (BAG-001), CutBagError (BAG-010), MalformedBagError (BAG-012), `BAG-019`, JoinedFileError (BAG-040), `BAG-041` and
+    the other `BAG-*` refusals.
     """
     return _joined_bag(path) if is_joined(path) else _plain_bag(path)
 

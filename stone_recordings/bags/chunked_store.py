@@ -1,10 +1,9 @@
-"""What message stores of mapped files of chunks have in common: nothing is copied that is not compressed.
+"""The common part of message stores over mapped files of chunks: only compressed data is copied.
 
-**Conventions.** The file must not change while it is open (a mapped file that is cut raises SIGBUS). Payloads are
-views into the map or into an inflated chunk, or made of them, and keep it alive; `close` lets go of ours, the last view
-of theirs. Memory is the index (20 bytes a message) and the `KEPT_CHUNKS` chunks used last, for neighbours in time may
-lie in two; in a pass that checks chunks also the next `AHEAD_CHUNKS`, of at most `AHEAD_BYTES` each, which a thread
-inflates meanwhile.
+**Conventions.** The file must not change while it is open (cutting a mapped file raises SIGBUS). Payloads are views
+into the map or into an inflated chunk, or built from them, and keep it alive; `close` drops our reference. Memory is
+the index (20 bytes a message) and the `KEPT_CHUNKS` chunks used last, because neighbours in time may lie in two. A pass
+that checks chunks also holds the next `AHEAD_CHUNKS`, of at most `AHEAD_BYTES` each, which a thread inflates meanwhile.
 """
 
 import mmap
@@ -25,15 +24,17 @@ from stone_recordings.bags.message_places import Entries, in_storage_order, reac
 from stone_recordings.bags.message_store import NO_MESSAGES, Messages
 
 KEPT_CHUNKS = 2
-AHEAD_CHUNKS = 2  # with one, the thread would begin it when the pass waits for it: the interpreter's lock
+AHEAD_CHUNKS = (
+    2  # with one chunk, the thread would start it only when the pass waits for it, because of the interpreter's lock
+)
 AHEAD_BYTES = 32 * 2**20
-# Beyond this share of a chunk inflating it whole, at once and checked, costs no more than its head piece by piece.
+# Beyond this share of a chunk, inflating it whole, at once and checked, costs no more than its head piece by piece.
 MOST_HEAD_RATIO = 0.5
-FORGET_BYTES = 64 * 2**20  # how far to read on before giving back pages that may have been looked at late
+FORGET_BYTES = 64 * 2**20  # the bytes to read on before releasing pages, which may still be in use
 
 
 class MappedFile:
-    """A file in memory by its pages; `view` is what of it counts."""
+    """A file in memory by its pages; `view` is the part of it that counts."""
 
     def __init__(self, path: Path) -> None:
         with path.open("rb") as file:
@@ -42,12 +43,14 @@ class MappedFile:
         self.is_read_ahead = True
 
     def read_ahead(self, is_wanted: bool) -> None:
-        """Whether the kernel may read around what is looked at: up to megabytes, which whoever has an index spares."""
+        """Set whether the kernel may read ahead, up to megabytes; with an index this is not needed."""
         self.is_read_ahead = is_wanted
         self.map.madvise(mmap.MADV_NORMAL if is_wanted else mmap.MADV_RANDOM)
 
     def forget(self, start: int, stop: int) -> None:
-        """Give the pages of these bytes back: read again they cost a page fault, kept they count as our memory."""
+        """Release the pages of these bytes: reading them again costs a page fault, keeping them counts as our
+        memory.
+        """
         first = start - start % mmap.PAGESIZE
         self.map.madvise(mmap.MADV_DONTNEED, first, stop - first)
 
@@ -55,30 +58,30 @@ class MappedFile:
         self.forget(0, len(self.map))
 
     def expect(self, start: int, size_bytes: int) -> None:
-        """Have so many bytes read in one go."""
+        """Request this number of bytes in one read."""
         first = start - start % mmap.PAGESIZE
         self.map.madvise(mmap.MADV_WILLNEED, first, size_bytes)
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedMessages:
-    """The chunks of a file, and by topic where its messages lie, in log-time order."""
+    """The chunks of a file, and by topic the places of its messages, in log-time order."""
 
     chunks: Sequence[Chunk]
     entries: Mapping[str, Entries]
 
 
 class ChunkedStore(ABC):
-    """The part of a `MessageStore` that knows chunks, but not what a record looks like.
+    """The part of a `MessageStore` that handles chunks, independent of the record format.
 
-    `head_bytes` is how far into its record a message's head reaches.
+    `head_bytes` is the end of a message's head in its record.
     """
 
     head_bytes: int
 
     def __init__(self, file: MappedFile, placed: PlacedMessages) -> None:
         self._file, self._placed, self._entries = file, placed, placed.entries
-        file.forget_all()  # the indexes lie all over the file, and each brought its neighbours
+        file.forget_all()  # the indexes are spread over the file, and each one loaded its neighbours
         self._chunks: OrderedDict[int, memoryview] = OrderedDict()
         self._checked: set[int] = set()
         self._damaged: dict[int, str] = {}
@@ -90,16 +93,16 @@ class ChunkedStore(ABC):
 
     @abstractmethod
     def _found(self, view: memoryview, topic: str, index: int) -> memoryview:
-        """The CDR message in `view`, the records of its chunk, which may be cut short behind the message's head.
+        """Return the CDR message in `view`, the records of its chunk, which may end after the message's head.
 
-        Raises: MalformedBagError where another record stands there than the index promised.
+        Raises: MalformedBagError if the record differs from the index.
         """
 
     def log_times_ns(self, topic: str) -> NDArray[np.int64]:
         return self._entries[topic].log_time_ns
 
     def payload(self, topic: str, index: int) -> memoryview:
-        """The message's CDR bytes, the chunk's CRC-32 checked where one was written."""
+        """Return the message's CDR bytes, after checking the chunk's CRC-32 if there is one."""
         number, offset = self._place(topic, index)
         if number < 0 and abs(offset - self._near_byte) > FORGET_BYTES:
             self._file.forget_all()
@@ -115,15 +118,15 @@ class ChunkedStore(ABC):
     def heads(
         self, topics: Sequence[str], whole: Collection[str] = (), *, is_checked: bool = False
     ) -> Iterator[tuple[str, int, memoryview]]:
-        """Storage order, so that each chunk is inflated once, and no further than heads lie in it.
+        """Yield heads in storage order, so that each chunk is inflated once, and only as far as heads lie in it.
 
-        Plain chunks are not read whole for it. A payload is cut short only where its chunk was not inflated to its end.
-        Where chunks are to be checked, they are read and inflated whole, each while those before are looked at.
+        Plain chunks are not read whole. A payload is cut short only if its chunk was not inflated to its end. If chunks
+        are checked, they are read and inflated whole, each while the previous ones are in use.
         """
         rows = in_storage_order([self._entries[topic] for topic in topics])
         reach = reach_of(rows, np.array([topic in whole for topic in topics]), self.head_bytes)
         coming = iter(dict.fromkeys(rows.chunk.tolist() if is_checked else ()))
-        # Reading ahead around every header, a scan of a cold file takes 85 times as long.
+        # If the kernel read ahead at every header, a scan of a cold file would take 85 times as long.
         is_read_ahead = self._file.is_read_ahead
         self._file.read_ahead(False)
         try:
@@ -144,7 +147,7 @@ class ChunkedStore(ABC):
             self._coming.clear()
 
     def damaged(self, beside: Messages = NO_MESSAGES) -> Mapping[str, Mapping[int, str]]:
-        """The messages of chunks whose CRC-32 is another than declared, or which do not inflate."""
+        """Return the messages of chunks whose CRC-32 differs from the declared one, or which do not inflate."""
         none = np.zeros(0, np.int64)
         used = np.unique(np.concatenate([none, *(one.chunk for one in self._entries.values())]))
         passed = np.concatenate([none, *(self._entries[topic].chunk[rows] for topic, rows in beside.items())])
@@ -160,7 +163,7 @@ class ChunkedStore(ABC):
         }
 
     def _check(self, number: int) -> None:
-        """Note whether a chunk is damaged; looked at once."""
+        """Record whether a chunk is damaged; each chunk is checked once."""
         if number < 0 or number in self._sound or number in self._damaged:
             return
         chunk = self._placed.chunks[number]
@@ -173,7 +176,7 @@ class ChunkedStore(ABC):
         self._sound.add(number)
 
     def _inflate_ahead(self, coming: Iterator[int], beside: Executor) -> None:
-        """Have a thread inflate the next chunks that are to be checked."""
+        """Start a thread that inflates the next chunks to be checked."""
         while len(self._coming) < AHEAD_CHUNKS and (number := next(coming, None)) is not None:
             if number < 0 or number in self._sound or number in self._damaged or number in self._chunks:
                 continue
@@ -193,23 +196,23 @@ class ChunkedStore(ABC):
         self._file.view = memoryview(b"")
 
     def _head_found(self, view: memoryview, topic: str, index: int, is_whole: bool) -> memoryview:
-        """`_found` for a scan of heads, of which a store may make less where the message is not wanted whole."""
+        """Return `_found` for a scan of heads; a store may convert less if the message is not wanted whole."""
         return self._found(view, topic, index)
 
     def _place(self, topic: str, index: int) -> tuple[int, int]:
-        """Chunk, and offset in it."""
+        """Return the chunk, and the offset in it."""
         entries = self._entries[topic]
         return int(entries.chunk[index]), int(entries.offset[index])
 
     def _size_of(self, number: int) -> int:
-        """How many bytes of records a chunk has."""
+        """Return the number of bytes of records in a chunk."""
         return len(self._file.view) if number < 0 else self._placed.chunks[number].uncompressed_bytes
 
     def _where(self, number: int) -> str:
         return self._file.name if number < 0 else self._placed.chunks[number].where
 
     def _seen_head(self, number: int) -> memoryview:
-        """What `heads` inflated last where that is of this chunk, else its records."""
+        """Return the last inflated bytes of `heads` if they are of this chunk, else its records."""
         is_head = number >= 0 and number == self._head[0]
         return self._head[1] if is_head else self._records(number, is_checked=False)
 
@@ -233,12 +236,12 @@ class ChunkedStore(ABC):
         return self._chunks[number]
 
     def _expect(self, chunk: Chunk) -> None:
-        """Have a chunk read in one go where the kernel reads nothing ahead."""
+        """Request a chunk in one read if the kernel does not read ahead."""
         if not self._file.is_read_ahead:
             self._file.expect(chunk.start, chunk.stop - chunk.start)
 
     def _head_of(self, number: int, reach: int) -> memoryview:
-        """The records up to `reach`, or all of them where that is most of them; they are read in one go."""
+        """Return the records up to `reach`, or all of them if that is most of them; they are read at once."""
         if number < 0 or not (chunk := self._placed.chunks[number]).compression or number in self._chunks:
             return self._records(number, is_checked=False)
         if self._head[0] == number:
@@ -253,7 +256,9 @@ class ChunkedStore(ABC):
         return self._head[1]
 
     def _drop_oldest(self) -> None:
-        """Now and then with what lies before it: whoever gathers messages looks at them after their chunk has gone."""
+        """Drop the oldest chunk, now and then with the pages before it: gathered messages are used after their chunk is
+        dropped.
+        """
         dropped = self._placed.chunks[self._chunks.popitem(last=False)[0]]
         self._dropped_bytes += dropped.stop - dropped.start
         is_far = self._dropped_bytes > FORGET_BYTES // 2
@@ -262,7 +267,7 @@ class ChunkedStore(ABC):
 
 
 def behind_end(count: int, *, is_zero: bool) -> Finding:
-    """What is to be said of so many bytes that follow the end of a whole file."""
+    """Return the finding about bytes after the end of a whole file."""
     kind = "zero bytes" if is_zero else "bytes that are not records"
     message = f"{count} {kind} follow the end of the file; they are skipped, and the file itself is complete."
     return Finding("BAG-032", "info" if is_zero else "warning", "", message)

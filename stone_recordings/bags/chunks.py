@@ -1,10 +1,10 @@
-"""Inflate one chunk to exactly the size it declares, or refuse it before the memory is spent.
+"""Inflate one chunk to exactly the size it declares, or refuse it before the memory is used.
 
-**Conventions.** A chunk may declare at most `CHUNK_LIMIT_BYTES`. One that claims to grow both large and manyfold is
-first inflated piece by piece into nothing, so a bomb costs time, never memory. The CRC-32 is checked whenever one was
-written and the whole chunk is about to be touched anyway: compressed chunks when they are inflated, plain chunks when
-their first message is read, never on a header-only scan (which would turn milliseconds into a read of the file) nor
-where such a scan needs the head of a chunk alone (a cloud of megabytes is mostly the last message of its chunk).
+**Conventions.** A chunk may declare at most `CHUNK_LIMIT_BYTES`. A chunk that declares both a large size and a large
+growth is first inflated piece by piece without storing, so a bomb costs time, never memory. The CRC-32 is checked if
+one was written and the whole chunk is read anyway: compressed chunks when inflated, plain chunks when their first
+message is read. A header-only scan does not check it, because that would turn milliseconds into a read of the file. Nor
+does a scan that needs only the head of a chunk: a cloud of megabytes is mostly the last message of its chunk.
 """
 
 from bz2 import BZ2Decompressor
@@ -25,7 +25,7 @@ CHUNK_LIMIT_BYTES = 512 * 1024 * 1024
 UNDOUBTED_BYTES = 32 * 1024 * 1024
 DOUBTED_RATIO = 20
 PIECE_BYTES = 1024 * 1024
-# What is fed to LZ4 and not consumed yet is copied at every call, and most heads end within a few of its blocks.
+# Every call copies the input that LZ4 has not consumed, and most heads end within a few of its blocks.
 FED_BYTES = 64 * 1024
 MCAP_COMPRESSIONS = ("lz4", "zstd")
 _DAMAGED = (RuntimeError, zstandard.ZstdError, EOFError, OSError)  # OSError is bz2's
@@ -34,10 +34,10 @@ _CODECS = {"bz2": cramjam.bzip2, "lz4": cramjam.lz4, "zstd": cramjam.zstd}
 
 @dataclass(frozen=True)
 class Chunk:
-    """A chunk's header; `start:stop` is where its (compressed) records lie in the file.
+    """A chunk's header; `start:stop` are its (compressed) records in the file.
 
-    `compression` is "" or should be one of `known`, which the container has names for. Of one that `is_cut` the
-    compressed bytes end early, and `uncompressed_bytes` is what still comes out of them.
+    `compression` is "" or one of `known`, for which the container has names. If it `is_cut`, the compressed bytes end
+    early, and `uncompressed_bytes` is the size that can still be inflated.
     """
 
     where: str
@@ -51,10 +51,9 @@ class Chunk:
 
 
 def inflate(view: memoryview, chunk: Chunk) -> memoryview:
-    """The chunk's records, read-only; a slice of `view` where nothing is compressed.
+    """Return the chunk's records, read-only; a slice of `view` if nothing is compressed.
 
-    Raises: `BAG-013`, `BAG-017`, MalformedBagError (other size than declared, or no such data),
-    ChecksumError.
+    Raises: `BAG-013`, `BAG-017`, MalformedBagError (another size than declared, or invalid data), ChecksumError.
     """
     packed = view[chunk.start : chunk.stop]
     _check_size(chunk, len(packed))
@@ -70,9 +69,9 @@ def inflate(view: memoryview, chunk: Chunk) -> memoryview:
 
 
 def inflate_head(view: memoryview, chunk: Chunk, stop: int) -> memoryview:
-    """The first `stop` bytes of a compressed chunk's records, without its checksum, which is of them all.
+    """Return the first `stop` bytes of a compressed chunk's records, without checking the checksum, which covers all.
 
-    Raises: `BAG-013`, `BAG-017`, MalformedBagError (fewer bytes, or no such data).
+    Raises: `BAG-013`, `BAG-017`, MalformedBagError (fewer bytes, or invalid data).
     """
     packed = view[chunk.start : chunk.stop]
     _check_size(chunk, len(packed))
@@ -89,7 +88,7 @@ def inflate_head(view: memoryview, chunk: Chunk, stop: int) -> memoryview:
 
 
 def pieces_of(packed: memoryview, compression: str, piece_bytes: int = PIECE_BYTES) -> Iterator[bytes | memoryview]:
-    """What inflates, in order and piece by piece, of a stream that was cut off; it ends where nothing more does."""
+    """Yield the inflated bytes of a stream that was cut off, piece by piece, up to the last one that inflates."""
     if compression == "":
         yield from (packed[at : at + piece_bytes] for at in range(0, len(packed), piece_bytes))
     elif compression in ("bz2", "lz4", "zstd"):
@@ -98,7 +97,7 @@ def pieces_of(packed: memoryview, compression: str, piece_bytes: int = PIECE_BYT
 
 
 def check_crc32(records: memoryview, chunk: Chunk) -> None:
-    """0 means that the writer did not compute one (ROS 2 Humble's default)."""
+    """Check the CRC-32; 0 means that the writer did not compute one (ROS 2 Humble's default)."""
     if chunk.crc32 and (found := isal_zlib.crc32(records)) != chunk.crc32:
         raise ChecksumError(chunk.where, found, chunk.crc32)
 

@@ -1,7 +1,7 @@
 """Opens one file of a recording by the type that its first bytes show.
 
-**Conventions.** A file that was compressed as a whole is unpacked into a private folder, which lives as long as what
-was opened from it.
+**Conventions.** A file that was compressed as a whole is unpacked into a private folder, which lives as long as the
+store that was opened from it.
 """
 
 from collections.abc import Callable
@@ -18,7 +18,7 @@ STORES: dict[str, Callable[[Path], MessageStore]] = {"mcap": McapStore, "sqlite"
 
 
 def opened_store(file: Path) -> MessageStore:
-    """Raises: what `container_of`, the stores and `unpacked_file` raise."""
+    """Open the file. Raises: the errors of `container_of`, the stores and `unpacked_file`."""
     container = container_of(file)
     if container != "zstd":
         return STORES[container](file)

@@ -1,7 +1,7 @@
-"""The hash of what is read of a recording in place: its index, and the beginning of every message but pictures.
+"""The content hash of a recording in place: its index, and the start of every message except pictures.
 
-**Conventions.** Pictures are most of a recording's bytes, and labels need none of them. The hash is the same whichever
-container is read, and costs pages of a file, not the file.
+**Conventions.** Pictures are most of a recording's bytes, and labels need none of them. The hash is the same for any
+container, and costs pages of a file, not the file.
 """
 
 from hashlib import sha256
@@ -13,7 +13,7 @@ HASHED_BYTES = 256
 
 
 def content_sha256(bag: Bag) -> str:
-    """The sha256 of names, types, log times and, but for pictures, the first bytes of the messages of all topics."""
+    """Return the sha256 of names, types, log times and, except for pictures, the first bytes of all messages."""
     whole = sha256()
     read = sorted(topic.name for topic in bag.topics if topic.encoding == "cdr" and topic.type not in PICTURES)
     by_topic = {name: sha256() for name in read}

@@ -1,7 +1,7 @@
-"""Why a recording or a message is refused: one code per reason, one sentence each.
+"""Refusals of a recording or a message: one code per reason, one sentence each.
 
-**Conventions.** `BAG-*` is about the container, `MSG-*` about one message in it. Offsets are bytes from the start
-of the file unless the sentence names a chunk.
+**Conventions.** `BAG-*` is about the container, `MSG-*` about one message in it. Offsets are bytes from the start of
+the file unless the sentence names a chunk.
 """
 
 from stone.errors import PlatformFaultError, Refused
@@ -10,7 +10,7 @@ SHOWN_BYTES = 16
 
 
 class IngestError(Refused):
-    """A recording cannot be used as it is."""
+    """A recording cannot be used unchanged."""
 
 
 class NotABagError(IngestError):
@@ -57,7 +57,7 @@ def encoding_refused(name: str, topic: str, encoding: str) -> IngestError:
 
 
 class ChecksumError(IngestError):
-    """A checksum does not match: the bytes differ from those that were recorded."""
+    """A checksum does not match: the bytes differ from the recorded ones."""
 
     def __init__(self, where: str, found: int, declared: int) -> None:
         super().__init__(
@@ -68,7 +68,7 @@ class ChecksumError(IngestError):
 
 
 class DefinitionMissingError(IngestError):
-    """No definition of a message type is known here."""
+    """There is no known definition of a message type."""
 
     def __init__(self, type_name: str, known: tuple[str, ...]) -> None:
         super().__init__(

@@ -156,7 +156,7 @@ def as_optical(mount: Mount, ego_from_frame: SE3) -> tuple[Mount, Findings]:
 
 def _lens(draft: RigDraft, frame: str, of: tuple[str, RigSensor | None]) -> tuple[CameraIntrinsics | None, Findings]:
     channel, sensor = of
-    lens = next((found for name, found in draft.lenses.items() if draft.frame_of_lens(name) == frame), None)
+    lens = next((candidate for name, candidate in draft.lenses.items() if draft.frame_of_lens(name) == frame), None)
     if lens is None:
         sentence = f"{channel}: no file has its intrinsics (camera_info); points are not projected into its images"
         return None, (Finding("CAL-426", "info", channel, sentence),)

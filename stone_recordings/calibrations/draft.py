@@ -82,7 +82,7 @@ def draft_of(name: str, parts: Iterable[CalibrationPart]) -> RigDraft:
     frames = tuple(dict.fromkeys(frame for edge in all_edges for frame in (edge.parent, edge.child)))
     tree = StaticTree.of((edge.parent, edge.child, edge.parent_from_child) for edge in all_edges)
     return RigDraft(
-        name, tree, frames, {lens: found for lens, (found, _) in lenses.items()}, offsets_ns, kinds, optical
+        name, tree, frames, {lens: camera for lens, (camera, _) in lenses.items()}, offsets_ns, kinds, optical
     )
 
 

@@ -28,7 +28,7 @@ def opencalib(document: Node) -> CalibrationPart:
             edges.append(edge)
             findings += noticed
             named = {frame: kind_of(frame) for frame in (edge.parent, edge.child)}
-            kinds |= {frame: found for frame, found in named.items() if found is not None}
+            kinds |= {frame: sensor_kind for frame, sensor_kind in named.items() if sensor_kind is not None}
         elif kind == "intrinsic" and node.at("param").has("cam_K"):
             lenses[name] = _lens(name, node.at("param"))
     optical = frozenset(lenses) | {frame for frame, kind in kinds.items() if kind == "camera"}

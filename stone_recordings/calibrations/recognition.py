@@ -67,21 +67,21 @@ def recognised(bundle: Bundle, name: str) -> RecognisedBundle:
     robots = [(file, content) for file, content in bundle.documents if urdf.is_urdf(content)]
     texts = [(file, content) for file, content in bundle.documents if not urdf.is_urdf(content)]
     documents = [(file, parse_documents(file, content)) for file, content in texts]
-    whole = [(file, found[0]) for file, found in documents if isinstance(found[0], dict) and is_native(found[0])]
+    whole = [(file, parsed[0]) for file, parsed in documents if isinstance(parsed[0], dict) and is_native(parsed[0])]
     if whole:
         if len(bundle.documents) > 1:
             raise conflicting_files(
                 name, "the rig, which a native file describes completely", [file for file, _ in bundle.documents]
             )
         return RecognisedBundle(whole[0], (), RigDocument(stone_rig=1))
-    tables: dict[str, object] = {file: found[0] for file, found in documents if isinstance(found[0], list)}
+    tables: dict[str, object] = {file: parsed[0] for file, parsed in documents if isinstance(parsed[0], list)}
     parts = [urdf.urdf(file, content) for file, content in robots]
     rigs = list[tuple[str, RigDocument]]()
-    for file, found in documents:
-        if file not in tables and isinstance(found[0], dict) and rig.is_rig(found[0]):
-            rigs.append((file, rig.rig_document(Node(file, "", found[0]))))
+    for file, parsed in documents:
+        if file not in tables and isinstance(parsed[0], dict) and rig.is_rig(parsed[0]):
+            rigs.append((file, rig.rig_document(Node(file, "", parsed[0]))))
         elif file not in tables:
-            parts.append(_part(file, found))
+            parts.append(_part(file, parsed))
     parts += _tables(tables)
     if len(rigs) > 1:
         raise conflicting_files(name, "the rest of the rig", [file for file, _ in rigs])

@@ -1,7 +1,7 @@
-"""Salvage of a damaged rosbag2 database: finds message rows by walking all of its pages.
+"""Salvage of a damaged rosbag2 database: collects message rows by walking all of its pages.
 
-**Conventions.** Topics are (NULL, name, type, format, …), definitions (NULL, type, encoding, text, …), messages
-(NULL, topic id, log time, blob). Every page is visited once, whatever the trees say.
+**Conventions.** Topics are (NULL, name, type, format, …), definitions (NULL, type, encoding, text, …), messages (NULL,
+topic id, log time, blob). Every page is visited once, regardless of the trees.
 """
 
 from collections.abc import Callable
@@ -29,7 +29,7 @@ class Db3CollectedRows:
     messages: list[tuple[int, ...]] = field(default_factory=list)
 
     def take_text(self, _number: int, _slot: int, cell: Cell) -> None:
-        """A topic or a definition: the column that says "ros2msg" tells them apart."""
+        """Take a topic or a definition: the column with "ros2msg" distinguishes them."""
         payload = self.pages.payload(cell) if cell.payload_bytes <= TEXT_LIMIT_BYTES else None
         layout = None if payload is None else layout_of(payload, cell.payload_bytes)
         if payload is None or layout is None or not _has_texts(layout):
@@ -50,7 +50,7 @@ class Db3CollectedRows:
 
 
 def collect(pages: Db3Pages, name: str) -> Db3CollectedRows:
-    """Everything that can be found. Raises `BAG-018` for a schema that is no recorder's."""
+    """Collect every readable row. Raises `BAG-018` for a schema that is no recorder's."""
     found = Db3CollectedRows(pages, bytearray(pages.count + 1))
     with suppress(DamagedSchemaError):
         tables = tables_of(pages, name)
@@ -65,7 +65,7 @@ def collect(pages: Db3Pages, name: str) -> Db3CollectedRows:
 
 
 def message_layout(cell: Cell) -> Db3RecordLayout | None:
-    """None where the row is no message."""
+    """Return the layout; None if the row is no message."""
     layout = layout_of(cell.local, cell.payload_bytes)
     if layout is None or len(layout.types) != 4 or not layout.is_blob(DATA):
         return None
@@ -78,7 +78,7 @@ def _take_all(pages: Db3Pages, number: int, take: Callable[[int, int, Cell], Non
 
 
 def _take_orphan(found: Db3CollectedRows, number: int) -> None:
-    """A leaf without a parent: all of its rows are messages, or all topics or definitions, or it is none of ours."""
+    """Take a leaf without a parent: its rows are all messages, or all topics or definitions, or the leaf is foreign."""
     cells = list(found.pages.cells(number))
     layouts = [layout_of(cell.local, cell.payload_bytes) for cell in cells]
     found.used[number] = 1

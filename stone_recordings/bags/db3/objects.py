@@ -1,8 +1,8 @@
 """The schema of a database, read without SQLite to decide whether SQLite may open it.
 
-**Conventions.** SQLite parses every line of the schema it is given and evaluates what tables compute. A recorder's
-schema is a handful of plain tables, so anything else in the tables that are read is refused here, before SQLite sees
-it; what lies beside them (views, triggers, other tables) is never touched.
+**Conventions.** SQLite parses every line of the schema and evaluates computed columns. A recorder's schema is a few
+plain tables, so everything else in the tables to read is refused here, before SQLite opens the file. Other objects
+(views, triggers, other tables) are never touched.
 """
 
 import re
@@ -21,7 +21,7 @@ READ_TABLES: dict[str, tuple[str, ...]] = {
     "messages": ("topic_id", "timestamp", "data"),
     "message_definitions": ("topic_type", "encoding", "encoded_message_definition"),
 }
-# Columns with types, keys and NOT NULL; no CHECK, no DEFAULT (…), nothing that is computed, no other module.
+# Columns with types, keys and NOT NULL; no CHECK, no DEFAULT (…), no computed columns, no other module.
 PLAIN_TABLE = re.compile(
     r"""CREATE\s+TABLE\s+(?:IF\s+NOT\s+EXISTS\s+)?["'`\[]?(\w+)["'`\]]?\s*\([\w\s,"`\[\]]*\)\s*;?\s*""",
     re.ASCII | re.IGNORECASE,
@@ -40,7 +40,7 @@ class DamagedSchemaError(Exception):
 
 
 def tables_of(pages: Db3Pages, name: str) -> dict[str, Db3Table]:
-    """The tables that hold a recording.
+    """Return the tables that hold a recording.
 
     Raises: `BAG-018` (not a rosbag2 schema), DamagedSchemaError.
     """

@@ -1,7 +1,7 @@
-"""The pages of a SQLite file, read without SQLite: for what must be known before it may open a hostile file, and for
-what can be had when it says that the file is malformed.
+"""The pages of a SQLite file, read without SQLite: to check a hostile file before SQLite opens it, and to salvage a
+malformed one.
 
-**Conventions.** Page numbers begin at 1. Nothing is trusted: a page out of range is None, a cell that overruns its page
+**Conventions.** Page numbers start at 1. Nothing is trusted: a page out of range is None, a cell that overruns its page
 is left out, a chain of overflow pages ends after as many as its payload needs. A write-ahead log beside the file
 replaces pages up to its last commit; its checksums are not recomputed. Source: sqlite.org/fileformat2.html.
 """
@@ -23,7 +23,7 @@ _U16, _U32, _WAL_FRAME = Struct(">H"), Struct(">I"), Struct(">IIII")
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One row as it lies in its leaf: `local` is the part of its `payload_bytes` that the leaf holds."""
+    """One row in its leaf: `local` is the part of its `payload_bytes` that the leaf holds."""
 
     rowid: int
     payload_bytes: int
@@ -32,7 +32,7 @@ class Cell:
 
 
 class Db3Pages:
-    """The pages of `main` with those of `wal` over them; b"" where there is none."""
+    """The pages of `main`, replaced by those of `wal`; b"" without a log."""
 
     def __init__(self, main: memoryview, wal: memoryview, name: str) -> None:
         self._main, self._wal = main, wal
@@ -48,7 +48,7 @@ class Db3Pages:
         self.count = max(len(main) // self.page_bytes, max(self._logged, default=0))
 
     def page(self, number: int) -> memoryview | None:
-        """The bytes of a page; None where the file does not reach."""
+        """Return the bytes of a page; None beyond the file."""
         if number in self._logged:
             return self._wal[self._logged[number] : self._logged[number] + self.page_bytes]
         start = (number - 1) * self.page_bytes
@@ -56,12 +56,12 @@ class Db3Pages:
         return whole if len(whole) == self.page_bytes else None
 
     def kind(self, number: int) -> int:
-        """The b-tree flag of a page; 0 where there is no such page."""
+        """Return the b-tree flag of a page; 0 if there is no such page."""
         page = self.page(number)
         return 0 if page is None else page[_header_at(number)]
 
     def children(self, number: int) -> Iterator[int]:
-        """Page numbers under an interior page of a table, in order of their keys."""
+        """Yield the page numbers under an interior page of a table, in order of their keys."""
         page = self.page(number)
         if page is None:
             return
@@ -71,7 +71,7 @@ class Db3Pages:
         yield int(_U32.unpack_from(page, _header_at(number) + 8)[0])
 
     def cells(self, number: int) -> Iterator[Cell]:
-        """The rows of a leaf page of a table that lie inside it."""
+        """Yield the rows of a leaf page of a table that lie inside it."""
         page = self.page(number)
         if page is None:
             return
@@ -80,10 +80,10 @@ class Db3Pages:
                 yield cell
 
     def overflow(self, cell: Cell, size_bytes: int, used: bytearray | None = None) -> list[int] | None:
-        """The pages that hold the first `size_bytes` of a row beyond its leaf; None where their chain is broken.
+        """Return the pages that hold the first `size_bytes` of a row beyond its leaf; None if their chain is broken.
 
-        `used` (a byte a page) is marked; a page that another row marked breaks the chain, so that no file can make the
-        walk over all its rows longer than the file.
+        `used` (a byte a page) is marked; a page that another row marked breaks the chain. So no file can make the walk
+        over all its rows longer than the file.
         """
         numbers: list[int] = []
         left, number = min(size_bytes, cell.payload_bytes) - len(cell.local), cell.overflow_page
@@ -99,7 +99,7 @@ class Db3Pages:
         return numbers
 
     def payload(self, cell: Cell, size_bytes: int | None = None) -> bytes | None:
-        """The first `size_bytes` of a row (all of them); None where its chain of pages is broken."""
+        """Return the first `size_bytes` of a row (default: all); None if its chain of pages is broken."""
         wanted = cell.payload_bytes if size_bytes is None else min(size_bytes, cell.payload_bytes)
         if wanted > self.count * self.page_bytes or (numbers := self.overflow(cell, wanted)) is None:
             return None
@@ -118,7 +118,7 @@ class Db3Pages:
         return Cell(signed(rowid), payload_bytes, page[at : at + local_bytes], overflow)
 
     def _local_bytes(self, payload_bytes: int) -> int:
-        """How much of a payload its leaf holds (file format, section 1.6)."""
+        """Return how much of a payload its leaf holds (file format, section 1.6)."""
         most = self.usable_bytes - 35
         if payload_bytes <= most:
             return payload_bytes
@@ -128,7 +128,7 @@ class Db3Pages:
 
 
 def read_varint(view: memoryview | bytes, at: int) -> tuple[int, int]:
-    """A big-endian base-128 number of at most nine bytes, and where it ends; past the end it is 0."""
+    """Return a big-endian base-128 number of at most nine bytes, and its end; past the end of the view it is 0."""
     value = 0
     for place in range(9):
         if at >= len(view):
@@ -144,7 +144,7 @@ def read_varint(view: memoryview | bytes, at: int) -> tuple[int, int]:
 
 
 def signed(value: int) -> int:
-    """A 64-bit pattern as a two's complement number."""
+    """Return a 64-bit pattern as a two's complement number."""
     return value - (1 << 64) if value >= 1 << 63 else value
 
 
@@ -165,7 +165,7 @@ def _wal_first_page(wal: memoryview) -> bytes:
 
 
 def _logged_pages(wal: memoryview, page_bytes: int) -> Iterator[tuple[int, int]]:
-    """Page number and offset of every frame up to the last commit; later ones replace earlier ones."""
+    """Yield page number and offset of every frame up to the last commit; later ones replace earlier ones."""
     if len(wal) < WAL_HEADER_BYTES or _U32.unpack_from(wal)[0] not in WAL_MAGICS:
         return
     salts = bytes(wal[16:24])

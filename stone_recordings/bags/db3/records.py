@@ -1,4 +1,4 @@
-"""One row of a SQLite table: the places of its columns, and their values.
+"""One row of a SQLite table: the offsets of its columns, and their values.
 
 **Conventions.** A serial type is as in the file format, section 2.1: 0 NULL, 1–6 integers, 7 a double, 8 and 9 the
 constants 0 and 1, even from 12 on a blob, odd from 13 on a text. A record that contradicts its length is None.
@@ -15,7 +15,7 @@ Value = int | str | bytes | float | None
 
 @dataclass(frozen=True, slots=True)
 class Db3RecordLayout:
-    """Serial types and where each column begins, in bytes from the start of the payload."""
+    """Serial types and the start of each column, in bytes from the start of the payload."""
 
     types: tuple[int, ...]
     at: tuple[int, ...]
@@ -34,7 +34,9 @@ class Db3RecordLayout:
 
 
 def layout_of(head: memoryview | bytes, payload_bytes: int) -> Db3RecordLayout | None:
-    """Of a payload whose first bytes are `head`; None where its columns do not fill `payload_bytes` exactly."""
+    """Return the layout of a payload whose first bytes are `head`; None if its columns do not fill `payload_bytes`
+    exactly.
+    """
     header_bytes, at = read_varint(head, 0)
     if not at <= header_bytes <= len(head):
         return None
@@ -52,7 +54,7 @@ def layout_of(head: memoryview | bytes, payload_bytes: int) -> Db3RecordLayout |
 
 
 def integer(payload: memoryview | bytes, layout: Db3RecordLayout, column: int) -> int:
-    """The value of an integer column; 0 where the payload ends before it."""
+    """Return the value of an integer column; 0 if the payload ends before it."""
     serial, at = layout.types[column], layout.at[column]
     if serial in (8, 9):
         return serial - 8
@@ -60,7 +62,7 @@ def integer(payload: memoryview | bytes, layout: Db3RecordLayout, column: int) -
 
 
 def text(payload: bytes, layout: Db3RecordLayout, column: int, encoding: str) -> str:
-    """The value of a text column; what is not text in `encoding` is replaced."""
+    """Return the value of a text column; invalid text in `encoding` is replaced."""
     at = layout.at[column]
     return payload[at : at + layout.size_bytes(column)].decode(encoding, errors="replace")
 

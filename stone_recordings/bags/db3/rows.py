@@ -1,7 +1,7 @@
 """Rows of a rosbag2 database: by SQLite from sound files, by salvage from damaged ones.
 
-**Conventions.** Rows are named by rowid, which grows as messages are written. A row whose columns are of other types
-than a recorder writes, or that claims more bytes than the file has, is not listed but counted.
+**Conventions.** Rows are named by rowid, which grows as messages are written. A row with other column types than a
+recorder's, or with more bytes than the file, is not listed but counted.
 """
 
 from collections.abc import Sequence
@@ -40,15 +40,15 @@ class Db3Rows(Protocol):
     findings: tuple[Finding, ...]
 
     def data(self, rowid: int) -> bytes:
-        """The whole message."""
+        """Return the whole message."""
         ...
 
     def several(self, rowids: Sequence[int]) -> dict[int, bytes]:
-        """Whole messages by rowid, for small ones that are read one after the other."""
+        """Return whole messages by rowid, for small ones that are read one after the other."""
         ...
 
     def head(self, rowid: int, size_bytes: int) -> bytes:
-        """Its first bytes, without reading the others."""
+        """Return the first bytes of the message, without reading the others."""
         ...
 
     def release(self) -> None: ...

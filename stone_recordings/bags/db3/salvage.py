@@ -1,9 +1,8 @@
-"""Rows of a damaged database, page by page: first those that its trees still lead to, then the leaves that no tree
-reaches.
+"""Rows of a damaged database, page by page: first those in its trees, then the leaves that no tree reaches.
 
-**Conventions.** A row is kept where its whole payload can be put together, and once. A leaf without a parent counts
-only where every row in it looks like a recorder's. The number lost is what rowids are missing up to the last one found
-(a recorder numbers them without gaps); what came after the last cannot be known.
+**Conventions.** A row is kept once, if its whole payload can be assembled. A leaf without a parent counts only if every
+row in it resembles a recorder's. The number of lost rows is that of missing rowids up to the last one present (a
+recorder numbers them without gaps); losses after the last are unknown.
 """
 
 import mmap
@@ -25,7 +24,7 @@ DATA = 3
 
 
 class SalvagedRows:
-    """What can be read of `place`, as `stone_recordings.bags.db3.rows`; `problem` is what SQLite said."""
+    """The readable rows of `place`, as `stone_recordings.bags.db3.rows`; `problem` is SQLite's message."""
 
     def __init__(self, place: Db3Location, name: str, problem: str) -> None:
         self._place, self._name = place, name
@@ -51,7 +50,7 @@ class SalvagedRows:
         return self._read(rowid, size_bytes)
 
     def release(self) -> None:
-        """Nothing to do: pages of the map that are not in use cost nothing."""
+        """Do nothing: unused pages of the map cost nothing."""
 
     def close(self) -> None:
         self._place.close()
@@ -70,7 +69,7 @@ class SalvagedRows:
 
 
 def opened_pages(place: Db3Location, name: str) -> Db3Pages:
-    """The pages of a database and of the log beside it, as memory maps."""
+    """Return the pages of a database and of the log beside it, as memory maps."""
     return Db3Pages(_mapped(place.path), _mapped(place.wal), name)
 
 
@@ -82,7 +81,7 @@ def _mapped(path: Path | None) -> memoryview:
 
 
 def _unique(found: Db3CollectedRows) -> NDArray[np.int64]:
-    """One line per row, rowids ascending; of a rowid that comes twice the one found first, through a tree."""
+    """Return one line per row, rowids ascending; of a duplicate rowid the first, which was reached through a tree."""
     table = np.array(found.messages, np.int64).reshape(-1, 6)
     _rowids, first = np.unique(table[:, 0], return_index=True)
     return table[first]

@@ -1,4 +1,4 @@
-"""Rows of a sound database through SQLite, opened so that the file can neither change nor be made to work for others.
+"""Rows of a sound database through SQLite, opened so that the file can neither change nor be misused.
 
 **Conventions.** Read-only; only the three tables of a recording, no view, trigger, function or file beyond them; no
 memory map (SQLite's own advice for hostile files). Payloads are read by rowid; their heads through blob handles, which
@@ -23,11 +23,10 @@ from stone_recordings.bags.magic import has_wal
 from stone_recordings.bags.private_folder import PrivateFolder
 from stone_recordings.bags.unpacked_messages import MESSAGE_LIMIT_BYTES
 
-# Read-only access to a SQLite database: in place, or as a private copy with its journal.
-#
-# **Conventions.** A sound database is opened where it lies, as immutable. What a crash leaves beside it is applied in
-# a private folder: a write-ahead log (`-wal`) to the same bytes under another name, a rollback journal (`-journal`) to
-# a copy. A journal that names other files is never applied: SQLite would delete them.
+# Read-only access to a SQLite database: in place, or as a private copy with its journal. A sound database is opened in
+# place, as immutable. Files left by a crash are applied in a private folder: a write-ahead log (`-wal`) to the same
+# bytes under another name, a rollback journal (`-journal`) to a copy. A journal that names other files is never
+# applied: SQLite would delete them.
 
 
 JOURNAL_MAGIC = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7"
@@ -36,7 +35,7 @@ JOURNAL_BYTES = 512  # the smallest journal is one sector
 
 @dataclass(frozen=True)
 class Db3Location:
-    """Open `path`; `is_clean` where nothing lay beside it, so that it may be opened as immutable."""
+    """Opens `path`; `is_clean` if nothing lay beside it, so that it may be opened as immutable."""
 
     path: Path
     is_clean: bool
@@ -54,7 +53,7 @@ class Db3Location:
 
 
 def db3_location_of(path: Path) -> Db3Location:
-    """Raises: `BAG-018`, NoRoomError."""
+    """Return the location. Raises: `BAG-018`, NoRoomError."""
     journal = _beside(path, "-journal")
     if has_wal(path):
         return _with_wal(path)
@@ -94,14 +93,16 @@ def _with_journal(path: Path, journal: Path) -> Db3Location:
 
 
 def _names_other_files(journal: Path) -> bool:
-    """The name of a super-journal ends, with this mark, at the end of the file (pager.c, readSuperJournal)."""
+    """Return whether the file ends with this mark, which follows the name of a super-journal (pager.c,
+    readSuperJournal).
+    """
     with journal.open("rb") as file:
         file.seek(-len(JOURNAL_MAGIC), os.SEEK_END)
         return file.read() == JOURNAL_MAGIC
 
 
 def _is_hot(journal: Path) -> bool:
-    """Whether it holds a transaction: a finished one is emptied, cut or overwritten with zeros."""
+    """Return whether it holds a transaction: a finished one is emptied, cut or overwritten with zeros."""
     if not journal.is_file() or journal.stat().st_size < JOURNAL_BYTES:
         return False
     with journal.open("rb") as file:
@@ -119,7 +120,7 @@ SQL_LIMIT_BYTES = 128 * 1024
 MOST_TOPICS = 10_000
 DEFINITION_LIMIT_BYTES = 2**20
 BATCH_ROWS = 65_536
-# Up to this size every page is checked when the file is opened; of a larger one only those that say where messages lie.
+# Up to this size every page is checked on opening; in a larger file only the pages that locate messages.
 CHECKED_BYTES = 64 * 2**20
 INDEX_QUERY = """
 SELECT rowid, CASE WHEN sound THEN topic_id ELSE -1 END, CASE WHEN sound THEN timestamp ELSE 0 END,
@@ -130,11 +131,11 @@ FROM (SELECT rowid, topic_id, timestamp, data,
 
 
 class DamagedDatabaseError(Exception):
-    """SQLite says that the file is malformed; the sentence is its own."""
+    """SQLite reports that the file is malformed, in its own sentence."""
 
 
 class SqlRows:
-    """Rows of `place`, as `stone_recordings.bags.db3.rows`; `name` is what messages call the file."""
+    """Rows of `place`, as `stone_recordings.bags.db3.rows`; `name` is the file's name in messages."""
 
     def __init__(self, place: Db3Location, name: str) -> None:
         self._place, self._name = place, name
@@ -148,7 +149,7 @@ class SqlRows:
             self.index = _index(connection, _bytes_of(place))
 
     def data(self, rowid: int) -> bytes:
-        """By a blob handle, which copies once where a query copies twice."""
+        """Read by a blob handle, which copies once, unlike a query, which copies twice."""
         with self._reading() as connection, connection.blobopen("messages", "data", rowid, readonly=True) as blob:
             return blob.read()
 
@@ -172,12 +173,12 @@ class SqlRows:
 
     @contextmanager
     def _reading(self) -> Iterator[sqlite3.Connection]:
-        """The connection, opened again after `release`; what SQLite finds wrong is DamagedDatabaseError."""
+        """Yield the connection, opened again after `release`; SQLite's errors become DamagedDatabaseError."""
         try:
             if self._connection is None:
                 self._connection = _connected(self._place)
             yield self._connection
-        except (sqlite3.Error, UnicodeError) as error:  # its sentences quote names that need not be text
+        except (sqlite3.Error, UnicodeError) as error:  # its sentences quote names that may be no text
             self.release()
             raise DamagedDatabaseError(str(error)) from None
 
@@ -197,7 +198,7 @@ def _connected(place: Db3Location) -> sqlite3.Connection:
 
 
 def _allowed(action: int, first: str | None, second: str | None, _database: str | None, inner: str | None) -> int:
-    """Only what this module asks, and nothing on behalf of a view or trigger (`inner`)."""
+    """Allow only this module's own statements, and nothing on behalf of a view or trigger (`inner`)."""
     is_ours = inner is None and (
         action == sqlite3.SQLITE_SELECT
         or (action == sqlite3.SQLITE_READ and (first or "").lower() in READ_TABLES | {"sqlite_schema", ""})
@@ -212,7 +213,7 @@ def _bytes_of(place: Db3Location) -> int:
 
 
 def _check(connection: sqlite3.Connection) -> None:
-    """Every page of the messages, also those that an index of them does not need."""
+    """Check every page of the messages, also those that an index of them does not need."""
     said = [str(row[0]) for row in connection.execute("PRAGMA quick_check('messages')").fetchmany(4)]
     if said != ["ok"]:
         raise DamagedDatabaseError(said[0] if said else "no answer to quick_check")
@@ -228,7 +229,7 @@ def _topics(connection: sqlite3.Connection, name: str) -> tuple[Db3Topic, ...]:
 
 
 def _definitions(connection: sqlite3.Connection) -> dict[str, str]:
-    """By type; the table came with schema version 4, older databases have none."""
+    """Return the definitions by type; schema version 4 introduced their table, older databases have none."""
     query = "SELECT name FROM sqlite_master WHERE type = 'table' AND name = 'message_definitions'"
     if connection.execute(query).fetchone() is None:
         return {}
@@ -239,7 +240,9 @@ def _definitions(connection: sqlite3.Connection) -> dict[str, str]:
 
 
 def _index(connection: sqlite3.Connection, file_bytes: int) -> RowIndex:
-    """Raises DamagedDatabaseError where rowids do not ascend: a tree that leads twice to one page never ends."""
+    """Return the index. Raises DamagedDatabaseError if rowids do not ascend: a tree with two paths to one page never
+    ends.
+    """
     cursor, parts, last = connection.execute(INDEX_QUERY), [np.zeros((0, 4), np.int64)], -(2**63) - 1
     while rows := cursor.fetchmany(BATCH_ROWS):
         part = np.fromiter(chain.from_iterable(rows), np.int64, 4 * len(rows)).reshape(-1, 4)

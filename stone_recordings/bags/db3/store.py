@@ -1,7 +1,7 @@
 """Messages of one rosbag2 database (`.db3`), sound or damaged.
 
-**Conventions.** Opened by SQLite where it lies, its bytes never written; where SQLite calls it malformed, whatever rows
-its pages still hold (finding BAG-030). Payloads are copies. Memory is the index, 32 bytes a message.
+**Conventions.** SQLite opens the database in place and never writes to it. If SQLite reports it as malformed, the rows
+in its pages are salvaged (finding BAG-030). Payloads are copies. Memory is the index, 32 bytes a message.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -19,7 +19,7 @@ from stone_recordings.bags.db3.sql import DamagedDatabaseError, Db3Location, Sql
 from stone_recordings.bags.errors import MalformedBagError, encoding_refused
 from stone_recordings.bags.message_store import HEAD_BYTES, NO_MESSAGES, Messages, Topic
 
-# Small messages are read so many at a time, while they are read in order.
+# The number of small messages per read, while they are read in order.
 AHEAD_ROWS = 256
 
 
@@ -58,7 +58,7 @@ class SqliteStore:
     def heads(
         self, topics: Sequence[str], whole: Collection[str] = (), *, is_checked: bool = False
     ) -> Iterator[tuple[str, int, memoryview]]:
-        """By rowid, which is the order in the file."""
+        """Yield by rowid, which is the order in the file."""
         if not topics:
             return
         rows = np.concatenate([self._order[topic] for topic in topics])
@@ -77,11 +77,11 @@ class SqliteStore:
         return int(self._rows.index.size_bytes[self._order[topic][index]])
 
     def damaged(self, beside: Messages = NO_MESSAGES) -> Mapping[str, Mapping[int, str]]:
-        """None: rows carry no checksum, and those of a damaged page were left out when it was opened."""
+        """Return none: rows carry no checksum, and those of a damaged page were left out on opening."""
         return {}
 
     def read_sparingly(self) -> None:
-        """Nothing to change: rows are read page by page."""
+        """Do nothing: rows are read page by page."""
 
     def release(self) -> None:
         self._ahead = {}
@@ -91,7 +91,7 @@ class SqliteStore:
         self._rows.close()
 
     def _read(self, upcoming: NDArray[np.int64], *, is_whole: bool) -> bytes:
-        """The message of the first of the rows that are wanted next; small ones are read many at a time."""
+        """Return the message of the first of the next rows; small messages are read many at a time."""
         index = self._rows.index
         rowid, size_bytes = int(index.rowid[upcoming[0]]), int(index.size_bytes[upcoming[0]])
         try:
@@ -109,7 +109,7 @@ class SqliteStore:
         index = self._rows.index
         small = upcoming[index.size_bytes[upcoming] <= HEAD_BYTES]
         rowids = index.rowid[small].tolist()
-        with suppress(DamagedDatabaseError):  # then each is read alone, and the damaged one says so
+        with suppress(DamagedDatabaseError):  # then each is read alone, and the damaged one raises
             found = self._rows.several(rowids)
             self._ahead = {
                 row: found[rowid] for row, rowid in zip(small.tolist(), rowids, strict=True) if rowid in found
@@ -129,8 +129,8 @@ class SqliteStore:
 
 
 def _rows_of(place: Db3Location, name: str) -> Db3Rows:
-    """SQLite is asked only after its schema was found to be a recorder's, and believed when it says no."""
-    if place.path.stat().st_size == 0:  # SQLite would not read the log of an empty file but delete it
+    """Return the rows; SQLite is used only if the schema is a recorder's and SQLite reports no damage."""
+    if place.path.stat().st_size == 0:  # SQLite would delete the log of an empty file instead of reading it
         return SalvagedRows(place, name, "its file is empty, all data is in its write-ahead log")
     try:
         tables_of(opened_pages(place, name), name)
@@ -142,7 +142,7 @@ def _rows_of(place: Db3Location, name: str) -> Db3Rows:
 
 
 def _by_topic(rows: Db3Rows, name: str) -> dict[str, NDArray[np.int64]]:
-    """Rows of each topic in log-time order, ties in that of the file; several ids may carry one topic, of one type."""
+    """Return rows of each topic in log-time order, ties in file order; several ids may carry one topic, of one type."""
     types: dict[str, Db3Topic] = {}
     for topic in rows.topics:
         first = types.setdefault(topic.name, topic)

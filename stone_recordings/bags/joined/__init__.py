@@ -1,1 +1,1 @@
-"""Several bags as one recording: each moved onto the clock of the one with the LiDAR."""
+"""Several bags as one recording: each moved onto the clock of the bag with the LiDAR."""

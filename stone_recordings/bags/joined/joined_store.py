@@ -1,6 +1,7 @@
 """Bags on one clock as one recording.
 
-**Conventions.** As `stone_recordings.bags.split_store`, but that a topic of two types is told to be of two members.
+**Conventions.** As `stone_recordings.bags.split_store`, except that a topic with two types is reported with both
+members.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -20,14 +21,13 @@ from stone_recordings.bags.split_store import SplitStore
 from stone_recordings.clocks.timing import begins_with_header
 from stone_recordings.messages.types.cdr import HEAD_BYTES, NS_PER_S, Cursor, check_encapsulation
 
-# A bag on another clock: its log times and the stamps of its messages moved, messages that are had twice left out.
-#
-# **Conventions.** Indices count the messages that are left, in log-time order, which an offset does not change. Topics
-# whose stamps are of the reference's clock keep them; their log times are moved all the same.
+# A bag on another clock: its log times and the stamps of its messages moved, duplicate messages left out. Indices count
+# the remaining messages, in log-time order, which an offset does not change. Topics whose stamps are by the reference's
+# clock keep them; their log times are moved all the same.
 
 
 class OpenedBag(Protocol):
-    """What of a `stone_recordings.bags.bag.Bag` is needed to move it."""
+    """The part of a `stone_recordings.bags.bag.Bag` that is required to move it."""
 
     topics: tuple[Topic, ...]
     findings: tuple[Finding, ...]
@@ -55,7 +55,7 @@ class OpenedBag(Protocol):
 
 
 class MovedBag:
-    """`bag` as `member` says; it is closed with it. A `MessageStore`."""
+    """`bag` moved as `member` describes; it is closed with it. A `MessageStore`."""
 
     def __init__(self, bag: OpenedBag, member: JoinedMember) -> None:
         self._bag, self._offset_ns = bag, member.offset_ns
@@ -106,14 +106,14 @@ class MovedBag:
         return moved(payload, self._places[topic], self._offset_ns)
 
     def _places_left(self, topic: str) -> NDArray[np.int64]:
-        """By index in the bag, the index among what is left; −1 of what is not."""
+        """Return by index in the bag the index among the remaining messages; −1 for the others."""
         kept = self._kept[topic]
         places = np.full(len(self._bag.log_times_ns(topic)), -1, np.int64)
         places[kept] = np.arange(len(kept))
         return places
 
     def _rows(self, topic: Topic, member: JoinedMember) -> NDArray[np.int64]:
-        """The indices of the messages that are left."""
+        """Return the indices of the remaining messages."""
         is_left = np.ones(topic.count, np.bool_)
         for start, stop in member.left_out.get(topic.name, ()):
             is_left[start:stop] = False
@@ -121,12 +121,12 @@ class MovedBag:
 
 
 def _named(finding: Finding, member: str) -> Finding:
-    """What was noticed about the whole of a member is about this file of the run."""
+    """Return a member's finding about its whole recording as one about this file of the run."""
     return finding if finding.topic else replace(finding, topic=member)
 
 
 def check_types(topics: Iterable[tuple[str, str]]) -> None:
-    """`topics` of all recordings, by name and type. Raises: `BAG-041`."""
+    """Check `topics` of all recordings, by name and type. Raises: `BAG-041`."""
     types: dict[str, list[str]] = {}
     for name, type_name in topics:
         types.setdefault(name, []).append(type_name)
@@ -140,16 +140,15 @@ def check_types(topics: Iterable[tuple[str, str]]) -> None:
 
 
 def joined_store(name: str, parts: Sequence[MovedBag]) -> SplitStore:
-    """Raises: `BAG-041`."""
+    """Return the members as one store. Raises: `BAG-041`."""
     check_types((topic.name, topic.type) for part in parts for topic in part.topics)
     return SplitStore(name, parts)
 
 
-# Header stamps moved within CDR messages: of a type that begins with a header, and of lists of transforms.
-#
-# **Conventions.** Times that a sensor took itself (GPS week and milliseconds, a radar's PTP time, packets, the times
-# of points) are no recorder's or host's and stay. So does a stamp of zero, which is none, and one that would leave
-# what a stamp can hold: what is garbage stays garbage, for the checks of stamps to name.
+# Header stamps moved within CDR messages, for types with a header and for lists of transforms. Times that a sensor took
+# itself (GPS week and milliseconds, a radar's PTP time, packets, the times of points) are no recorder's or host's and
+# stay. So do a stamp of zero, which means none, and a stamp that would leave its range: invalid stamps stay for the
+# checks to report.
 
 
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
@@ -161,16 +160,16 @@ _STAMP = Struct("<iI")
 
 
 def stamp_places(topic: Topic, has_header: bool) -> StampPlaces:
-    """Where the topic's messages have stamps."""
+    """Return the places of stamps in the topic's messages."""
     if topic.type == TRANSFORMS:
         return "transforms"
     return "header" if has_header else "none"
 
 
 def moved(payload: memoryview, places: StampPlaces, offset_ns: int) -> memoryview:
-    """The message with `offset_ns` added to its stamps; itself where there is none to move, or no CDR to find it in.
+    """Return the message with `offset_ns` added to its stamps; itself without stamps, or without readable CDR.
 
-    Of a message that is cut short the stamps in what is there are moved.
+    If a message is cut short, the stamps in the remaining part are moved.
     """
     found = list(_places(payload, places)) if offset_ns else []
     if not found:
@@ -194,7 +193,7 @@ def _places(payload: memoryview, places: StampPlaces) -> Iterator[int]:
 
 
 def _of_transforms(cursor: Cursor) -> Iterator[int]:
-    """Raises: MessageLayoutError where the message ends before its last transform."""
+    """Yield the places. Raises: MessageLayoutError if the message ends before its last transform."""
     for _ in range(cursor.u32()):
         yield cursor.take(8, 4)
         for _name in range(2):
@@ -209,10 +208,8 @@ def _move(content: bytearray, place: int, offset_ns: int) -> None:
         _STAMP.pack_into(content, place, *divmod(stamp_ns + offset_ns, NS_PER_S))
 
 
-# How the members of a joined recording lie in time, by their log times on one clock.
-#
-# **Conventions.** SYN-527 a member that does not cover what the reference does, SYN-528 a gap where one member ends
-# and the next goes on with its topics.
+# The coverage of the members of a joined recording, by their log times on one clock. SYN-527 a member that does not
+# cover the reference, SYN-528 a gap between a member's end and the next one's continuation of its topics.
 
 
 LEAST_MISSING_NS = 1_000_000_000
@@ -235,7 +232,7 @@ class _Span:
 
 
 def coverage_findings(members: Sequence[JoinedMember], bags: Sequence[MovedBag]) -> tuple[Finding, ...]:
-    """In order of the members, then of time."""
+    """Return the findings in order of the members, then of time."""
     spans = [_span(member, bag) for member, bag in zip(members, bags, strict=True)]
     spans = [span for span in spans if span.times_ns]
     return (*_missing(spans), *_gaps(spans))
@@ -265,7 +262,7 @@ def _missing(spans: Sequence[_Span]) -> Iterator[Finding]:
 
 
 def _gaps(spans: Sequence[_Span]) -> Iterator[Finding]:
-    """Where topics that two members hold stop for longer than they pause."""
+    """Yield gaps in which topics of two members stop for longer than their usual pauses."""
     told = set[tuple[str, str]]()
     for topic in sorted({name for span in spans for name in span.times_ns}):
         holding = sorted((span for span in spans if topic in span.times_ns), key=lambda span: span.times_ns[topic][0])
@@ -279,15 +276,13 @@ def _gaps(spans: Sequence[_Span]) -> Iterator[Finding]:
             yield Finding("SYN-528", "warning", topic, sentence)
 
 
-# What is told of a joined recording whenever it is opened: whose clock was moved by how much, and what was had twice.
-#
-# **Conventions.** SYN-520 an offset that was measured, SYN-521 one that was given, SYN-522 messages that two members
-# hold. SYN-527 and SYN-528 are of `coverage` beside it; SYN-523 … SYN-526 refuse
-# (`stone_recordings.joining.joined_recording`).
+# Findings about a joined recording on every opening: moved clocks, and duplicate messages. SYN-520 a measured offset,
+# SYN-521 a given one, SYN-522 messages in two members. SYN-527 and SYN-528 are of `coverage` beside it; SYN-523 …
+# SYN-526 refuse (`stone_recordings.joining.joined_recording`).
 
 
 def member_findings(members: Sequence[JoinedMember]) -> tuple[Finding, ...]:
-    """In the order of the members."""
+    """Return the findings in the order of the members."""
     reference = next((member.name for member in members if REFERENCE in member.known_by), "the reference")
     return tuple(finding for member in members for finding in _of(member, reference))
 

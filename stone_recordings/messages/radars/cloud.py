@@ -71,9 +71,9 @@ def _columns(records: NDArray[np.void], xyz: NDArray[np.float64]) -> dict[str, N
         "rcs": np.full(len(xyz), np.nan),
     }
     for ours, theirs in NAMES.items():
-        found = next((by_name[name] for name in theirs if name in by_name), None)
-        if found is not None and records.dtype[found].kind in "fiu":
-            columns[ours] = records[found]
+        field = next((by_name[name] for name in theirs if name in by_name), None)
+        if field is not None and records.dtype[field].kind in "fiu":
+            columns[ours] = records[field]
     return columns
 
 

@@ -68,9 +68,9 @@ def decode_packets(messages: Iterable[StampedMessage], schema: str = "") -> Rada
     counts_of_lists = read.lists["number_of_detections"].astype(np.int64)
     counts = np.bincount(read.rows, counts_of_lists, len(read.stamps_ns)).astype(np.int64)
     is_used = np.arange(PLACES) < counts_of_lists[:, None]
-    found = read.lists["detections"][is_used]
-    columns = {name: found[theirs] for name, theirs in _COLUMNS.items()}
-    columns["invalid"] = found["invalid_flags"] & INVALID_MASK != 0
+    used = read.lists["detections"][is_used]
+    columns = {name: used[theirs] for name, theirs in _COLUMNS.items()}
+    columns["invalid"] = used["invalid_flags"] & INVALID_MASK != 0
     own = np.zeros(len(read.stamps_ns), np.int64)
     # Lists of one message are written from the last to the first, so that the first stays.
     own[read.rows[::-1]] = joined_ns(read.lists["timestamp_seconds"], read.lists["timestamp_nanoseconds"])[::-1]

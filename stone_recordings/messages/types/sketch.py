@@ -111,7 +111,7 @@ class _Pen:
                 return
             seen[phase] = index
             begun.append(offsets)
-        yield from ((ElementRun(place, 1, 1, 0), offsets) for place, offsets in enumerate(begun))
+        yield from ((ElementRun(at, 1, 1, 0), offsets) for at, offsets in enumerate(begun))
 
     def _cycle(
         self, node: Repeat, begun: list[list[int]], again: tuple[int, int, int], count: int
@@ -124,9 +124,9 @@ class _Pen:
         step, stride = index - first, offset - begun[first][0]
         last = node.leaves[-1].size_bytes
         end = self.cursor.at
-        yield from ((ElementRun(place, 1, 1, 0), offsets) for place, offsets in enumerate(begun[:first]))
-        for place, offsets in enumerate(begun[first:], first):
-            elements = (count - place + step - 1) // step
-            yield ElementRun(place, step, elements, stride), offsets
+        yield from ((ElementRun(at, 1, 1, 0), offsets) for at, offsets in enumerate(begun[:first]))
+        for at, offsets in enumerate(begun[first:], first):
+            elements = (count - at + step - 1) // step
+            yield ElementRun(at, step, elements, stride), offsets
             end = max(end, offsets[-1] + last + (elements - 1) * stride)
         self.cursor.take(end - self.cursor.at)
