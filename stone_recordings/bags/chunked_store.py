@@ -24,9 +24,7 @@ from stone_recordings.bags.message_places import Entries, in_storage_order, reac
 from stone_recordings.bags.message_store import NO_MESSAGES, Messages
 
 KEPT_CHUNKS = 2
-AHEAD_CHUNKS = (
-    2  # with one chunk, the thread would start it only when the pass waits for it, because of the interpreter's lock
-)
+AHEAD_CHUNKS = 2  # with one, the thread starts it only when the pass waits for it (GIL)
 AHEAD_BYTES = 32 * 2**20
 # Beyond this share of a chunk, inflating it whole, at once and checked, costs no more than its head piece by piece.
 MOST_HEAD_RATIO = 0.5
@@ -149,7 +147,7 @@ class ChunkedStore(ABC):
     def damaged(self, beside: Messages = NO_MESSAGES) -> Mapping[str, Mapping[int, str]]:
         """Return the messages of chunks whose CRC-32 differs from the declared one, or which do not inflate."""
         none = np.zeros(0, np.int64)
-        used = np.unique(np.concatenate([none, *(one.chunk for one in self._entries.values())]))
+        used = np.unique(np.concatenate([none, *(entries.chunk for entries in self._entries.values())]))
         passed = np.concatenate([none, *(self._entries[topic].chunk[rows] for topic, rows in beside.items())])
         used = np.setdiff1d(used[used >= 0], passed)
         for number in (number for number in used.tolist() if number not in self._sound):
@@ -157,9 +155,12 @@ class ChunkedStore(ABC):
             self._file.forget(self._placed.chunks[number].start, self._placed.chunks[number].stop)
         bad = np.array(sorted(self._damaged), np.int64)
         return {
-            topic: {row: self._damaged[int(one.chunk[row])] for row in np.flatnonzero(np.isin(one.chunk, bad)).tolist()}
-            for topic, one in self._entries.items()
-            if np.isin(one.chunk, bad).any()
+            topic: {
+                row: self._damaged[int(entries.chunk[row])]
+                for row in np.flatnonzero(np.isin(entries.chunk, bad)).tolist()
+            }
+            for topic, entries in self._entries.items()
+            if np.isin(entries.chunk, bad).any()
         }
 
     def _check(self, number: int) -> None:

@@ -76,15 +76,15 @@ def inflate_head(view: memoryview, chunk: Chunk, stop: int) -> memoryview:
     packed = view[chunk.start : chunk.stop]
     _check_size(chunk, len(packed))
     pieces = _pieces(packed, chunk.compression, stop)
-    found = bytearray()
+    inflated = bytearray()
     try:
-        while len(found) < stop and (piece := next(pieces, b"")):
-            found += piece
+        while len(inflated) < stop and (piece := next(pieces, b"")):
+            inflated += piece
     except _DAMAGED as error:
         raise MalformedBagError(chunk.where, _problem(chunk, str(error))) from None
-    if len(found) < stop:
-        raise MalformedBagError(chunk.where, _problem(chunk, f"only {len(found)} decompressed"))
-    return memoryview(found).toreadonly()[:stop]
+    if len(inflated) < stop:
+        raise MalformedBagError(chunk.where, _problem(chunk, f"only {len(inflated)} decompressed"))
+    return memoryview(inflated).toreadonly()[:stop]
 
 
 def pieces_of(packed: memoryview, compression: str, piece_bytes: int = PIECE_BYTES) -> Iterator[bytes | memoryview]:
@@ -98,8 +98,8 @@ def pieces_of(packed: memoryview, compression: str, piece_bytes: int = PIECE_BYT
 
 def check_crc32(records: memoryview, chunk: Chunk) -> None:
     """Check the CRC-32; 0 means that the writer did not compute one (ROS 2 Humble's default)."""
-    if chunk.crc32 and (found := isal_zlib.crc32(records)) != chunk.crc32:
-        raise ChecksumError(chunk.where, found, chunk.crc32)
+    if chunk.crc32 and (crc32 := isal_zlib.crc32(records)) != chunk.crc32:
+        raise ChecksumError(chunk.where, crc32, chunk.crc32)
 
 
 def _check_size(chunk: Chunk, packed_bytes: int) -> None:

@@ -105,9 +105,7 @@ class PoseValueError(IngestError):
     """An invalid pose: NaN, infinity, or a quaternion of zero norm."""
 
     def __init__(self, type_name: str, index: int, problem: str) -> None:
-        super().__init__(
-            "MSG-305", f"{type_name} number {index} {problem}; the source was not initialised when it was recorded"
-        )
+        super().__init__("MSG-305", f"{type_name} number {index} {problem}; initialise the source before recording")
 
 
 def database_refused(name: str, reason: str) -> IngestError:
@@ -119,7 +117,7 @@ def packed_too_large(where: str, packed_bytes: int, limit_bytes: int) -> IngestE
     return IngestError(
         "BAG-027",
         f"{where}: its {packed_bytes} compressed bytes decompress to more than {limit_bytes}; "
-        f"decompress it yourself if that is its true size",
+        f"if that is its true size, decompress the file before uploading it",
     )
 
 

@@ -1,7 +1,7 @@
 """File type detection by the first bytes of a file.
 
-**Conventions.** Names are never trusted: an HTML page called `.mcap` (a login page saved by a download) is the
-commonest broken upload. An MCAP file ends as it begins, so that one whose beginning is damaged is known by its end.
+**Conventions.** Names are never trusted: an HTML page called `.mcap` (a login page saved by a download) is the most
+common broken upload. An MCAP file ends as it starts, so that its end identifies a file with a damaged start.
 """
 
 from pathlib import Path
@@ -36,7 +36,7 @@ _KNOWN: tuple[tuple[bytes, str], ...] = (
 
 
 def container_of(path: Path) -> Container:
-    """ "zstd" where a file of another kind was compressed as a whole.
+    """Return the container; "zstd" if a file of another kind was compressed as a whole.
 
     Raises: FileNotFoundError, NotABagError, CutBagError (fewer bytes than the magic has).
     """
@@ -47,7 +47,7 @@ def container_of(path: Path) -> Container:
     if first.startswith(ZSTD_MAGIC) and _container(private_folder.first_bytes(path, SNIFFED_BYTES)):
         return "zstd"
     if not first and has_wal(path):
-        return "sqlite"  # a recorder in WAL mode that died before it ever wrote the database itself
+        return "sqlite"  # a recorder in WAL mode that died before it wrote the database itself
     if first and (MAGIC.startswith(first) or ROS1_MAGIC.startswith(first)):
         raise CutBagError(path.name, len(first), "its first record is missing")
     if _ends_as_mcap(path):
@@ -56,7 +56,7 @@ def container_of(path: Path) -> Container:
 
 
 def is_container(path: Path) -> bool:
-    """Whether `container_of` would not refuse it as something else; a cut one counts."""
+    """Return whether `container_of` accepts the file; a cut file counts."""
     try:
         container_of(path)
     except NotABagError:
@@ -67,13 +67,13 @@ def is_container(path: Path) -> bool:
 
 
 def has_wal(path: Path) -> bool:
-    """Whether a write-ahead log with content lies beside a database."""
+    """Return whether a write-ahead log with content lies beside a database."""
     wal = path.with_name(f"{path.name}-wal")
     return wal.is_file() and wal.stat().st_size > 0
 
 
 def _first_bytes(path: Path) -> bytes:
-    if path.exists() and not path.is_file():  # a pipe or a device could be read forever
+    if path.exists() and not path.is_file():  # reading a pipe or a device may never end
         raise NotABagError(path.name, b"", "a folder" if path.is_dir() else "no regular file")
     with path.open("rb") as file:
         return file.read(SNIFFED_BYTES)

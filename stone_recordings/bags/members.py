@@ -1,8 +1,8 @@
 """The files of a recording: one file, or those of a rosbag2 folder.
 
-**Conventions.** With a metadata.yaml the files that it lists, by their last name component only (old bags list
-"run/run_0.db3", hostile ones "../../etc/passwd"); without one, every file that is a container by its first bytes. Order
-is the list's, else that of the numbers in the names. A link is followed, but only to a regular file.
+**Conventions.** With a metadata.yaml, the files in its list, by their last name component only (old bags list
+"run/run_0.db3", hostile ones "../../etc/passwd"). Without it, every file that is a container by its first bytes. The
+order is that of the list, else that of the numbers in the names. A link is followed only to a regular file.
 """
 
 import re
@@ -19,10 +19,9 @@ from stone_files.joined_file import is_joined
 from stone_recordings.bags.errors import IngestError, NotABagError
 from stone_recordings.bags.magic import container_of, is_container
 
-# A bounded reader of rosbag2's metadata.yaml, for the files it lists.
-#
-# **Conventions.** Counts, times and types in it are never used, the files say them. The events of the YAML are walked
-# and nothing is built from them, so that aliases and depth cost what their bytes cost.
+# A bounded reader of rosbag2's metadata.yaml, for the files in its list. Counts, times and types in it are never used,
+# because the files contain them. The events of the YAML are walked and nothing is built from them, so that aliases and
+# depth cost no more than their bytes.
 
 
 ROOT = "rosbag2_bagfile_information"
@@ -32,7 +31,7 @@ DEPTH_LIMIT = 24
 
 
 class MetadataError(Exception):
-    """The file cannot be understood; the sentence says why. The folder is read without it."""
+    """The file cannot be understood, with the reason. The folder is read without it."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ class BagMetadata:
 
 
 def read_metadata(path: Path) -> BagMetadata:
-    """Raises: MetadataError."""
+    """Read the file. Raises: MetadataError."""
     try:
         with path.open("rb") as file:
             content = file.read(SIZE_LIMIT_BYTES + 1)
@@ -51,9 +50,9 @@ def read_metadata(path: Path) -> BagMetadata:
             raise MetadataError(f"metadata.yaml is larger than {SIZE_LIMIT_BYTES} bytes")
         values = list(_values(content.decode()))
     except (OSError, ValueError, YAMLError) as error:
-        said = " ".join(str(error).split())[:160]
-        raise MetadataError(f"metadata.yaml cannot be read ({said})") from None
-    files = tuple(value for place, value in values if place == (ROOT, "relative_file_paths", ""))
+        reason = " ".join(str(error).split())[:160]
+        raise MetadataError(f"metadata.yaml cannot be read ({reason})") from None
+    files = tuple(value for path_of_keys, value in values if path_of_keys == (ROOT, "relative_file_paths", ""))
     if not files:
         raise MetadataError("metadata.yaml lists no files")
     return BagMetadata(files)
@@ -61,14 +60,14 @@ def read_metadata(path: Path) -> BagMetadata:
 
 @dataclass
 class _YamlLevel:
-    """Where the walk is inside one mapping or sequence; `key` is None before a mapping's next key."""
+    """The walk's position inside one mapping or sequence; `key` is None before a mapping's next key."""
 
     is_mapping: bool
     key: str | None = None
 
 
 def _values(text: str) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Every scalar with the keys that lead to it; an item of a sequence has the key ""."""
+    """Yield every scalar with its path of keys; an item of a sequence has the key ""."""
     levels: list[_YamlLevel] = []
     for number, event in enumerate(YAML(typ="safe", pure=True).parse(text)):
         if number > EVENT_LIMIT or len(levels) > DEPTH_LIMIT:
@@ -104,14 +103,14 @@ MOST_MEMBERS = 4096
 
 @dataclass(frozen=True)
 class RecordingMembers:
-    """At least one file, and what was noticed on the way to them."""
+    """At least one file, and the findings of the search."""
 
     files: tuple[Path, ...]
     findings: tuple[Finding, ...] = ()
 
 
 def members_of(path: Path) -> RecordingMembers:
-    """Raises: FileNotFoundError, NotABagError (BAG-001), `BAG-019`, CutBagError."""
+    """Return the members. Raises: FileNotFoundError, NotABagError (BAG-001), `BAG-019`, CutBagError."""
     if not path.is_dir():
         container_of(path)
         return RecordingMembers((path,))
@@ -123,13 +122,13 @@ def members_of(path: Path) -> RecordingMembers:
     try:
         return _listed(path, names, read_metadata(path / METADATA))
     except MetadataError as error:
-        found = _found(path, [name for name in names if name != METADATA])
-        message = f"{error}: the {len(found.files)} files beside it are read without it."
-        return RecordingMembers(found.files, (Finding("BAG-023", "warning", METADATA, message),))
+        members = _found(path, [name for name in names if name != METADATA])
+        message = f"{error}: the {len(members.files)} files beside it are read without it."
+        return RecordingMembers(members.files, (Finding("BAG-023", "warning", METADATA, message),))
 
 
 def _names(folder: Path) -> list[str]:
-    """Regular files, directly in the folder; hidden ones are nobody's recording."""
+    """Return regular files directly in the folder; hidden files belong to no recording."""
     names = []
     for number, entry in enumerate(folder.iterdir()):
         if number >= MOST_MEMBERS:
@@ -140,19 +139,19 @@ def _names(folder: Path) -> list[str]:
 
 
 def _natural(name: str) -> tuple[tuple[int, str], ...]:
-    """run_2 before run_10."""
+    """Return a sort key that puts run_2 before run_10."""
     return tuple((int(part[:18]), "") if part.isdecimal() else (-1, part) for part in re.split(r"([0-9]+)", name))
 
 
 def _found(folder: Path, names: list[str]) -> RecordingMembers:
-    """Every container of the folder; a file and its compressed twin are one."""
+    """Return every container of the folder; a file and its compressed twin are one."""
     containers = [name for name in names if not name.endswith(SIDECARS) and is_container(folder / name)]
     files = [name for name in containers if name.removesuffix(".zstd") not in containers or not name.endswith(".zstd")]
     if not files:
         raise NotABagError(folder.name, b"", "a folder without metadata.yaml, .mcap, .db3 or .bag file")
     if len({Path(name.removesuffix(".zstd").removesuffix(".active")).suffix for name in files}) > 1:
         shown = ", ".join(files[:4])
-        raise members_refused(folder.name, f"it has no metadata.yaml to say which files are the recording: {shown}")
+        raise members_refused(folder.name, f"it has no metadata.yaml that lists the files of the recording: {shown}")
     message = f"No metadata.yaml: the {len(files)} files of the folder are taken as one recording."
     return RecordingMembers(tuple(folder / name for name in files), (Finding("BAG-025", "info", "", message),))
 

@@ -1,4 +1,4 @@
-"""Where the messages of a file of chunks lie, by topic, and in which order they are read.
+"""Places of the messages in a file of chunks, by topic, and their reading order.
 
 **Conventions.** A place is (log time, chunk number, offset of the message record in that chunk's records); chunk −1 is
 the file itself, for messages outside of chunks.
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class Entries:
-    """The messages of one channel in the order of the file."""
+    """The messages of one channel in file order."""
 
     log_time_ns: NDArray[np.int64]
     chunk: NDArray[np.int32]
@@ -35,13 +35,13 @@ class GrowingEntries:
         self.offset.append(offset)
 
     def extend(self, log_time_ns: NDArray[np.int64], chunk: int, offset: NDArray[np.int64]) -> None:
-        """The messages of one chunk."""
+        """Add the messages of one chunk."""
         self.log_time_ns.frombytes(log_time_ns.tobytes())
         self.chunk.extend([chunk] * len(offset))
         self.offset.frombytes(offset.tobytes())
 
     def join(self, others: "GrowingEntries") -> None:
-        """Those of another one behind ours."""
+        """Append the entries of another."""
         self.log_time_ns.extend(others.log_time_ns)
         self.chunk.extend(others.chunk)
         self.offset.extend(others.offset)
@@ -54,7 +54,7 @@ class GrowingEntries:
 
 @dataclass(frozen=True, eq=False)
 class StorageOrder:
-    """Of N messages: number of the topic, index in it, chunk, and offset in that, as they are stored."""
+    """For N messages: number of the topic, index in it, chunk, and offset in the chunk, in storage order."""
 
     topic: NDArray[np.int64]
     index: NDArray[np.int64]
@@ -63,7 +63,7 @@ class StorageOrder:
 
 
 def in_log_order(parts: Sequence[Entries]) -> Entries:
-    """The messages of several channels of one topic by log time (ties: file order)."""
+    """Return the messages of several channels of one topic by log time (ties: file order)."""
     times = np.concatenate([part.log_time_ns for part in parts])
     chunks = np.concatenate([part.chunk for part in parts])
     offsets = np.concatenate([part.offset for part in parts])
@@ -72,7 +72,7 @@ def in_log_order(parts: Sequence[Entries]) -> Entries:
 
 
 def in_storage_order(parts: Sequence[Entries]) -> StorageOrder:
-    """All messages of these topics in the order in which they are stored."""
+    """Return all messages of these topics in storage order."""
     none = np.zeros(0, np.int64)
     topic = np.concatenate([none, *(np.full(len(part.offset), number) for number, part in enumerate(parts))])
     index = np.concatenate([none, *(np.arange(len(part.offset)) for part in parts)])
@@ -83,10 +83,10 @@ def in_storage_order(parts: Sequence[Entries]) -> StorageOrder:
 
 
 def reach_of(rows: StorageOrder, is_whole: NDArray[np.bool_], head_bytes: int) -> dict[int, int]:
-    """By chunk: up to which of its bytes heads, and messages that are wanted whole, can lie; the end is not known here.
+    """Return by chunk the last byte that heads, and messages wanted whole, can reach; the chunk's end is unknown here.
 
-    A head, with that of its record, takes `head_bytes`. A whole message ends where the next one begins at the latest;
-    the last of a chunk may take all of it.
+    A head, with that of its record, takes `head_bytes`. A whole message ends at the next one's start at the latest; the
+    last message of a chunk may take all of it.
     """
     if not len(rows.chunk):
         return {}

@@ -1,7 +1,7 @@
-"""The interface of message stores: what every container format implements.
+"""The interface of message stores, which every container format implements.
 
-**Conventions.** As `stone_recordings.bags.bag`. A store is told by `release` that it will rest for a while, and by
-`close` that it is over; payloads stay valid after both.
+**Conventions.** As `stone_recordings.bags.bag`. `release` announces a pause, `close` the end; payloads stay valid after
+both.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -14,10 +14,8 @@ from numpy.typing import NDArray
 
 from stone.findings import Finding
 
-# A topic of a recording: its name, its type and how its payloads are written.
-#
-# **Conventions.** `type` is written `package/msg/Name`; `schema` is the ros2msg text embedded in the recording, ""
-# where none is; `encoding` is how payloads are written.
+# A topic of a recording: its name, its type and the encoding of its payloads. `type` is written `package/msg/Name`;
+# `schema` is the ros2msg text embedded in the recording, "" without one.
 
 
 @dataclass(frozen=True)
@@ -44,40 +42,41 @@ class MessageStore(Protocol):
     findings: tuple[Finding, ...]
 
     def log_times_ns(self, topic: str) -> NDArray[np.int64]:
-        """Ascending log times of the topic's messages."""
+        """Return the ascending log times of the topic's messages."""
         ...
 
     def payload(self, topic: str, index: int) -> memoryview:
-        """The CDR message at `index` in log-time order."""
+        """Return the CDR message at `index` in log-time order."""
         ...
 
     def heads(
         self, topics: Sequence[str], whole: Collection[str] = (), *, is_checked: bool = False
     ) -> Iterator[tuple[str, int, memoryview]]:
-        """Topic, index and at least the first `HEAD_BYTES` of every message (all of one that is shorter, or whose
-        topic is among `whole`), in the order in which they are stored. What is damaged is passed over where that
-        `is_checked`, and where `damaged` was asked before.
+        """Yield topic, index and at least the first `HEAD_BYTES` of every message, in storage order.
+
+        A shorter message, and one whose topic is in `whole`, is yielded whole. Damaged messages are skipped if
+        `is_checked`, and after the first use of `damaged`.
         """
         ...
 
     def size_bytes(self, topic: str, index: int) -> int:
-        """Of the message as it is stored; cheap for one whose head was just given."""
+        """Return the size of the stored message; cheap for one whose head was just yielded."""
         ...
 
     def damaged(self, beside: Messages = NO_MESSAGES) -> Mapping[str, Mapping[int, str]]:
-        """By topic and index, messages that cannot be had because what they lie in is damaged, and why.
+        """Return by topic and index the messages that are lost with their damaged container, and the reason.
 
-        Reads whatever carries a checksum or is compressed, once; from then on `heads` passes these messages over.
-        What the messages `beside` lie in is not looked at.
+        Reads everything with a checksum or compression, once; from then on `heads` skips these messages. The containers
+        of the messages `beside` are not checked.
         """
         ...
 
     def read_sparingly(self) -> None:
-        """From now on read no bytes of other messages, not even to check those that are asked for."""
+        """From now on read no bytes of other messages, not even to check the requested ones."""
         ...
 
     def release(self) -> None:
-        """Give back what can be had again: inflated chunks, open files."""
+        """Release data that can be loaded again: inflated chunks, open files."""
         ...
 
     def close(self) -> None: ...

@@ -1,7 +1,8 @@
-"""A folder of our own for what must be unpacked or copied before it can be read, gone when it is closed.
+"""A private folder for data that must be unpacked or copied before reading, removed on closing.
 
-**Conventions.** Under the system's folder for temporary files (`TMPDIR`), readable by us alone. It goes when it is
-closed, collected, or when the process that made it ends; a forked child that inherits it never removes it.
+**Conventions.** Under the system's folder for temporary files (`TMPDIR`), readable by our user alone. It is removed
+when it is closed or collected, or when the process that created it ends; a forked child that inherits it never removes
+it.
 """
 
 import os
@@ -15,12 +16,12 @@ import zstandard
 
 from stone_recordings.bags.errors import MalformedBagError, NoRoomError, packed_too_large
 
-# What a temporary copy must leave free on its disk.
+# The space that a temporary copy must leave free on its disk.
 SPARED_BYTES = 256 * 2**20
 
 
 class PrivateFolder:
-    """A fresh folder; `path` is where."""
+    """A fresh folder at `path`."""
 
     def __init__(self) -> None:
         self.path = Path(tempfile.mkdtemp(prefix="stone-bag-"))
@@ -30,28 +31,28 @@ class PrivateFolder:
         self._finalizer()
 
     def close_with(self, owner: object) -> None:
-        """Go when `owner` is collected: what it has mapped or opened stays readable until then."""
+        """Close when `owner` is collected: its maps and open files stay readable until then."""
         self._finalizer.detach()
         weakref.finalize(owner, _remove, self.path, os.getpid())
 
     def link_or_copy(self, source: Path) -> Path:
-        """`source` under its own name: the same file where the disk allows (never write to it!), else a copy."""
+        """Return `source` under its own name: a hard link if the disk allows it (never write to it!), else a copy."""
         target = self.path / source.name
         try:
             os.link(source.resolve(), target)
-        except OSError:  # another disk, or somebody else's file
+        except OSError:  # another disk, or a file of another user
             self.copy(source)
         return target
 
     def copy(self, source: Path) -> Path:
-        """`source` under its own name, ours to write. Raises: NoRoomError."""
+        """Return a writable copy of `source` under its own name. Raises: NoRoomError."""
         target = self.path / source.name
         self.check_room(source.name, source.stat().st_size)
         shutil.copyfile(source, target)
         return target
 
     def check_room(self, name: str, size_bytes: int) -> None:
-        """Raises: NoRoomError (BAG-028) where `size_bytes` more would fill the disk."""
+        """Raise NoRoomError (BAG-028) if `size_bytes` more would fill the disk."""
         free_bytes = shutil.disk_usage(self.path).free
         if size_bytes + SPARED_BYTES > free_bytes:
             raise NoRoomError(name, size_bytes, free_bytes)
@@ -62,20 +63,19 @@ def _remove(path: Path, pid: int) -> None:
         shutil.rmtree(path, ignore_errors=True)
 
 
-# A file that the recorder compressed as a whole (rosbag2's `compression_mode: file`), unpacked into a folder of ours.
-#
-# **Conventions.** Names lose their last suffix: `run_0.db3.zstd` → `run_0.db3`. What grows beyond `RATIO_LIMIT` times
-# its packed size, or would fill the disk, is refused while it is unpacked.
+# A file that the recorder compressed as a whole (rosbag2's `compression_mode: file`), unpacked into a private folder.
+# Names lose their last suffix: `run_0.db3.zstd` → `run_0.db3`. If the data grows beyond `RATIO_LIMIT` times its packed
+# size, or would fill the disk, unpacking stops with a refusal.
 
 
 RATIO_LIMIT = 100
 SMALL_BYTES = 64 * 2**20
-WINDOW_LIMIT_BYTES = 128 * 2**20  # zstd -19 --long=27, the most that zstd itself unpacks unasked
+WINDOW_LIMIT_BYTES = 128 * 2**20  # zstd -19 --long=27, the largest window that zstd unpacks by default
 PIECE_BYTES = 4 * 2**20
 
 
 def first_bytes(path: Path, size_bytes: int) -> bytes:
-    """The first bytes of what is packed; b"" where it does not unpack."""
+    """Return the first unpacked bytes; b"" if the file does not unpack."""
     codec = zstandard.ZstdDecompressor(max_window_size=WINDOW_LIMIT_BYTES)
     try:
         with path.open("rb") as file, codec.stream_reader(file) as stream:
@@ -85,7 +85,7 @@ def first_bytes(path: Path, size_bytes: int) -> bytes:
 
 
 def unpacked_file(path: Path, folder: PrivateFolder) -> Path:
-    """The file in `folder`; of one that was cut off, what came out before the cut.
+    """Return the unpacked file in `folder`; for a cut file the part before the cut.
 
     Raises: MalformedBagError (damaged), `BAG-027`, NoRoomError.
     """

@@ -1,7 +1,7 @@
-"""Several files as one recording: a split bag, whatever holds its parts.
+"""Several files as one recording: a split bag of any container.
 
-**Conventions.** Messages of a topic are in log-time order over all files; of equal times those of the earlier file come
-first. Only the files used last are kept awake, so that memory and open files do not grow with their number.
+**Conventions.** Messages of a topic are in log-time order over all files; for equal times those of the earlier file
+come first. Only the files used last stay open, so that memory and open files do not grow with their number.
 """
 
 from collections import OrderedDict
@@ -39,7 +39,7 @@ class SplitStore:
     def heads(
         self, topics: Sequence[str], whole: Collection[str] = (), *, is_checked: bool = False
     ) -> Iterator[tuple[str, int, memoryview]]:
-        """File after file, each in its own order."""
+        """Yield file after file, each in its own order."""
         for number, part in enumerate(self._parts):
             own = {topic.name for topic in part.topics}
             here = [topic for topic in topics if topic in own]
@@ -52,13 +52,13 @@ class SplitStore:
         return self._woken(int(parts[index])).size_bytes(topic, int(indices[index]))
 
     def damaged(self, beside: Messages = NO_MESSAGES) -> Mapping[str, Mapping[int, str]]:
-        """Of every file, under the indices of the whole."""
-        found: dict[str, dict[int, str]] = {}
+        """Return the damaged messages of every file, under the indices of the whole."""
+        damaged: dict[str, dict[int, str]] = {}
         for number in range(len(self._parts)):
             for topic, reasons in self._woken(number).damaged(self._among(number, beside)).items():
                 rows = self._rows_of(number, topic)
-                found.setdefault(topic, {}).update({int(rows[index]): reason for index, reason in reasons.items()})
-        return found
+                damaged.setdefault(topic, {}).update({int(rows[index]): reason for index, reason in reasons.items()})
+        return damaged
 
     def read_sparingly(self) -> None:
         for part in self._parts:
@@ -73,20 +73,20 @@ class SplitStore:
             part.close()
 
     def _rows_of(self, number: int, topic: str) -> NDArray[np.int64]:
-        """The indices in the whole of the messages of one file, in its order."""
+        """Return the indices in the whole of the messages of one file, in its order."""
         _times, parts, indices = self._places[topic]
         rows = np.flatnonzero(parts == number)
         return rows[np.argsort(indices[rows])]
 
     def _among(self, number: int, messages: Messages) -> Messages:
-        """Those of the messages that lie in one file, under its own indices."""
-        found = {}
+        """Return the messages that lie in one file, under its own indices."""
+        among = {}
         for topic, rows in messages.items():
             _times, parts, indices = self._places[topic]
             mine = rows[parts[rows] == number]
             if len(mine):
-                found[topic] = indices[mine]
-        return found
+                among[topic] = indices[mine]
+        return among
 
     def _woken(self, number: int) -> MessageStore:
         self._awake[number] = None
@@ -96,7 +96,7 @@ class SplitStore:
         return self._parts[number]
 
     def _placed(self, topic: str) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int64]]:
-        """Log times, part and index within it of every message."""
+        """Return log times, part and index within it of every message."""
         own = [(number, part) for number, part in enumerate(self._parts) if topic in {t.name for t in part.topics}]
         times = [part.log_times_ns(topic) for _number, part in own]
         numbers = [np.full(len(part.log_times_ns(topic)), number, np.int32) for number, part in own]
@@ -114,12 +114,12 @@ def _by_name(parts: Sequence[MessageStore]) -> dict[str, list[Topic]]:
     return listed
 
 
-def _joined(name: str, told: Sequence[Topic]) -> Topic:
-    """One topic of what the files say; raises MalformedBagError where they contradict each other."""
-    first = told[0]
-    for other in told[1:]:
+def _joined(name: str, topics: Sequence[Topic]) -> Topic:
+    """Return one topic from those of the files; raises MalformedBagError if they contradict each other."""
+    first = topics[0]
+    for other in topics[1:]:
         if (other.type, other.encoding) != (first.type, first.encoding):
             problem = f"topic {first.name!r} is {first.type} in one file and {other.type} in another"
             raise MalformedBagError(name, problem)
-    schema = next((topic.schema for topic in told if topic.schema), "")
-    return Topic(first.name, first.type, sum(topic.count for topic in told), schema, first.encoding)
+    schema = next((topic.schema for topic in topics if topic.schema), "")
+    return Topic(first.name, first.type, sum(topic.count for topic in topics), schema, first.encoding)

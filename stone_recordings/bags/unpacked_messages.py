@@ -1,8 +1,7 @@
-"""Messages that the recorder packed one by one (rosbag2's `compression_mode: message`), unpacked as they are read.
+"""Messages that the recorder packed one by one (rosbag2's `compression_mode: message`), unpacked on reading.
 
-**Conventions.** A CDR message begins with a zero byte, a zstd frame with 28 B5 2F FD, so every message says itself
-whether it is packed. One may unpack to `MESSAGE_LIMIT_BYTES`; what claims to grow large and manyfold is measured before
-it is allocated.
+**Conventions.** A CDR message starts with a zero byte, a zstd frame with 28 B5 2F FD, so every message shows whether it
+is packed. A message may unpack to `MESSAGE_LIMIT_BYTES`; a declared large growth is measured before it is allocated.
 """
 
 import cramjam
@@ -23,7 +22,7 @@ def is_packed(payload: memoryview) -> bool:
 
 
 def unpacked(payload: memoryview, where: str) -> memoryview:
-    """The message in a frame that is whole. Raises: MalformedBagError, `BAG-027`."""
+    """Return the message in a whole frame. Raises: MalformedBagError, `BAG-027`."""
     size_bytes = _size_of(payload, where)
     message = np.empty(size_bytes, np.uint8)
     try:
@@ -38,7 +37,7 @@ def unpacked(payload: memoryview, where: str) -> memoryview:
 
 
 def unpacked_head(payload: memoryview, where: str) -> memoryview:
-    """At least the first `HEAD_BYTES` of the message in a frame, or all of it. Raises: MalformedBagError."""
+    """Return at least the first `HEAD_BYTES` of the message in a frame, or all of it. Raises: MalformedBagError."""
     head = next(iter(pieces_of(payload, "zstd", HEAD_BYTES)), b"")
     if not head:
         raise MalformedBagError(where, "its zstd frame cannot be decompressed")
@@ -46,7 +45,7 @@ def unpacked_head(payload: memoryview, where: str) -> memoryview:
 
 
 def _size_of(payload: memoryview, where: str) -> int:
-    """What the frame declares, or what comes out where it declares nothing or more than is believed."""
+    """Return the declared size of the frame, or the measured one if it declares none or an implausible one."""
     try:
         declared_bytes = zstandard.get_frame_parameters(payload[:FRAME_HEAD_BYTES]).content_size
     except zstandard.ZstdError as error:

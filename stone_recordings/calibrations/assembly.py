@@ -1,7 +1,7 @@
 """A calibration from the parts of a bundle: the LiDAR's frame, the ego frame, and the frames of sensors.
 
 **Conventions.** If two frames fit, neither is chosen: a rig document (`stone_rig: 1`) decides. If several frames can be
-the ego frame, it is the one on the ground. A camera frame that is not known to be optical is judged by its rotation: a
+the ego frame, it is the one on the ground. A camera frame that is not known to be optical is judged by its rotation. A
 link (x forward, z up) is turned to its optical frame, and a finding reports it.
 """
 
@@ -176,5 +176,5 @@ def disconnected_sensor(sensor: str, frame: str, lidar_frame: str) -> Refused:
     return Refused(
         "CAL-405",
         f"{sensor}: its frame {frame!r} has no path to the LiDAR's frame {lidar_frame!r} "
-        "(a transform missing, or a frame called differently in two files?)",
+        "(check for a missing transform, or two names of one frame)",
     )

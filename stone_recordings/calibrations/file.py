@@ -127,5 +127,5 @@ def _whole(calibration: Calibration, bundle: Bundle) -> Findings:
 def _footprint_finding(is_given: bool) -> Findings:
     """Return CAL-436 if no file contains the robot's footprint, from which T is computed."""
     default = Footprint()
-    sentence = f"no footprint is given: {default.length_m:g} x {default.width_m:g} m, the paper's robot, is taken"
+    sentence = f"no footprint is given: {default.length_m:g} x {default.width_m:g} m, the paper's robot, is used"
     return () if is_given else (Finding(DEFAULT_FOOTPRINT, "info", "", sentence),)

@@ -24,7 +24,7 @@ def is_camchain(content: dict[str, object]) -> bool:
 
 
 def is_imu(content: dict[str, object]) -> bool:
-    """Return whether this is imu.yaml: noise densities, and one IMU's pose to another, of which a rig needs nothing."""
+    """Return whether this is imu.yaml: noise densities, and one IMU's pose to another, which a rig does not need."""
     return any(IMU.fullmatch(key) for key in content)
 
 

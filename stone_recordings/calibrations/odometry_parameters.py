@@ -1,6 +1,7 @@
 """Parameter files of LiDAR-inertial odometry: FAST-LIO, Point-LIO, FAST-LIVO2 with its camera, LIO-SAM.
 
-**Conventions.** Frames are called imu, lidar and camera. Of ROS 2 files the parameters of the first node are read.
+**Conventions.** Frames are called imu, lidar and camera. Only the parameters of the first node of a ROS 2 file are
+read.
 
 - FAST-LIO, Point-LIO (`mapping`) and FAST-LIVO2 (`extrin_calib`): `extrinsic_T`, `extrinsic_R` are the LiDAR's pose in
   the IMU's frame, `imu_from_lidar`;

@@ -39,7 +39,7 @@ def _edge(name: str, node: Node) -> tuple[Edge, Findings]:
     target, parameters = node.at("target_sensor_name").text(), node.at("param")
     transform, findings = checked_transform(name, _sized(parameters.at("sensor_calib")).matrix(4, 4))
     if parameters.has("time_lag") and (lag_s := parameters.at("time_lag").number()) != 0:
-        sentence = f"time_lag {lag_s:g} is not applied: the format does not say to which clock (set time_offset_ns)"
+        sentence = f"time_lag {lag_s:g} is not applied: the format does not define its clock (set time_offset_ns)"
         findings += (warning("CAL-432", name, sentence),)
     return Edge(target, name, transform), findings
 

@@ -142,7 +142,10 @@ def _doubt(camera: str, lidar_from_camera: SE3) -> Findings:
     )
     if up >= UPRIGHT_LEAST or up_of_inverse < UPRIGHT_LEAST:
         return ()
-    sentence = "read as its key says, the transform lays the camera on its side, its inverse does not (inverted?)"
+    sentence = (
+        "read by its key, the transform lays the camera on its side, but its inverse does not: check whether it is "
+        "inverted"
+    )
     return (warning("CAL-404", camera, sentence),)
 
 

@@ -56,7 +56,7 @@ def camera_text(document: Node) -> CalibrationPart:
     lens = intrinsics(
         LensText(document.file, CAMERA, "none", ()), np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), (0, 0)
     )
-    sentence = f"{document.file} gives no distortion: images are taken as undistorted (camera_info would give it)"
+    sentence = f"{document.file} gives no distortion: images count as undistorted (add camera_info to change this)"
     findings = (Finding("CAL-426", "info", CAMERA, sentence),)
     return CalibrationPart(
         document.file, "rellis", lenses={CAMERA: lens}, optical=frozenset({CAMERA}), findings=findings

@@ -87,7 +87,7 @@ def _host_findings(clock: TopicClock) -> Iterator[Finding]:
         yield host_stamp_finding(clock.topic, StampLateness(clock.own_offset_ns, clock.own_jitter_ns), remedy)
     elif clock.role != "odometry":
         message = (
-            "Stamped on the host, it seems: its stamps are as irregular as their publishing "
+            "Probably stamped on the host: its stamps are as irregular as their publishing "
             f"({readable_ns(clock.offset_ns or 0)} before they were recorded). Let the driver stamp by the sensor."
         )
         yield Finding("TIM-201", "warning", clock.topic, message)
@@ -134,7 +134,7 @@ def _distance(clock: TopicClock, what: str, ahead_ns: int, whose: str, constant:
 
 
 def _agreeing(offsets_ns: Mapping[str, int], lidars: Sequence[str]) -> list[str]:
-    """Return the topics that share a clock: the largest group; of two equal groups the recorder's, else the LiDAR's."""
+    """Return the topics that share a clock: the largest group, else the recorder's, else the LiDAR's."""
     names, offsets = list(offsets_ns), np.array(list(offsets_ns.values()), np.float64)
     ordered = np.sort(offsets)
     first = np.searchsorted(ordered, offsets - CLOCK_DISTANCE_NS, side="left")

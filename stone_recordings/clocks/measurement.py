@@ -257,7 +257,7 @@ def _step_of(times: StampedTimes) -> _Step | None:
 
 
 def _are_one(steps: Mapping[str, _Step], times: Mapping[str, StampedTimes]) -> bool:
-    """Return whether the steps are one jump of the recorder: of one size at one time; ahead, with no records within."""
+    """Return whether the steps are one jump of the recorder: equal sizes at one time; ahead, with no records within."""
     sizes = [step.size_ns for step in steps.values()]
     size_ns = round(float(np.median(sizes)))
     first_ns = max(step.before_ns for step in steps.values())

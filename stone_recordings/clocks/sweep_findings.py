@@ -1,7 +1,7 @@
 """Findings about the clouds of a LiDAR, from a sample of them: the same for inspection and labelling.
 
-**Conventions.** MSG-303 a wrong byte order, MSG-320 declared sizes that the data refutes, MSG-321 points without a time
-of their sweep, MSG-322 sweeps that are not deskewed, TIM-220 points on another clock than the header, TOP-102 no times.
+**Conventions.** MSG-303 a wrong byte order, MSG-320 declared sizes that the data refutes. MSG-321 points without a time
+of their sweep, MSG-322 sweeps that are not deskewed. TIM-220 points on another clock than the header, TOP-102 no times.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,7 +20,7 @@ NO_TIME = "its points have no readable time"
 
 def sweep_findings(bag: Bag, topic: str, looks: Sequence[SweepLook]) -> Iterator[Finding]:
     """Yield the findings of the sampled sweeps of a topic."""
-    looked = f"of {len(looks)} sweeps looked at"
+    looked = f"of {len(looks)} sampled sweeps"
     swapped = sum(look.is_swapped for look in looks)
     if swapped:
         message = f"{swapped} {looked} are declared big-endian, but are little-endian: they are read as such. "
@@ -40,16 +40,16 @@ def _time_findings(bag: Bag, topic: str, looks: Sequence[SweepLook]) -> Iterator
         yield Finding("TOP-102", "warning", topic, sentence)
     elif untimed:
         why = UNTIMED.get(untimed[0].meaning, NO_TIME)
-        sentence = f"{len(untimed)} of {len(looks)} sweeps looked at are not deskewed: {why}"
+        sentence = f"{len(untimed)} of {len(looks)} sampled sweeps are not deskewed: {why}"
         yield Finding("MSG-322", "warning", topic, sentence)
     if others := [look for look in timed if look.meaning.startswith(OTHERS)]:
         clock, stamped = point_clock(bag, topic)
     if others and clock is not None:
         modulo = f" (modulo {clock.period_ns / 1e9:.3f} s)" if clock.period_ns else ""
         sentence = (
-            f"in {len(others)} of {len(looks)} sweeps looked at, points are on another clock than the header stamp, "
-            f"ahead of it by {clock.ahead_ns / 1e9:+.3f} s{modulo}: the {stamped} point of a sweep is taken to be at "
-            "its stamp"
+            f"in {len(others)} of {len(looks)} sampled sweeps, points are on another clock than the header stamp, "
+            f"ahead of it by {clock.ahead_ns / 1e9:+.3f} s{modulo}. The {stamped} point of a sweep counts as "
+            "simultaneous with its stamp"
         )
         yield Finding("TIM-220", "warning", topic, sentence)
     if odd := [look for look in timed if look.wrapped + look.filled + look.untimed]:
@@ -68,7 +68,7 @@ def _mistimed(topic: str, odd: Sequence[SweepLook], looks: Sequence[SweepLook]) 
     )
     treatment = ", ".join(f"{count} {what}" for count, what in became if count)
     sentence = (
-        f"{wrapped + filled + dropped} points in {len(odd)} of {len(looks)} sweeps looked at have no time of their "
+        f"{wrapped + filled + dropped} points in {len(odd)} of {len(looks)} sampled sweeps have no time of their "
         f"sweep as it was written: {treatment}"
     )
     return Finding("MSG-321", "warning", topic, sentence)

@@ -107,7 +107,7 @@ def _swapped(triggers: Triggers, topics: Listed[str], cameras: Listed[Mount]) ->
         if other != index:
             message = (
                 f"Fires when the LiDAR looks where the calibration puts {cameras[other].name}, "
-                f"not {cameras[index].name}: are the topics or the plugs of the two swapped?"
+                f"not {cameras[index].name}: check whether the topics or the plugs of the two are swapped."
             )
             yield Finding("CAL-406", "warning", topics[index], message)
 

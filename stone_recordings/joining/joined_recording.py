@@ -44,7 +44,7 @@ def unmeasured_offset(names: Sequence[str], reasons: Sequence[str]) -> IngestErr
     return IngestError(
         "SYN-523",
         f"the clock of {' and '.join(names)} cannot be compared with the other recordings': {why}; "
-        f"give it: {OPTION.format(name=names[0])} (0 where the clocks were synchronised)",
+        f"give it: {OPTION.format(name=names[0])} (0 if the clocks were synchronised)",
     )
 
 

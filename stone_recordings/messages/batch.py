@@ -100,7 +100,9 @@ def refused_finding(topic: str, refused_ns: NDArray[np.int64], reason: str) -> t
         return ()
     shown = ", ".join(str(stamp) for stamp in refused_ns[:SHOWN].tolist())
     more = f" and {len(refused_ns) - SHOWN} more" if len(refused_ns) > SHOWN else ""
-    sentence = f"{len(refused_ns)} messages hold no pose and are left out (stamps {shown}{more} ns; the first {reason})"
+    sentence = (
+        f"{len(refused_ns)} messages contain no pose and are left out (stamps {shown}{more} ns; the first {reason})"
+    )
     return (Finding("MSG-305", "warning", topic, sentence),)
 
 
@@ -111,5 +113,5 @@ def _problem(is_finite: np.bool_, largest: np.float64, norm: np.float64, farthes
         return f"has a quaternion component of {largest:.3g}"
     if farthest_m > MOST_POSITION_M:
         return f"has a position of {farthest_m:.3g} m"
-    hint = ", which is no rotation: are these angles of roll, pitch and yaw?" if norm > LEAST_ANGLES else ""
+    hint = ", which is no rotation; if these are roll, pitch and yaw, convert them" if norm > LEAST_ANGLES else ""
     return f"has a quaternion of norm {norm:.3g}{hint}"

@@ -338,4 +338,4 @@ def _jpeg(data: bytes, type_name: str) -> PictureHeader:
         if marker == _SCAN:
             break
         at += 2 + max(2, int.from_bytes(data[at + 2 : at + 4], "big"))
-    raise PictureError(type_name, "the JPEG ends before it says its size")
+    raise PictureError(type_name, "the JPEG ends before its size")

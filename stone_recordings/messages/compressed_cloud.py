@@ -42,7 +42,7 @@ def plain_cloud(payload: memoryview) -> memoryview:
 def compressed_problem(head: memoryview, size_bytes: Callable[[], int]) -> str:
     """Return why a message with this head cannot be decoded; "" if the head is valid.
 
-    `size_bytes` returns the size of the whole message, of which `head` may be all.
+    `size_bytes` returns the size of the whole message; `head` may be all of it.
     """
     try:
         cursor, size = _to_data(head)
@@ -69,8 +69,8 @@ def _inflated(packed: memoryview, name: str, room: memoryview) -> int:
     if word not in _CODECS:
         raise IngestError(
             "MSG-330",
-            f"{COMPRESSED_CLOUD}: its points are compressed as {name[:SHOWN_CHARACTERS]!r}; zlib and zstd are read: "
-            "record the PointCloud2 topic beside it, or play the recording through republish of point_cloud_transport "
+            f"{COMPRESSED_CLOUD}: its points are compressed as {name[:SHOWN_CHARACTERS]!r}; zlib and zstd are "
+            "supported. Record the PointCloud2 topic beside it, or play the recording through republish of point_cloud_transport "
             "(out_transport raw) and record that",
         )
     at = 0

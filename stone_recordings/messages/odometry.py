@@ -18,7 +18,7 @@ from stone_recordings.messages.batch import StampedMessage, poses_in
 from stone_recordings.messages.types.table import STAMP, decode_table
 
 TYPE = "nav_msgs/msg/Odometry"
-# A larger share of messages in other frames means two sources, of which neither is preferred.
+# A larger share of messages in other frames means two sources, and neither is preferred.
 MOST_OTHERS = 0.1
 POSE_STAMPED, POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"
 CHILD = "child_frame_id"
@@ -72,7 +72,7 @@ def other_frames_finding(topic: str, samples: OdometrySamples) -> tuple[Finding,
         return ()
     sentence = (
         f"{samples.other_frames} messages are not of {samples.frame_id!r} to {samples.child_frame_id!r} "
-        "and are left out; does another source publish on the topic?"
+        "and are left out; check for another source on the topic"
     )
     return (Finding("MSG-304", "warning", topic, sentence),)
 
@@ -81,5 +81,5 @@ def mixed_frames(type_name: str, pairs: tuple[str, ...]) -> IngestError:
     return IngestError(
         "MSG-304",
         f"{type_name} changes its frames within one topic ({', '.join(pairs[:4])}); "
-        f"two sources publish on it, so choose one",
+        f"two sources publish on it: choose one of them",
     )

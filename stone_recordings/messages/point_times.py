@@ -134,7 +134,7 @@ def offsets_from_values(
 
 
 def core_of(column: NDArray[Any], kept: NDArray[np.int32]) -> Core:
-    """Return the core of `column[kept]` from a sample; of length 0 if too few values are finite."""
+    """Return the core of `column[kept]` from a sample; its length is 0 if too few values are finite."""
     rows = kept if len(kept) <= len(SAMPLE) else kept[(SAMPLE * len(kept)).astype(np.int64)]
     values = column[rows].astype(np.float64)
     is_zero = values == 0

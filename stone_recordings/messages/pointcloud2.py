@@ -6,7 +6,7 @@ refutes are ignored and named in `Cloud.ignored`. A cloud is refused only if its
 **Conventions.** `points` has one record per point, in the order of the message, with the driver's field names; nothing
 is copied unless rows are padded or numbers big-endian. Offsets need not be aligned (Hesai: 26 bytes per point). Numbers
 leave little-endian. `is_bigendian` is ignored if it gives impossible positions and little-endian possible ones: some
-drivers set it and write little-endian. Of several fields of one name the first counts. Source: sensor_msgs (Humble).
+drivers set it and write little-endian. The first field of a name counts. Source: sensor_msgs (Humble).
 """
 
 from collections.abc import Callable

@@ -88,7 +88,7 @@ def points_declared(head: memoryview, type_name: str) -> int | None:
 def points_problem(head: memoryview, type_name: str, size_bytes: Callable[[], int]) -> str:
     """Return why a message of points with this head cannot be decoded; "" for other types, and if the head is valid.
 
-    `size_bytes` returns the size of the whole message, of which `head` may be all.
+    `size_bytes` returns the size of the whole message; `head` may be all of it.
     """
     if type_name == POINT_CLOUD:
         return layout_problem(head, size_bytes)

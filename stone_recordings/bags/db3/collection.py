@@ -51,17 +51,17 @@ class Db3CollectedRows:
 
 def collect(pages: Db3Pages, name: str) -> Db3CollectedRows:
     """Collect every readable row. Raises `BAG-018` for a schema that is no recorder's."""
-    found = Db3CollectedRows(pages, bytearray(pages.count + 1))
+    rows = Db3CollectedRows(pages, bytearray(pages.count + 1))
     with suppress(DamagedSchemaError):
         tables = tables_of(pages, name)
         for table, root_page in ((table, tables[table].root_page) for table in sorted(tables)):
-            take = found.take_message if table == "messages" else found.take_text
-            for number in leaves(pages, root_page, found.used):
+            take = rows.take_message if table == "messages" else rows.take_text
+            for number in leaves(pages, root_page, rows.used):
                 _take_all(pages, number, take)
     for number in range(2, pages.count + 1):
-        if not found.used[number] and pages.kind(number) == LEAF:
-            _take_orphan(found, number)
-    return found
+        if not rows.used[number] and pages.kind(number) == LEAF:
+            _take_orphan(rows, number)
+    return rows
 
 
 def message_layout(cell: Cell) -> Db3RecordLayout | None:
@@ -77,15 +77,15 @@ def _take_all(pages: Db3Pages, number: int, take: Callable[[int, int, Cell], Non
         take(number, slot, cell)
 
 
-def _take_orphan(found: Db3CollectedRows, number: int) -> None:
+def _take_orphan(rows: Db3CollectedRows, number: int) -> None:
     """Take a leaf without a parent: its rows are all messages, or all topics or definitions, or the leaf is foreign."""
-    cells = list(found.pages.cells(number))
+    cells = list(rows.pages.cells(number))
     layouts = [layout_of(cell.local, cell.payload_bytes) for cell in cells]
-    found.used[number] = 1
+    rows.used[number] = 1
     if cells and all(message_layout(cell) is not None for cell in cells):
-        _take_all(found.pages, number, found.take_message)
+        _take_all(rows.pages, number, rows.take_message)
     elif cells and all(layout is not None and _has_texts(layout) for layout in layouts):
-        _take_all(found.pages, number, found.take_text)
+        _take_all(rows.pages, number, rows.take_text)
 
 
 def _has_texts(layout: Db3RecordLayout) -> bool:

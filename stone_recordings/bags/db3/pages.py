@@ -1,8 +1,8 @@
 """The pages of a SQLite file, read without SQLite: to check a hostile file before SQLite opens it, and to salvage a
 malformed one.
 
-**Conventions.** Page numbers start at 1. Nothing is trusted: a page out of range is None, a cell that overruns its page
-is left out, a chain of overflow pages ends after as many as its payload needs. A write-ahead log beside the file
+**Conventions.** Page numbers start at 1. Nothing is trusted: a page out of range is None, and a cell that overruns its
+page is left out. A chain of overflow pages ends after as many as its payload needs. A write-ahead log beside the file
 replaces pages up to its last commit; its checksums are not recomputed. Source: sqlite.org/fileformat2.html.
 """
 
@@ -130,12 +130,12 @@ class Db3Pages:
 def read_varint(view: memoryview | bytes, at: int) -> tuple[int, int]:
     """Return a big-endian base-128 number of at most nine bytes, and its end; past the end of the view it is 0."""
     value = 0
-    for place in range(9):
+    for count in range(9):
         if at >= len(view):
             return 0, at + 1
         byte = view[at]
         at += 1
-        if place == 8:
+        if count == 8:
             return value << 8 | byte, at
         value = value << 7 | byte & 0x7F
         if byte < 0x80:
@@ -155,8 +155,8 @@ def _header_at(number: int) -> int:
 def _cell_offsets(page: memoryview, header_at: int, header_bytes: int) -> Iterator[int]:
     count = int(_U16.unpack_from(page, header_at + 3)[0])
     first = header_at + header_bytes
-    for place in range(first, min(first + 2 * count, len(page) - 1), 2):
-        yield int(_U16.unpack_from(page, place)[0])
+    for offset in range(first, min(first + 2 * count, len(page) - 1), 2):
+        yield int(_U16.unpack_from(page, offset)[0])
 
 
 def _wal_first_page(wal: memoryview) -> bytes:

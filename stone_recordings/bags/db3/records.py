@@ -1,7 +1,8 @@
 """One row of a SQLite table: the offsets of its columns, and their values.
 
 **Conventions.** A serial type is as in the file format, section 2.1: 0 NULL, 1–6 integers, 7 a double, 8 and 9 the
-constants 0 and 1, even from 12 on a blob, odd from 13 on a text. A record that contradicts its length is None.
+constants 0 and 1. Even types from 12 on are blobs, odd types from 13 on texts. A record that contradicts its length is
+None.
 """
 
 from dataclasses import dataclass

@@ -29,12 +29,12 @@ class SalvagedRows:
     def __init__(self, place: Db3Location, name: str, problem: str) -> None:
         self._place, self._name = place, name
         self._pages = opened_pages(place, name)
-        found = collect(self._pages, name)
-        if not found.topics:
+        rows = collect(self._pages, name)
+        if not rows.topics:
             raise database_refused(name, f"{problem}, and no topic can be found in its pages")
-        self.topics = tuple(found.topics[topic_id] for topic_id in sorted(found.topics))
-        self.definitions = found.definitions
-        table = _unique(found)
+        self.topics = tuple(rows.topics[topic_id] for topic_id in sorted(rows.topics))
+        self.definitions = rows.definitions
+        table = _unique(rows)
         rowid, topic_id, time_ns, size_bytes = np.ascontiguousarray(table[:, :4].T)
         self._places = table[:, 4:]
         self.index = RowIndex(rowid, topic_id, time_ns, size_bytes, 0)
@@ -80,9 +80,9 @@ def _mapped(path: Path | None) -> memoryview:
         return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
 
 
-def _unique(found: Db3CollectedRows) -> NDArray[np.int64]:
-    """Return one line per row, rowids ascending; of a duplicate rowid the first, which was reached through a tree."""
-    table = np.array(found.messages, np.int64).reshape(-1, 6)
+def _unique(rows: Db3CollectedRows) -> NDArray[np.int64]:
+    """Return one line per row, rowids ascending; the first of a duplicate rowid, which was reached through a tree."""
+    table = np.array(rows.messages, np.int64).reshape(-1, 6)
     _rowids, first = np.unique(table[:, 0], return_index=True)
     return table[first]
 

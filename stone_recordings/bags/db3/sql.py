@@ -183,9 +183,9 @@ class SqlRows:
             raise DamagedDatabaseError(str(error)) from None
 
 
-def _connected(place: Db3Location) -> sqlite3.Connection:
-    mode = "mode=ro&immutable=1" if place.is_clean else "mode=rw" if place.wal is None else "mode=ro"
-    location = f"file:{quote(str(place.path.resolve()))}?{mode}"  # a rollback needs rw
+def _connected(database: Db3Location) -> sqlite3.Connection:
+    mode = "mode=ro&immutable=1" if database.is_clean else "mode=rw" if database.wal is None else "mode=ro"
+    location = f"file:{quote(str(database.path.resolve()))}?{mode}"  # a rollback needs rw
     connection = sqlite3.connect(location, uri=True, check_same_thread=False, isolation_level=None)
     connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MESSAGE_LIMIT_BYTES)
     connection.setlimit(sqlite3.SQLITE_LIMIT_SQL_LENGTH, SQL_LIMIT_BYTES)
@@ -208,15 +208,15 @@ def _allowed(action: int, first: str | None, second: str | None, _database: str 
     return sqlite3.SQLITE_OK if is_ours else sqlite3.SQLITE_DENY
 
 
-def _bytes_of(place: Db3Location) -> int:
-    return place.path.stat().st_size + (place.wal.stat().st_size if place.wal else 0)
+def _bytes_of(location: Db3Location) -> int:
+    return location.path.stat().st_size + (location.wal.stat().st_size if location.wal else 0)
 
 
 def _check(connection: sqlite3.Connection) -> None:
     """Check every page of the messages, also those that an index of them does not need."""
-    said = [str(row[0]) for row in connection.execute("PRAGMA quick_check('messages')").fetchmany(4)]
-    if said != ["ok"]:
-        raise DamagedDatabaseError(said[0] if said else "no answer to quick_check")
+    problems = [str(row[0]) for row in connection.execute("PRAGMA quick_check('messages')").fetchmany(4)]
+    if problems != ["ok"]:
+        raise DamagedDatabaseError(problems[0] if problems else "no answer to quick_check")
 
 
 def _topics(connection: sqlite3.Connection, name: str) -> tuple[Db3Topic, ...]:

@@ -32,15 +32,15 @@ class SqliteStore:
         self._name = path.name
         self._ahead: dict[int, bytes] = {}
         self._next = ("", 0)
-        place = db3_location_of(path)
+        location = db3_location_of(path)
         try:
-            self._rows: Db3Rows = _rows_of(place, path.name)
+            self._rows: Db3Rows = _rows_of(location, path.name)
             self._order = _by_topic(self._rows, path.name)
         except BaseException:
-            place.close()
+            location.close()
             raise
         self.topics = tuple(self._topic(name) for name in sorted(self._order))
-        self.findings: tuple[Finding, ...] = (*place.findings, *self._rows.findings, *self._left_out())
+        self.findings: tuple[Finding, ...] = (*location.findings, *self._rows.findings, *self._left_out())
         if self.topics and all(topic.encoding != "cdr" for topic in self.topics):
             self.close()
             raise encoding_refused(path.name, self.topics[0].name, self.topics[0].encoding)
@@ -51,9 +51,9 @@ class SqliteStore:
     def payload(self, topic: str, index: int) -> memoryview:
         rows, is_in_order = self._order[topic], self._next == (topic, index)
         self._next = (topic, index + 1)
-        found = self._ahead.pop(int(rows[index]), None)
+        data = self._ahead.pop(int(rows[index]), None)
         upcoming = rows[index : index + AHEAD_ROWS if is_in_order else index + 1]
-        return memoryview(self._read(upcoming, is_whole=True) if found is None else found)
+        return memoryview(self._read(upcoming, is_whole=True) if data is None else data)
 
     def heads(
         self, topics: Sequence[str], whole: Collection[str] = (), *, is_checked: bool = False
@@ -66,11 +66,11 @@ class SqliteStore:
         indices = np.concatenate([np.arange(len(self._order[topic])) for topic in topics])
         order = np.argsort(rows, kind="stable")
         rows = rows[order]
-        told = zip(rows.tolist(), numbers[order].tolist(), indices[order].tolist(), strict=True)
-        for place, (row, number, index) in enumerate(told):
+        stored = zip(rows.tolist(), numbers[order].tolist(), indices[order].tolist(), strict=True)
+        for position, (row, number, index) in enumerate(stored):
             head = self._ahead.pop(row, None)
             if head is None:
-                head = self._read(rows[place : place + AHEAD_ROWS], is_whole=topics[number] in whole)
+                head = self._read(rows[position : position + AHEAD_ROWS], is_whole=topics[number] in whole)
             yield topics[number], index, memoryview(head)
 
     def size_bytes(self, topic: str, index: int) -> int:
@@ -97,8 +97,8 @@ class SqliteStore:
         try:
             if size_bytes <= HEAD_BYTES and len(upcoming) > 1:
                 self._read_ahead(upcoming)
-                if (found := self._ahead.pop(int(upcoming[0]), None)) is not None:
-                    return found
+                if (data := self._ahead.pop(int(upcoming[0]), None)) is not None:
+                    return data
             return (
                 self._rows.data(rowid) if is_whole or size_bytes <= HEAD_BYTES else self._rows.head(rowid, HEAD_BYTES)
             )
@@ -110,15 +110,15 @@ class SqliteStore:
         small = upcoming[index.size_bytes[upcoming] <= HEAD_BYTES]
         rowids = index.rowid[small].tolist()
         with suppress(DamagedDatabaseError):  # then each is read alone, and the damaged one raises
-            found = self._rows.several(rowids)
+            messages = self._rows.several(rowids)
             self._ahead = {
-                row: found[rowid] for row, rowid in zip(small.tolist(), rowids, strict=True) if rowid in found
+                row: messages[rowid] for row, rowid in zip(small.tolist(), rowids, strict=True) if rowid in messages
             }
 
     def _topic(self, name: str) -> Topic:
-        told = next(topic for topic in self._rows.topics if topic.name == name)
-        schema = self._rows.definitions.get(told.type, "")
-        return Topic(name, told.type, len(self._order[name]), schema, told.encoding)
+        declared = next(topic for topic in self._rows.topics if topic.name == name)
+        schema = self._rows.definitions.get(declared.type, "")
+        return Topic(name, declared.type, len(self._order[name]), schema, declared.encoding)
 
     def _left_out(self) -> Iterator[Finding]:
         known = sum(len(rows) for rows in self._order.values())
@@ -128,17 +128,17 @@ class SqliteStore:
             yield Finding("BAG-031", "warning", self._name, message)
 
 
-def _rows_of(place: Db3Location, name: str) -> Db3Rows:
+def _rows_of(location: Db3Location, name: str) -> Db3Rows:
     """Return the rows; SQLite is used only if the schema is a recorder's and SQLite reports no damage."""
-    if place.path.stat().st_size == 0:  # SQLite would delete the log of an empty file instead of reading it
-        return SalvagedRows(place, name, "its file is empty, all data is in its write-ahead log")
+    if location.path.stat().st_size == 0:  # SQLite would delete the log of an empty file instead of reading it
+        return SalvagedRows(location, name, "its file is empty, all data is in its write-ahead log")
     try:
-        tables_of(opened_pages(place, name), name)
-        return SqlRows(place, name)
+        tables_of(opened_pages(location, name), name)
+        return SqlRows(location, name)
     except DamagedSchemaError:
-        return SalvagedRows(place, name, "its schema cannot be read")
+        return SalvagedRows(location, name, "its schema cannot be read")
     except DamagedDatabaseError as error:
-        return SalvagedRows(place, name, str(error)[:160])
+        return SalvagedRows(location, name, str(error)[:160])
 
 
 def _by_topic(rows: Db3Rows, name: str) -> dict[str, NDArray[np.int64]]:
@@ -153,9 +153,9 @@ def _by_topic(rows: Db3Rows, name: str) -> dict[str, NDArray[np.int64]]:
     ids = np.array(sorted(topic.topic_id for topic in rows.topics), np.int64)
     name_of_id = {topic.topic_id: number_of[topic.name] for topic in rows.topics}
     numbers = np.array([name_of_id[topic_id] for topic_id in ids.tolist()], np.int64)
-    place = np.searchsorted(ids, rows.index.topic_id)
-    known = np.flatnonzero(np.append(ids, 0)[place] == rows.index.topic_id if len(ids) else np.zeros(0, np.bool_))
-    number = numbers[place[known]]
+    row = np.searchsorted(ids, rows.index.topic_id)
+    known = np.flatnonzero(np.append(ids, 0)[row] == rows.index.topic_id if len(ids) else np.zeros(0, np.bool_))
+    number = numbers[row[known]]
     order = known[np.lexsort((known, rows.index.time_ns[known], number))]
     stops = np.cumsum(np.bincount(number, minlength=len(names)))
     return dict(zip(names, np.split(order, stops[:-1]), strict=True)) if names else {}

@@ -79,19 +79,19 @@ class MovedBag:
     ) -> Iterator[tuple[str, int, memoryview]]:
         left = {topic: self._places_left(topic) for topic in topics}
         for topic, index, payload in self._bag.heads(topics, whole, is_checked=is_checked):
-            if (place := int(left[topic][index])) >= 0:
-                yield topic, place, self._moved(topic, payload)
+            if (position := int(left[topic][index])) >= 0:
+                yield topic, position, self._moved(topic, payload)
 
     def size_bytes(self, topic: str, index: int) -> int:
         return self._bag.size_bytes(topic, int(self._kept[topic][index]))
 
     def damaged(self, beside: Messages = NO_MESSAGES) -> Mapping[str, Mapping[int, str]]:
-        found = {}
+        damaged = {}
         passed = {topic: self._kept[topic][rows] for topic, rows in beside.items()}
         for topic, reasons in self._bag.damaged_beside(passed).items():
             left = self._places_left(topic)
-            found[topic] = {int(left[index]): why for index, why in reasons.items() if left[index] >= 0}
-        return {topic: reasons for topic, reasons in found.items() if reasons}
+            damaged[topic] = {int(left[index]): why for index, why in reasons.items() if left[index] >= 0}
+        return {topic: reasons for topic, reasons in damaged.items() if reasons}
 
     def read_sparingly(self) -> None:
         self._bag.read_sparingly()
@@ -130,12 +130,12 @@ def check_types(topics: Iterable[tuple[str, str]]) -> None:
     types: dict[str, list[str]] = {}
     for name, type_name in topics:
         types.setdefault(name, []).append(type_name)
-    for name, found in types.items():
-        if len(set(found)) > 1:
+    for name, types_of_topic in types.items():
+        if len(set(types_of_topic)) > 1:
             raise IngestError(
                 "BAG-041",
-                f"topic {name!r} is {' in one recording and '.join(dict.fromkeys(found))} in another; recordings "
-                "of one run name their topics alike: leave one out, or rename the topic when it is recorded",
+                f"topic {name!r} is {' in one recording and '.join(dict.fromkeys(types_of_topic))} in another. "
+                "Recordings of one run name their topics alike: leave one out, or rename the topic when it is recorded",
             )
 
 
@@ -171,12 +171,12 @@ def moved(payload: memoryview, places: StampPlaces, offset_ns: int) -> memoryvie
 
     If a message is cut short, the stamps in the remaining part are moved.
     """
-    found = list(_places(payload, places)) if offset_ns else []
-    if not found:
+    offsets = list(_places(payload, places)) if offset_ns else []
+    if not offsets:
         return payload
     content = bytearray(payload)
-    for place in found:
-        _move(content, place, offset_ns)
+    for offset in offsets:
+        _move(content, offset, offset_ns)
     return memoryview(content).toreadonly()
 
 
@@ -201,11 +201,11 @@ def _of_transforms(cursor: Cursor) -> Iterator[int]:
         cursor.take(POSE_BYTES, 8)
 
 
-def _move(content: bytearray, place: int, offset_ns: int) -> None:
-    sec, nanosec = _STAMP.unpack_from(content, place)
+def _move(content: bytearray, offset: int, offset_ns: int) -> None:
+    sec, nanosec = _STAMP.unpack_from(content, offset)
     stamp_ns = sec * NS_PER_S + nanosec
     if stamp_ns and 0 < stamp_ns + offset_ns < LAST_NS:
-        _STAMP.pack_into(content, place, *divmod(stamp_ns + offset_ns, NS_PER_S))
+        _STAMP.pack_into(content, offset, *divmod(stamp_ns + offset_ns, NS_PER_S))
 
 
 # The coverage of the members of a joined recording, by their log times on one clock. SYN-527 a member that does not
@@ -263,16 +263,22 @@ def _missing(spans: Sequence[_Span]) -> Iterator[Finding]:
 
 def _gaps(spans: Sequence[_Span]) -> Iterator[Finding]:
     """Yield gaps in which topics of two members stop for longer than their usual pauses."""
-    told = set[tuple[str, str]]()
+    reported = set[tuple[str, str]]()
     for topic in sorted({name for span in spans for name in span.times_ns}):
         holding = sorted((span for span in spans if topic in span.times_ns), key=lambda span: span.times_ns[topic][0])
-        for one, two in pairwise(holding):
-            before, after = one.times_ns[topic], two.times_ns[topic]
+        for earlier, two in pairwise(holding):
+            before, after = earlier.times_ns[topic], two.times_ns[topic]
             gap_ns, steps_ns = int(after[0] - before[-1]), np.diff(before)
-            if (one.name, two.name) in told or len(steps_ns) < 2 or gap_ns <= GAP_PERIODS * float(np.median(steps_ns)):
+            if (
+                (earlier.name, two.name) in reported
+                or len(steps_ns) < 2
+                or gap_ns <= GAP_PERIODS * float(np.median(steps_ns))
+            ):
                 continue
-            told.add((one.name, two.name))
-            sentence = f"between its last message in {one.name} and its first in {two.name} lie {gap_ns / 1e9:.3f} s"
+            reported.add((earlier.name, two.name))
+            sentence = (
+                f"between its last message in {earlier.name} and its first in {two.name} lie {gap_ns / 1e9:.3f} s"
+            )
             yield Finding("SYN-528", "warning", topic, sentence)
 
 
@@ -301,7 +307,7 @@ def _offset_finding(member: JoinedMember, reference: str) -> Finding:
         return Finding("SYN-521", "info", member.name, f"{moved}, as given by the user; it was not measured")
     if member.known_by == (SAME_TOPICS,):
         sentence = (
-            f"it holds topics of {reference}, whose stamps continue: the recorder split the run; nothing is shifted"
+            f"it contains topics of {reference}, whose stamps continue: the recorder split the run; nothing is shifted"
         )
         return Finding("SYN-520", "info", member.name, sentence)
     if not member.offset_ns:

@@ -1,8 +1,8 @@
 """Places of all messages of an MCAP file: from its summary and message indexes, else by walking the whole file.
 
-**Conventions.** An entry is (log time, chunk number, offset of the message record in that chunk's records); chunk −1
-is the file itself, for recordings without chunks. The summary is believed only where it agrees with its own statistics;
-anything missing or contradictory falls back to the walk, which believes nothing but the records.
+**Conventions.** An entry is (log time, chunk number, offset of the message record in that chunk's records); chunk −1 is
+the file itself, for recordings without chunks. The summary is used only if it agrees with its own statistics; if
+anything is missing or contradictory, the file is walked, and only its records count.
 """
 
 import os
@@ -28,7 +28,7 @@ _Definition = TypeVar("_Definition", Schema, McapChannel)
 
 @dataclass(frozen=True)
 class Catalogue:
-    """What is in the file and where; `is_indexed` says whether its own index could be used."""
+    """The content of the file and its places; `is_indexed` is whether its own index could be used."""
 
     schemas: dict[int, Schema]
     channels: dict[int, McapChannel]
@@ -39,7 +39,7 @@ class Catalogue:
 
 @dataclass
 class _Draft:
-    """A catalogue while it is written."""
+    """A catalogue under construction."""
 
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, McapChannel] = field(default_factory=dict)
@@ -47,7 +47,7 @@ class _Draft:
     entries: dict[int, GrowingEntries] = field(default_factory=dict)
 
     def define(self, record: Record, fields: Fields) -> None:
-        """Take a schema or channel; the same id twice must say the same thing."""
+        """Take a schema or channel; a repeated id must have the same content."""
         if record.opcode == wire.SCHEMA:
             _define(self.schemas, *wire.read_schema(fields), fields.where)
         elif record.opcode == wire.CHANNEL:
@@ -57,7 +57,7 @@ class _Draft:
         return self.entries.setdefault(channel_id, GrowingEntries())
 
     def missing(self) -> list[str]:
-        """Channels that messages speak of and schemas that channels speak of, without a definition."""
+        """Return channels of messages and schemas of channels without a definition."""
         schemas = {channel.schema_id for channel in self.channels.values() if channel.schema_id}
         return [f"channel {channel_id}" for channel_id in sorted(self.entries.keys() - self.channels.keys())] + [
             f"schema {schema_id}" for schema_id in sorted(schemas - self.schemas.keys())
@@ -71,7 +71,8 @@ class _Draft:
 
 
 def read_catalogue(view: memoryview, name: str, before_walk: Callable[[], None] = lambda: None) -> Catalogue:
-    """Index of a sealed file that starts with the MCAP magic; `before_walk` is called if all of it must be read.
+    """Return the index of a sealed file that starts with the MCAP magic; `before_walk` is called if all of it must be
+    read.
 
     Raises: CutBagError (no closing magic), MalformedBagError, ChecksumError and the refusals of `inflate`.
     """
@@ -98,7 +99,7 @@ def _footer(view: memoryview, name: str) -> Record:
 
 
 def _summary_offset(view: memoryview, footer: Record, name: str) -> int:
-    """Where the summary starts; the footer itself when there is none."""
+    """Return the start of the summary; the footer's without one."""
     fields = Fields(view, footer, name)
     start, _offsets, crc32 = fields.u64(), fields.u64(), fields.u32()
     footer_offset = footer.start - wire.PREFIX_BYTES
@@ -106,14 +107,15 @@ def _summary_offset(view: memoryview, footer: Record, name: str) -> int:
         return footer_offset
     if not len(wire.MAGIC) <= start <= footer_offset:
         raise MalformedBagError(name, f"the footer puts the summary at byte {start}, the footer is at {footer_offset}")
-    if crc32 and (found := zlib.crc32(view[start : footer.stop - 4])) != crc32:
-        raise ChecksumError(f"{name}, summary at byte {start}", found, crc32)
+    if crc32 and (computed := zlib.crc32(view[start : footer.stop - 4])) != crc32:
+        raise ChecksumError(f"{name}, summary at byte {start}", computed, crc32)
     return start
 
 
 def summary_range(view: memoryview, name: str) -> tuple[int, int] | None:
-    """Return the place of the summary, footer included; None without one. Looks at the footer alone. Raises as
-    `read_catalogue`."""
+    """Return the place of the summary, footer included; None without one. Reads the footer alone. Raises as
+    `read_catalogue`.
+    """
     footer = _footer(view, name)
     start = Fields(view, footer, name).u64()
     if start and not len(wire.MAGIC) <= start <= footer.start:
@@ -122,7 +124,7 @@ def summary_range(view: memoryview, name: str) -> tuple[int, int] | None:
 
 
 def chunk_indexes_of(view: memoryview, name: str) -> list[wire.ChunkIndex]:
-    """The chunks that the summary lists, in order of the file; it alone is looked at. Raises as `read_catalogue`."""
+    """Return the chunks that the summary lists, in file order; reads the summary alone. Raises as `read_catalogue`."""
     footer = _footer(view, name)
     start, stop = _summary_offset(view, footer, name), footer.start - wire.PREFIX_BYTES
     indexes = _read_summary(view, (start, stop), name)[1]
@@ -147,7 +149,7 @@ def _read_summary(
 
 
 def _from_summary(view: memoryview, data: Record, footer_offset: int, name: str) -> _Draft | None:
-    """None where the summary does not tell everything."""
+    """Return the catalogue from the summary; None if the summary is incomplete."""
     draft, indexes, statistics = _read_summary(view, (data.stop, footer_offset), name)
     if statistics is None or not indexes or statistics.chunk_count != len(indexes):
         return None
@@ -156,15 +158,15 @@ def _from_summary(view: memoryview, data: Record, footer_offset: int, name: str)
         if index.chunk_offset < reached:
             raise MalformedBagError(name, f"the chunk index at byte {index.chunk_offset} overlaps the one before it")
         reached = _add_indexed_chunk(view, data, index, draft, name)
-    told = sum(len(growing.offset) for growing in draft.entries.values())
-    return draft if told == statistics.message_count and not draft.missing() else None
+    count = sum(len(growing.offset) for growing in draft.entries.values())
+    return draft if count == statistics.message_count and not draft.missing() else None
 
 
 def _add_indexed_chunk(view: memoryview, data: Record, index: wire.ChunkIndex, draft: _Draft, name: str) -> int:
-    """Take the message indexes of one chunk; gives the byte where they end."""
+    """Take the message indexes of one chunk; return the byte after them."""
     record = wire.record_at(view, index.chunk_offset, data.stop, name)
     if record.opcode != wire.CHUNK:
-        raise MalformedBagError(name, f"the chunk index points at byte {index.chunk_offset}, where no chunk starts")
+        raise MalformedBagError(name, f"the chunk index points at byte {index.chunk_offset}, at which no chunk starts")
     draft.chunks.append(wire.read_chunk(Fields(view, record, name)))
     stop = record.stop + index.message_index_bytes
     if stop > data.stop:
@@ -184,7 +186,7 @@ def _add_message_index(view: memoryview, record: Record, channel_id: int, draft:
     if (stop - start) % INDEX_ENTRY_BYTES:
         raise MalformedBagError(name, f"the message index at byte {record.start} is {stop - start} bytes, not n × 16")
     table = np.frombuffer(view[start:stop], "<i8")
-    if len(table) and table.min() < 0:  # as unsigned: beyond the last time that can be told
+    if len(table) and table.min() < 0:  # as unsigned: beyond the last valid time
         raise MalformedBagError(name, f"the message index at byte {record.start} holds times beyond the year 2262")
     draft.entries_of(channel_id).extend(table[::2], len(draft.chunks) - 1, table[1::2])
 
@@ -214,7 +216,7 @@ def _add_record(view: memoryview, record: Record, chunk: int, draft: _Draft, whe
 
 
 def message_head(view: memoryview, record: Record, where: str) -> tuple[int, int]:
-    """Channel and log time of a message record."""
+    """Return channel and log time of a message record."""
     if record.stop - record.start < wire.MESSAGE_HEAD_BYTES:
         raise MalformedBagError(where, f"the message record at byte {record.start} is shorter than its own head")
     channel_id, _sequence, log_time_ns = _MESSAGE_HEAD.unpack_from(view, record.start)
@@ -228,18 +230,18 @@ def _define(known: dict[int, _Definition], key: int, value: _Definition, where: 
         raise MalformedBagError(where, f"id {key} is defined twice, as {known[key]} and as {value}"[:300])
 
 
-# Where a sealed MCAP file ends when zeros were written behind it, as copying tools and allocated blocks leave them.
+# The end of a sealed MCAP file followed by zeros, which copying tools and allocated blocks leave.
 
 
 PIECE_BYTES = 1 << 20
-# Nobody allocates more ahead; to look through more takes longer than it is worth.
+# No tool allocates more ahead; searching through more takes too long.
 MOST_ZEROS_BYTES = 16 << 30
 
 
 def sealed_bytes(file: BinaryIO) -> int | None:
-    """Bytes up to the closing magic, without the zeros behind it; None where something else ends the file.
+    """Return the bytes up to the closing magic, without the zeros after it; None if other bytes end the file.
 
-    Read, not mapped: pages of a map that are looked at count as memory.
+    The file is read, not mapped: touched pages of a map count as memory.
     """
     size = stop = file.seek(0, os.SEEK_END)
     while stop > 0 and size - stop < MOST_ZEROS_BYTES:

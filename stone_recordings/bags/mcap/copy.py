@@ -1,7 +1,7 @@
 """Writes salvaged messages into a new chunked and indexed MCAP file.
 
-**Conventions.** Schemas and channels get new ids as they come, one for each content; messages of a channel that is
-defined twice with different content are left out from then on. What cannot be written is counted instead.
+**Conventions.** Schemas and channels get new ids in order of arrival, one for each content. If a channel is defined
+twice with different content, its messages are left out from then on. Unwritable records are counted.
 """
 
 from collections.abc import Iterator, Mapping
@@ -25,7 +25,7 @@ LIBRARY = "stone-recover"
 
 
 class Copy:
-    """Made by `opened_copy`; `keep` record after record."""
+    """Returned by `opened_copy`; call `keep` record after record."""
 
     def __init__(self, writer: Writer) -> None:
         self.topics: dict[str, int] = {}
@@ -37,7 +37,7 @@ class Copy:
         self.begin(Losses())
 
     def begin(self, losses: Losses, definitions: Mapping[tuple[int, int], SalvagedRecord] | None = None) -> None:
-        """Another file, whose ids are its own and whose losses are `losses`.
+        """Start another file, whose ids are its own and whose losses are `losses`.
 
         `definitions` are schemas and channels by opcode and id, for messages whose own were not whole.
         """
@@ -49,7 +49,7 @@ class Copy:
         self._unknown = 0
 
     def declare(self, topic: Topic) -> int:
-        """A channel for a topic of a database; gives what `write` takes."""
+        """Add a channel for a topic of a database; return its id for `write`."""
         schema_id = 0
         if topic.type:
             schema_id = self._registered_schema(extras.SchemaBytes(topic.type, "ros2msg", topic.schema.encode()))
@@ -57,7 +57,7 @@ class Copy:
         return self._registered_channel(whole, schema_id)
 
     def write(self, channel_id: int, topic: str, message: extras.Message) -> None:
-        """One message under a channel of the new file."""
+        """Write one message under a channel of the new file."""
         log_time_ns, data = message.log_time_ns, bytes(message.data)
         self._writer.add_message(channel_id, log_time_ns, data, message.publish_time_ns, message.sequence)
         self.first_ns = min(self.first_ns, log_time_ns) if self.messages else log_time_ns
@@ -66,7 +66,7 @@ class Copy:
         self.topics[topic] += 1
 
     def keep(self, found: SalvagedRecord) -> None:
-        """Write one record; what lies about its own lengths is named among the losses."""
+        """Write one record; a record with contradictory lengths is added to the losses."""
         try:
             self._keep(found)
         except IngestError as error:
@@ -77,13 +77,13 @@ class Copy:
             self.losses.add(f"{self._unknown} messages of channels that are not defined, or logged after the year 2262")
 
     def start(self, profile: str) -> None:
-        """Once; a file whose header comes late, or never, has the profile that the first call names."""
+        """Start the file once; a file with a late or missing header has the profile of the first call."""
         if not self._is_started:
             self._writer.start(profile, library=LIBRARY)
             self._is_started = True
 
-    def _keep(self, found: SalvagedRecord) -> None:
-        opcode, fields = found.record.opcode, found.fields()
+    def _keep(self, salvaged: SalvagedRecord) -> None:
+        opcode, fields = salvaged.record.opcode, salvaged.fields()
         if opcode == wire.MESSAGE:
             self._message(extras.read_message(fields))
         elif opcode == wire.HEADER:
@@ -97,7 +97,7 @@ class Copy:
             self.start("")
             self._writer.add_metadata(metadata.name, metadata.values)
         elif opcode == extras.ATTACHMENT:
-            self._attachment(found)
+            self._attachment(salvaged)
 
     def _message(self, message: extras.Message) -> None:
         if message.channel_id not in self._channels:
@@ -112,9 +112,9 @@ class Copy:
         if channel is None:
             return
         schema = self._spare.get((wire.SCHEMA, extras.read_channel_whole(channel.fields())[1].channel.schema_id))
-        for found in (schema, channel):
-            if found is not None:
-                self._keep(found)
+        for spare in (schema, channel):
+            if spare is not None:
+                self._keep(spare)
 
     def _schema(self, schema_id: int, schema: extras.SchemaBytes) -> None:
         if self._schemas.setdefault(schema_id, schema) != schema:
@@ -131,7 +131,7 @@ class Copy:
             self._written[channel_id] = (self._registered_channel(whole, schema_id), whole.channel.topic)
 
     def _registered_schema(self, schema: extras.SchemaBytes) -> int:
-        """Its id in the new file, where one of the same content has one id whatever file it came from."""
+        """Return the schema's id in the new file: one per content, whichever file it came from."""
         self.start("")
         if schema not in self._known_schemas:
             made = self._writer.register_schema(schema.name, schema.encoding, schema.data)
@@ -150,18 +150,18 @@ class Copy:
             self._known_channels[key] = made
         return self._known_channels[key]
 
-    def _attachment(self, found: SalvagedRecord) -> None:
-        if found.record.stop - found.record.start > CHUNK_LIMIT_BYTES:
+    def _attachment(self, salvaged: SalvagedRecord) -> None:
+        if salvaged.record.stop - salvaged.record.start > CHUNK_LIMIT_BYTES:
             self.losses.add(f"an attachment of more than {CHUNK_LIMIT_BYTES} bytes")
             return
-        kept = extras.read_attachment(found.fields())
+        kept = extras.read_attachment(salvaged.fields())
         self.start("")
         self._writer.add_attachment(kept.create_time_ns, kept.log_time_ns, kept.name, kept.media_type, kept.data)
 
 
 @contextmanager
 def opened_copy(stream: BinaryIO, compression: str) -> Iterator[Copy]:
-    """A copy that is complete, with summary and indexes, when the block ends."""
+    """Yield a copy that is complete, with summary and indexes, when the block ends."""
     packing = COMPRESSIONS.get(compression, CompressionType.ZSTD)
     writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=packing)
     copy = Copy(writer)

@@ -1,9 +1,9 @@
-"""An excerpt of an MCAP file that is elsewhere: which of its bytes are needed, and a file of the messages that came.
+"""An excerpt of a remote MCAP file: the ranges to fetch, and a file of the fetched messages.
 
     its ends → its summary → heads and message indexes of its chunks → messages, some chunks at a time
 
-**Conventions.** The file is here as one of its whole size with holes: `here` are the ranges that came. A plan is asked
-for until it lacks nothing; pictures are left out unless they are wanted. Ranges are half-open.
+**Conventions.** The local file has the whole size, with holes: `here` are the fetched ranges. A plan is computed until
+it lacks nothing; pictures are left out unless they are wanted. Ranges are half-open.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -24,26 +24,26 @@ from stone_recordings.bags.mcap.store import McapStore
 
 Range = tuple[int, int]
 HEAD_BYTES, TAIL_BYTES = 512, 2**20
-CHUNK_HEAD_BYTES = 128  # of a chunk: 49 bytes, and the name of its compression
-JOINED_BYTES = 64 * 2**10  # what lies between two ranges is read too, if it is no more than this
-WHOLE_RATIO = 0.5  # of a chunk of which more is wanted all is read: its checksum can be checked then
+CHUNK_HEAD_BYTES = 128  # a chunk's head: 49 bytes, and the name of its compression
+JOINED_BYTES = 64 * 2**10  # a gap between two ranges up to this size is read too
+WHOLE_RATIO = 0.5  # beyond this share a chunk is read whole: then its checksum can be checked
 
 
 @dataclass(frozen=True)
 class ExcerptPlan:
-    """`lacks` are ranges without which messages cannot be found; else `chunks` has those of the messages by chunk."""
+    """`lacks` are the ranges required to locate messages; otherwise `chunks` has the ranges of messages by chunk."""
 
     lacks: tuple[Range, ...] = ()
     chunks: tuple[tuple[int, tuple[Range, ...]], ...] = ()
 
 
 def first_ranges(size_bytes: int) -> list[Range]:
-    """The ends of a file."""
+    """Return the ends of a file."""
     return joined_ranges([(0, min(HEAD_BYTES, size_bytes)), (max(0, size_bytes - TAIL_BYTES), size_bytes)])
 
 
 def joined_ranges(ranges: Iterable[Range]) -> list[Range]:
-    """In order, those that lie close together as one."""
+    """Return the ranges in order, neighbouring ones merged."""
     joined: list[Range] = []
     for start, stop in sorted(ranges):
         if joined and start - joined[-1][1] <= JOINED_BYTES:
@@ -54,7 +54,7 @@ def joined_ranges(ranges: Iterable[Range]) -> list[Range]:
 
 
 def planned_excerpt(path: Path, here: Sequence[Range], *, with_pictures: bool) -> ExcerptPlan:
-    """Return the ranges to read next. Raises `BAG-042` for a file without an index, and what opening raises."""
+    """Return the ranges to read next. Raises `BAG-042` for a file without an index, and the errors of opening."""
     file = MappedFile(path)
     file.read_ahead(False)
     summary = summary_range(file.view, path.name)
@@ -76,7 +76,7 @@ def planned_excerpt(path: Path, here: Sequence[Range], *, with_pictures: bool) -
 
 
 def write_excerpt(path: Path, chunks: Range, target: Path, *, with_pictures: bool) -> int:
-    """Write to `target` the wanted messages of a run of chunks, which came; how many there are."""
+    """Write the wanted messages of a run of fetched chunks to `target`; return their number."""
     store = McapStore(path)
     store.read_sparingly()
     with target.open("wb") as stream, opened_copy(stream, "zstd") as copy:
@@ -94,11 +94,13 @@ def _is_wanted(type_name: str, with_pictures: bool) -> bool:
 
 
 def _missing(wanted: Iterable[Range], here: Sequence[Range]) -> tuple[Range, ...]:
-    return tuple(one for one in wanted if not any(start <= one[0] and one[1] <= stop for start, stop in here))
+    return tuple(
+        range_ for range_ in wanted if not any(start <= range_[0] and range_[1] <= stop for start, stop in here)
+    )
 
 
 def _chunks_of(store: McapStore, with_pictures: bool) -> Iterator[tuple[int, tuple[Range, ...]]]:
-    """The chunks with wanted messages, and where in the file these lie."""
+    """Yield the chunks with wanted messages, and their ranges in the file."""
     number, offset, is_wanted = _messages_in_order(store, with_pictures)
     starts = np.flatnonzero(np.append(True, number[1:] != number[:-1])) if len(number) else np.zeros(0, np.int64)
     for start, stop in pairwise([*starts.tolist(), len(number)]):
@@ -117,13 +119,13 @@ def _chunks_of(store: McapStore, with_pictures: bool) -> Iterator[tuple[int, tup
 def _messages_in_order(
     store: McapStore, with_pictures: bool
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-    """Chunk, offset in it and whether it is wanted, of all messages in the order of the file."""
+    """Return chunk, offset in it and whether it is wanted, for all messages in file order."""
     none = np.zeros(0, np.int64)
     numbers = [store.chunk_of_messages(topic.name) for topic in store.topics]
     offsets = [store.offset_of_messages(topic.name) for topic in store.topics]
     wanted = [
-        np.full(len(one), _is_wanted(topic.type, with_pictures))
-        for one, topic in zip(numbers, store.topics, strict=True)
+        np.full(len(rows), _is_wanted(topic.type, with_pictures))
+        for rows, topic in zip(numbers, store.topics, strict=True)
     ]
     number, offset = np.concatenate([none, *numbers]), np.concatenate([none, *offsets])
     order = np.lexsort((offset, number))
@@ -133,6 +135,6 @@ def _messages_in_order(
 def _no_index(name: str) -> IngestError:
     return IngestError(
         "BAG-042",
-        f"{name} has no index that tells where its messages lie, so it cannot be read by ranges; write it anew by "
+        f"{name} has no index of its messages, so it cannot be read by ranges; rewrite it with "
         "`stone recover`, or upload it",
     )

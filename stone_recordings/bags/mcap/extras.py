@@ -1,7 +1,7 @@
 """The MCAP records that readers of messages skip and a copy of the file must keep, field by field.
 
-**Conventions.** As `mcap_records`: no length is trusted, what overruns its record is a MalformedBagError. Maps keep
-the order of the file; a key that comes twice keeps its last value.
+**Conventions.** As `mcap_records`: no length is trusted, and a value that overruns its record is a MalformedBagError.
+Maps keep the order of the file; a duplicate key keeps its last value.
 """
 
 import zlib
@@ -36,7 +36,7 @@ class Metadata:
 
 @dataclass(frozen=True)
 class SchemaBytes:
-    """A schema whose text nobody has decoded: it need not be UTF-8."""
+    """A schema with undecoded text, which need not be UTF-8."""
 
     name: str
     encoding: str
@@ -77,20 +77,20 @@ def read_channel_whole(fields: Fields) -> tuple[int, ChannelWhole]:
 
 
 def read_message(fields: Fields) -> Message:
-    """`data` is a view: it lives as long as what `fields` reads from."""
+    """Return a message; `data` is a view that is valid as long as the source of `fields`."""
     channel_id, sequence = fields.u16(), fields.u32()
     log_time_ns, publish_time_ns = fields.u64(), fields.u64()
     return Message(channel_id, sequence, log_time_ns, publish_time_ns, fields.view[fields.at : fields.stop])
 
 
 def read_attachment(fields: Fields) -> Attachment:
-    """Raises ChecksumError where one was written and the bytes differ."""
+    """Return an attachment. Raises ChecksumError if the bytes differ from a written checksum."""
     first = fields.at
     log_time_ns, create_time_ns, name, media_type = fields.u64(), fields.u64(), fields.text(), fields.text()
     start, stop = fields.span(fields.u64())
     declared = fields.u32()
-    if declared and (found := zlib.crc32(fields.view[first:stop])) != declared:
-        raise ChecksumError(f"{fields.where}, attachment {name!r}", found, declared)
+    if declared and (computed := zlib.crc32(fields.view[first:stop])) != declared:
+        raise ChecksumError(f"{fields.where}, attachment {name!r}", computed, declared)
     return Attachment(log_time_ns, create_time_ns, name, media_type, bytes(fields.view[start:stop]))
 
 

@@ -1,8 +1,8 @@
 """The MCAP wire format: walk records and read their fields, trusting no length.
 
-**Conventions.** A record is one opcode byte, a u64 length and that many bytes; everything is little-endian. `where`
-is the sentence's subject when a record lies ("run.mcap, chunk at byte 43"). Every length is checked against the end
-of what holds it before anything is read or allocated. Source: mcap.dev/spec.
+**Conventions.** A record is one opcode byte, a u64 length and that many bytes; everything is little-endian. `where` is
+the subject of the sentence about an invalid record ("run.mcap, chunk at byte 43"). Every length is checked against the
+end of its container before anything is read or allocated. Source: mcap.dev/spec.
 """
 
 from collections.abc import Iterator
@@ -89,7 +89,7 @@ class Fields:
         return int(_U64.unpack_from(self.view, self._take(8))[0])
 
     def span(self, size: int) -> tuple[int, int]:
-        """The next `size` bytes as a half-open range."""
+        """Return the next `size` bytes as a half-open range."""
         start = self._take(size)
         return start, start + size
 
@@ -102,7 +102,7 @@ class Fields:
 
 
 def record_at(view: memoryview, offset: int, stop: int, where: str) -> Record:
-    """The record that starts at `offset` and must end by `stop`."""
+    """Return the record that starts at `offset` and must end by `stop`."""
     if not 0 <= offset <= stop - PREFIX_BYTES:
         raise MalformedBagError(where, f"a record is declared at byte {offset}, the data ends at {stop}")
     opcode, length = _PREFIX.unpack_from(view, offset)
@@ -114,7 +114,7 @@ def record_at(view: memoryview, offset: int, stop: int, where: str) -> Record:
 
 
 def walk(view: memoryview, start: int, stop: int, where: str) -> Iterator[Record]:
-    """Every record from `start` to exactly `stop`."""
+    """Yield every record from `start` to exactly `stop`."""
     while start < stop:
         record = record_at(view, start, stop, where)
         yield record
@@ -133,7 +133,7 @@ def read_channel(fields: Fields) -> tuple[int, McapChannel]:
 
 def read_chunk(fields: Fields) -> Chunk:
     where = f"{fields.where}, chunk at byte {fields.at - PREFIX_BYTES}"
-    fields.span(16)  # first and last log time: the messages say it themselves
+    fields.span(16)  # first and last log time: the messages contain them
     size, crc32, compression = fields.u64(), fields.u32(), fields.text()
     return Chunk(where, size, crc32, compression, *fields.span(fields.u64()))
 

@@ -1,10 +1,9 @@
-"""Salvage of a truncated or damaged MCAP file: its complete records in the order of the file, up to where it ends.
+"""Salvage of a truncated or damaged MCAP file: its complete records in file order.
 
-**Conventions.** The file is walked record by record; it may lack an index. Where a record cannot be one, or reaches
-into what the summary knows to be the next chunk, the walk goes on at the next place that the summary knows
-(known places, below), and the bytes between are a loss. A complete chunk is taken whole or, where
-it fails its checksum or does not inflate, left out: its messages cannot be trusted. Of the chunk that the cut went
-through, whatever inflates is read record by record; nothing can check those. Memory is one chunk.
+**Conventions.** The file is walked record by record; it may lack an index. If a record is invalid, or reaches into a
+chunk that the summary locates, the walk continues at the next known place (below); the bytes between are a loss. A
+complete chunk is taken whole, or left out if it fails its checksum or does not inflate, because its messages cannot be
+trusted. The part of a cut chunk that inflates is read record by record, unchecked. Memory is one chunk.
 """
 
 import zlib
@@ -22,35 +21,37 @@ from stone_recordings.bags.mcap import records as wire
 from stone_recordings.bags.mcap.extras import ATTACHMENT, METADATA
 from stone_recordings.bags.mcap.records import Fields, Record
 
-# Where the records of a damaged MCAP file lie, as far as the summary at its end can still say so.
-#
-# **Conventions.** Places are bytes of the file. A chunk is known where its own head repeats what its index says, its
-# record's length left aside; or where that length is right and the summary meets its checksum, damaged as the head is.
-# A summary that fails its checksum names no channels. Source: mcap.dev/spec.
+# Places of the records of a damaged MCAP file, as far as the summary at its end is readable. Places are bytes of the
+# file. A chunk is known if its own head repeats its index entry, except the record's length. It is also known with a
+# damaged head, if the length is right and the summary matches its checksum. A summary that fails its checksum names no
+# channels. Source: mcap.dev/spec.
 
 
 FOOTER_BYTES = wire.PREFIX_BYTES + 20
 DATA_END_BYTES = wire.PREFIX_BYTES + 4
-# Of a chunk's head without the name of its compression: times, size, checksum, and the lengths of name and records.
+# The size of a chunk's head without the name of its compression: times, size, checksum, and the lengths of name and
+# records.
 CHUNK_HEAD_BYTES = 8 + 8 + 8 + 4 + 4 + 8
-# So many records in a row that can be what they say are no accident of a payload's bytes.
+# This number of valid records in a row is no accident of a payload's bytes.
 LEAST_CHAIN = 3
-# What may stand in the data section; from the second on opcodes are for anybody's own.
+# Opcodes of the data section; from the second on they are reserved for private use.
 OF_DATA = frozenset(
     {wire.HEADER, wire.SCHEMA, wire.CHANNEL, wire.MESSAGE, wire.CHUNK, wire.MESSAGE_INDEX, wire.DATA_END}
 )
 OF_DATA |= {ATTACHMENT, METADATA}
 FIRST_PRIVATE = 0x80
-# The next message is mostly near, and a file may be damaged in many places.
+# The next message is usually near, and a file may be damaged in many places.
 LEAST_WINDOW_BYTES, LAST_WINDOW_BYTES = 1 << 12, 1 << 20
 _PLACE_PREFIX, _MESSAGE = Struct("<BQ"), Struct("<HIQ")
 
 
 @dataclass(frozen=True)
 class KnownPlaces:
-    """`chunks` by where their record starts; `data_stop` is where the data section's last record begins, None without a
-    summary; `messages` is how many there were and `times_ns` the first and last log time, None where nothing says so;
-    `definitions` are the schemas and channels by opcode and id."""
+    """`chunks` by the start of their record; `data_stop` is the start of the data section's last record.
+
+    `data_stop` is None without a summary. `messages` is their number and `times_ns` the first and last log time, None
+    if unknown; `definitions` are the schemas and channels by opcode and id.
+    """
 
     chunks: dict[int, Chunk] = field(default_factory=dict)
     data_stop: int | None = None
@@ -60,13 +61,13 @@ class KnownPlaces:
 
     @cached_property
     def starts(self) -> list[int]:
-        """Of the known chunks, ascending."""
+        """The starts of the known chunks, ascending."""
         return sorted(self.chunks)
 
     def record_at(self, view: memoryview, at: int) -> Record | None:
-        """The record of the data section that begins there; None where there is no whole one.
+        """Return the record of the data section that starts there; None without a whole one.
 
-        Of a known chunk the index says where it ends.
+        The index gives the end of a known chunk.
         """
         start = at + wire.PREFIX_BYTES
         if at in self.chunks:
@@ -81,9 +82,9 @@ class KnownPlaces:
         return Record(opcode, start, start + length) if is_data and not is_early else None
 
     def is_followed(self, view: memoryview, record: Record) -> bool:
-        """Whether another record begins where this one ends, be it one whose own head is damaged.
+        """Return whether another record starts at the end of this one, even one with a damaged head.
 
-        Of a chunk nothing is asked: it has a checksum, or an index that says where it ends.
+        A chunk always passes: it has a checksum, or an index entry with its end.
         """
         at = record.stop
         if (
@@ -102,7 +103,7 @@ class KnownPlaces:
         return bool(length < self.data_stop - start and self._begins_chain(view, start + length))
 
     def next_after(self, view: memoryview, at: int) -> int | None:
-        """Where the next record begins that is known to be one; None where nothing is known."""
+        """Return the start of the next record that is certain to be one; None if none is known."""
         if self.data_stop is None or at >= self.data_stop:
             return None
         if self.starts:
@@ -110,14 +111,14 @@ class KnownPlaces:
         return next(self._messages_after(view, at), self.data_stop)
 
     def _limit_after(self, at: int, size: int) -> int:
-        """Up to where a record that begins at `at` may reach in a file of `size` bytes."""
+        """Return the limit of a record that starts at `at` in a file of `size` bytes."""
         if self.data_stop is None or at >= self.data_stop:
             return size
         following = bisect_right(self.starts, at)
         return self.starts[following] if following < len(self.starts) else self.data_stop
 
     def _is_head(self, view: memoryview, start: int) -> bool:
-        """Whether a message's head can stand there: of a channel, and logged at a time, that the summary knows."""
+        """Return whether a message's head can stand there: with a channel and a log time from the summary."""
         if start + wire.MESSAGE_HEAD_BYTES > (self.data_stop or 0):
             return False
         channel_id, _sequence, time_ns = _MESSAGE.unpack_from(view, start)
@@ -125,7 +126,7 @@ class KnownPlaces:
         return is_known and self.times_ns is not None and self.times_ns[0] <= time_ns <= self.times_ns[1]
 
     def _messages_after(self, view: memoryview, at: int) -> Iterator[int]:
-        """Places after `at` where messages begin that others follow."""
+        """Yield places after `at` at which messages start that others follow."""
         first, last, size = at + 1, self.data_stop or 0, LEAST_WINDOW_BYTES
         while first <= last - wire.PREFIX_BYTES:
             window = np.frombuffer(view[first : min(first + size + wire.PREFIX_BYTES - 1, last)], np.uint8)
@@ -148,7 +149,7 @@ class KnownPlaces:
 
 
 def known_places(view: memoryview, name: str) -> KnownPlaces:
-    """What the end of the file says; nothing where it has no summary, or none that can be read."""
+    """Return the places from the end of the file; none without a readable summary."""
     size = len(view) - len(wire.MAGIC)
     footer_offset = size - FOOTER_BYTES
     if footer_offset < len(wire.MAGIC) + DATA_END_BYTES or bytes(view[size:]) != wire.MAGIC:
@@ -172,7 +173,7 @@ def known_places(view: memoryview, name: str) -> KnownPlaces:
 
 @dataclass(frozen=True)
 class _Trust:
-    """Of a summary: `is_sound` where no checksum speaks against it, `is_proven` where one speaks for it."""
+    """For a summary: `is_sound` if no checksum contradicts it, `is_proven` if a checksum confirms it."""
 
     is_sound: bool
     is_proven: bool
@@ -193,12 +194,12 @@ def _of_summary(view: memoryview, name: str, summary: tuple[int, int], data_stop
             elif record.opcode in (wire.SCHEMA, wire.CHANNEL) and trust.is_sound:
                 definitions[record.opcode, fields.u16()] = record
     except MalformedBagError:
-        pass  # what was read up to here stands: each chunk was looked at
+        pass  # the entries read so far stay valid: each chunk was checked
     return KnownPlaces(_apart(chunks), data_stop, messages, times_ns, definitions)
 
 
 def _known_chunk(view: memoryview, index: Fields, data_stop: int, trust: _Trust) -> dict[int, Chunk]:
-    """The chunk of an index by where it starts; {} where the index cannot be, or the head says something else."""
+    """Return the chunk of an index entry by its start; {} if the entry is invalid, or the head contradicts it."""
     times_ns = (index.u64(), index.u64())
     start, length = index.u64(), index.u64()
     index.span(index.u32())
@@ -209,20 +210,20 @@ def _known_chunk(view: memoryview, index: Fields, data_stop: int, trust: _Trust)
     if not len(wire.MAGIC) <= start < stop <= data_stop or length != head_bytes + packed_bytes:
         return {}
     head = Fields(view, Record(wire.CHUNK, start + wire.PREFIX_BYTES, stop), index.where)
-    told = (head.u64(), head.u64(), head.u64())
+    repeated = (head.u64(), head.u64(), head.u64())
     crc32 = head.u32()
-    found = Chunk(f"{index.where}, chunk at byte {start}", size_bytes, crc32, compression, stop - packed_bytes, stop)
+    chunk = Chunk(f"{index.where}, chunk at byte {start}", size_bytes, crc32, compression, stop - packed_bytes, stop)
     if trust.is_proven and _PLACE_PREFIX.unpack_from(view, start) == (wire.CHUNK, length - wire.PREFIX_BYTES):
-        return {start: found}
+        return {start: chunk}
     try:
-        is_repeated = (*told, head.text(), head.u64()) == (*times_ns, size_bytes, compression, packed_bytes)
+        is_repeated = (*repeated, head.text(), head.u64()) == (*times_ns, size_bytes, compression, packed_bytes)
     except MalformedBagError:
         return {}
-    return {start: found} if is_repeated else {}
+    return {start: chunk} if is_repeated else {}
 
 
 def _apart(chunks: dict[int, Chunk]) -> dict[int, Chunk]:
-    """Without those that begin inside another one."""
+    """Return the chunks that do not start inside another one."""
     kept: dict[int, Chunk] = {}
     reached = 0
     for start, chunk in sorted(chunks.items()):
@@ -237,10 +238,10 @@ MOST_PROBLEMS = 4
 
 @dataclass
 class Losses:
-    """What `complete_records` could not read, filled while it runs.
+    """The records that `complete_records` could not read, filled while it runs.
 
-    `stop_byte` is where the first record begins that is not complete; `is_sealed`: the data section ended as it should.
-    `told_messages` is how many the summary counts, None where nothing says so.
+    `stop_byte` is the start of the first incomplete record; `is_sealed`: the data section ended properly.
+    `told_messages` is the summary's count, None without one.
     """
 
     stop_byte: int = 0
@@ -250,14 +251,14 @@ class Losses:
     told_messages: int | None = None
 
     def add(self, problem: str) -> None:
-        """The first few are kept in words, the rest counted."""
+        """Add a problem: the first few as text, the rest counted."""
         if len(self.problems) < MOST_PROBLEMS:
             self.problems.append(problem)
         else:
             self.unsaid += 1
 
     def refuse(self, error: IngestError) -> None:
-        """A problem that was met as a refusal: what is wrong, without what one could do about it."""
+        """Add a problem from a refusal: the fault, without the remedy."""
         self.add(f"{str(error).partition('; ')[0]} ({error.code})")
 
 
@@ -276,7 +277,9 @@ class SalvagedRecord:
 def complete_records(
     view: memoryview, name: str, losses: Losses, known: KnownPlaces | None = None
 ) -> Iterator[SalvagedRecord]:
-    """Records of the data section, those inside chunks instead of the chunks; `view` begins with the magic."""
+    """Yield the records of the data section, those inside chunks instead of the chunks; `view` starts with the
+    magic.
+    """
     known = known or KnownPlaces()
     losses.stop_byte = len(wire.MAGIC)
     while losses.stop_byte + wire.PREFIX_BYTES <= len(view):
@@ -292,16 +295,16 @@ def complete_records(
         if record.opcode == wire.DATA_END:
             losses.is_sealed = True
             return
-        found = SalvagedRecord(view, record, name)
+        salvaged = SalvagedRecord(view, record, name)
         if record.opcode == wire.CHUNK:
-            yield from _of_chunk(found, known.chunks.get(losses.stop_byte), losses)
+            yield from _of_chunk(salvaged, known.chunks.get(losses.stop_byte), losses)
         else:
-            yield found
+            yield salvaged
         losses.stop_byte = record.stop
 
 
 def first_compression(view: memoryview, name: str, known: KnownPlaces | None = None) -> str:
-    """How the first chunk is packed; "" where messages come first, or nothing does."""
+    """Return the compression of the first chunk; "" if messages come first, or nothing does."""
     if known is not None and known.chunks:
         return known.chunks[known.starts[0]].compression
     at = len(wire.MAGIC)
@@ -324,11 +327,13 @@ def _compression_at(view: memoryview, at: int, name: str) -> str:
         return ""
 
 
-def _of_chunk(found: SalvagedRecord, known: Chunk | None, losses: Losses) -> Iterator[SalvagedRecord]:
-    """`known` is what the summary says of it, where it does: the chunk's own head may be damaged."""
+def _of_chunk(salvaged: SalvagedRecord, known: Chunk | None, losses: Losses) -> Iterator[SalvagedRecord]:
+    """Yield the records of a chunk; `known` is its entry in the summary, if any: the chunk's own head may be
+    damaged.
+    """
     try:
-        chunk = known or wire.read_chunk(found.fields())
-        records = inflate(found.view, chunk)
+        chunk = known or wire.read_chunk(salvaged.fields())
+        records = inflate(salvaged.view, chunk)
         if not chunk.compression:
             check_crc32(records, chunk)
         whole = [
@@ -341,7 +346,7 @@ def _of_chunk(found: SalvagedRecord, known: Chunk | None, losses: Losses) -> Ite
 
 
 def _of_cut_chunk(view: memoryview, name: str, losses: Losses) -> Iterator[SalvagedRecord]:
-    """Whatever records come out of the chunk at `losses.stop_byte` before its bytes end; none of any other record."""
+    """Yield the records of the chunk at `losses.stop_byte` before its bytes end; none for another kind of record."""
     if view[losses.stop_byte] != wire.CHUNK:
         return
     fields = Fields(view, Record(wire.CHUNK, losses.stop_byte + wire.PREFIX_BYTES, len(view)), name)
@@ -367,7 +372,9 @@ class _RecordStream:
         self._where, self._rest, self._needed_bytes = where, bytearray(), wire.PREFIX_BYTES
 
     def feed(self, piece: bytes | memoryview) -> Iterator[SalvagedRecord]:
-        """The records that `piece` completes; what is no record, or larger than any chunk, ends the stream."""
+        """Yield the records that `piece` completes; an invalid record, or one larger than any chunk, ends the
+        stream.
+        """
         self._rest += piece
         while len(self._rest) >= self._needed_bytes and not self.is_over:
             opcode, length = _PREFIX.unpack_from(self._rest)

@@ -1,6 +1,6 @@
 """Messages of a sealed MCAP file.
 
-**Conventions.** As `stone_recordings.bags.chunked_store`; a payload is a view, for MCAP holds CDR messages as they are.
+**Conventions.** As `stone_recordings.bags.chunked_store`; a payload is a view, because MCAP holds CDR messages.
 """
 
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ _MESSAGE = Struct("<BQHIQQ")  # a record's opcode and length, then a message's h
 
 
 class McapStore(ChunkedStore):
-    """One open MCAP file; `is_indexed` is False where the whole file had to be walked."""
+    """One open MCAP file; `is_indexed` is False if the whole file was walked."""
 
     head_bytes = _MESSAGE.size + HEAD_BYTES
 
@@ -34,7 +34,7 @@ class McapStore(ChunkedStore):
         self.findings = _damaged_start(file.view, path.name)
         if zeros := len(file.map) - len(file.view):
             self.findings += (behind_end(zeros, is_zero=True),)
-        file.read_ahead(False)  # an index lies all over the file
+        file.read_ahead(False)  # an index is spread over the file
         catalogue = read_catalogue(file.view, path.name, lambda: file.read_ahead(True))
         super().__init__(file, PlacedMessages(catalogue.chunks, _merged_by_topic(catalogue, path.name)))
         self._topic_of = {number: channel.topic for number, channel in catalogue.channels.items()}
@@ -43,18 +43,18 @@ class McapStore(ChunkedStore):
         self._refuse_other_encodings()
 
     def chunk_of_messages(self, topic: str) -> NDArray[np.int64]:
-        """The number of each message's chunk, in log-time order; −1 outside of chunks."""
+        """Return the number of each message's chunk, in log-time order; −1 outside of chunks."""
         return self._entries[topic].chunk.astype(np.int64)
 
     def offset_of_messages(self, topic: str) -> NDArray[np.int64]:
-        """Return the begin of each message's record in its chunk."""
+        """Return the start of each message's record in its chunk."""
         return self._entries[topic].offset
 
     def chunk(self, number: int) -> Chunk:
         return self._placed.chunks[number]
 
     def size_bytes(self, topic: str, index: int) -> int:
-        """By the record's own length: what `heads` inflated last tells it without more."""
+        """Return the record's own length; for a message that `heads` has just inflated this reads nothing."""
         number, offset = self._place(topic, index)
         return int(_MESSAGE.unpack_from(self._seen_head(number), offset)[1]) - (_MESSAGE.size - wire.PREFIX_BYTES)
 
@@ -70,12 +70,12 @@ class McapStore(ChunkedStore):
         raise self._broken_promise(self._records(number, is_checked=False), number, offset)
 
     def _broken_promise(self, view: memoryview, number: int, offset: int) -> MalformedBagError:
-        """What stands where the index promised a message."""
+        """Return the error for a place at which the index promises a message and another record stands."""
         where = self._where(number)
         try:
             record = wire.record_at(view, offset, len(view), where)
             if record.opcode != wire.MESSAGE:
-                return MalformedBagError(where, f"the index points at byte {offset}, where no message starts")
+                return MalformedBagError(where, f"the index points at byte {offset}, at which no message starts")
             message_head(view, record, where)
         except MalformedBagError as error:
             return error
@@ -91,21 +91,21 @@ def _damaged_start(view: memoryview, name: str) -> tuple[Finding, ...]:
     if view[: len(wire.MAGIC)] == wire.MAGIC:
         return ()
     message = (
-        "Its first bytes are not those of an MCAP file, its last are: its beginning is damaged. What the summary at "
-        f"its end lists is read; for other programs: stone recover {name} -o recovered.mcap."
+        "The start of the file is damaged: its first bytes are not those of an MCAP file, its last are. "
+        f"The messages in its summary are read; for other programs: stone recover {name} -o recovered.mcap."
     )
     return (Finding("BAG-033", "warning", "", message),)
 
 
 def _merged_by_topic(catalogue: Catalogue, name: str) -> dict[str, Entries]:
-    """Entries in log-time order (ties: file order); several channels may carry one topic, of one type."""
+    """Return entries in log-time order (ties: file order); several channels may carry one topic, of one type."""
     parts: dict[str, list[Entries]] = {}
     meaning: dict[str, tuple[str, str]] = {}
     for channel_id, channel in sorted(catalogue.channels.items()):
-        said = (_type_of(catalogue, channel_id), channel.encoding)
-        if meaning.setdefault(channel.topic, said) != said:
+        described = (_type_of(catalogue, channel_id), channel.encoding)
+        if meaning.setdefault(channel.topic, described) != described:
             raise MalformedBagError(
-                name, f"topic {channel.topic!r} is recorded both as {meaning[channel.topic]} and {said}"
+                name, f"topic {channel.topic!r} is recorded both as {meaning[channel.topic]} and {described}"
             )
         empty = GrowingEntries().finished()
         parts.setdefault(channel.topic, []).append(catalogue.entries.get(channel_id, empty))

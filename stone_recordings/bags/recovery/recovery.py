@@ -1,4 +1,4 @@
-"""A recording that cannot be opened, or has no index, written anew: chunked, indexed, with everything that is whole.
+"""A recording that cannot be opened, or has no index, rewritten: chunked, indexed, with all whole messages.
 
 **Conventions.** The original is only read. The copy is written beside its target and renamed when it is complete, so a
 recovery that is killed leaves nothing under the target's name. Messages keep their log and publish time, sequence and
@@ -28,15 +28,13 @@ from stone_recordings.bags.message_store import MessageStore
 from stone_recordings.bags.private_folder import PrivateFolder, unpacked_file
 from stone_recordings.bags.ros1.store import Ros1Store
 
-# One file of a recording that is recovered: what is whole of it goes into the copy.
-#
-# **Conventions.** An MCAP file is walked record by record, and its index asked only where that is damaged; a database
-# and a ROS 1 bag are read message by message, in log-time order, and what a bag holds becomes CDR. `losses` says what
-# was not whole once `keep` is through.
+# One file of a recording under recovery: its whole messages go into the copy. An MCAP file is walked record by record,
+# and its index used only at damaged places. A database and a ROS 1 bag are read message by message, in log-time order,
+# and ROS 1 messages become CDR. After `keep`, `losses` lists the rest.
 
 
 FORGET_BYTES = 16 * 2**20
-# Damaged pages; rows that are no messages; of ROS 1 topics that are not described.
+# Damaged pages; rows that are no messages; ROS 1 topics without a definition.
 LOSSES = ("BAG-030", "BAG-031", "BAG-020", "MSG-307")
 
 
@@ -55,7 +53,7 @@ class RecoverySource(Protocol):
 
 
 class McapSource:
-    """A mapped MCAP file; `sealed` bytes of it are the file, the rest are zeros."""
+    """A mapped MCAP file; its first `sealed` bytes are the file, the rest are zeros."""
 
     def __init__(self, name: str, mapped: mmap.mmap, sealed: int) -> None:
         self.name, self.losses, self.total_bytes = name, Losses(), len(mapped)
@@ -70,11 +68,13 @@ class McapSource:
         return self.total_bytes if self.losses.is_sealed else self.losses.stop_byte
 
     def keep(self, copy: Copy) -> None:
-        definitions = {key: SalvagedRecord(self._view, one, self.name) for key, one in self._known.definitions.items()}
+        definitions = {
+            key: SalvagedRecord(self._view, record, self.name) for key, record in self._known.definitions.items()
+        }
         copy.begin(self.losses, definitions)
         forgotten = 0
-        for found in complete_records(self._view, self.name, self.losses, self._known):
-            copy.keep(found)
+        for salvaged in complete_records(self._view, self.name, self.losses, self._known):
+            copy.keep(salvaged)
             if self.losses.stop_byte - forgotten > FORGET_BYTES:
                 forgotten = self.losses.stop_byte // mmap.PAGESIZE * mmap.PAGESIZE
                 self._mapped.madvise(mmap.MADV_DONTNEED, 0, forgotten)
@@ -114,7 +114,7 @@ class StoreSource:
         self._store.close()
 
     def _in_log_order(self, names: list[str]) -> Iterator[tuple[int, int, int]]:
-        """Topic number, index and log time of every message."""
+        """Yield topic number, index and log time of every message."""
         times = [self._store.log_times_ns(name) for name in names]
         if not times:
             return
@@ -126,12 +126,12 @@ class StoreSource:
 
 
 def database_source(path: Path) -> StoreSource:
-    """Its chunks are not packed, as it was not. Raises: as `SqliteStore`."""
+    """Return the source of a database, whose copy is uncompressed like itself. Raises: as `SqliteStore`."""
     return StoreSource(path.name, SqliteStore(path), "", path.stat().st_size)
 
 
 def ros1_source(path: Path) -> StoreSource:
-    """Raises: as `Ros1Store`."""
+    """Return the source of a ROS 1 bag. Raises: as `Ros1Store`."""
     store = Ros1Store(path, is_tolerant=True)
     source = StoreSource(path.name, store, store.compression, path.stat().st_size)
     source.losses.is_sealed = store.state.is_closed
@@ -147,7 +147,7 @@ STORED: Mapping[str, Callable[[Path], StoreSource]] = {"sqlite": database_source
 
 @contextmanager
 def opened_source(file: Path) -> Iterator[RecoverySource]:
-    """Raises as `container_of`, `SqliteStore`, `Ros1Store` and `unpacked_file`."""
+    """Yield the source. Raises as `container_of`, `SqliteStore`, `Ros1Store` and `unpacked_file`."""
     folder = PrivateFolder()
     try:
         path = unpacked_file(file, folder) if container_of(file) == "zstd" else file
@@ -165,10 +165,10 @@ def opened_source(file: Path) -> Iterator[RecoverySource]:
 
 @dataclass(frozen=True)
 class Recovery:
-    """What was kept and what was not.
+    """The kept and the lost messages.
 
     `topics` counts by name; `read_bytes` of the original's `total_bytes` hold complete records; `last_ns` is the latest
-    log time kept, 0 without messages; `lost` says in a sentence what is missing.
+    log time kept, 0 without messages; `lost` is a sentence about the missing part.
     """
 
     messages: int
@@ -184,11 +184,10 @@ class Recovery:
 
 
 def recover(path: Path, out: Path) -> Recovery:
-    """Write `out`, an MCAP file, from whatever is whole of `path`: a file, or all the files of a folder.
+    """Write `out`, an MCAP file, from the whole messages of `path`: a file, or all the files of a folder.
 
-    One file gives the same bytes whenever it is recovered.
-    Raises: FileNotFoundError, NotABagError (BAG-001), CutBagError (not even the magic is whole),
-    `BAG-026` (`out` is part of the original), `BAG-018`, `BAG-019`, OSError.
+    Recovering a file again gives the same bytes. Raises: FileNotFoundError, NotABagError (BAG-001), CutBagError (even
+    the magic is cut), `BAG-026` (`out` is part of the original), `BAG-018`, `BAG-019`, OSError.
     """
     members = members_of(path)
     if out.exists() and any(out.samefile(file) for file in members.files):
@@ -210,8 +209,8 @@ def _in_words(name: str, sources: list[RecoverySource], noticed: tuple[Finding, 
     is_broken = any(source.losses.problems for source in sources)
     is_whole = is_sealed and not noticed and not is_broken
     lost = _lost(sources, noticed, copy)
-    told = [source.losses.told_messages for source in sources]
-    of_all = "" if None in told else f" of {sum(count or 0 for count in told)}"
+    counts = [source.losses.told_messages for source in sources]
+    of_all = "" if None in counts else f" of {sum(count or 0 for count in counts)}"
     counted = f"{copy.messages}{of_all} messages of {len(copy.topics)} topics"
     kept = f"{counted}, the last logged at {copy.last_ns} ns, are recovered"
     whole = "is damaged" if is_broken else "is complete up to its index"
@@ -222,14 +221,14 @@ def _in_words(name: str, sources: list[RecoverySource], noticed: tuple[Finding, 
 
 
 def _lost(sources: list[RecoverySource], noticed: tuple[Finding, ...], copy: Copy) -> str:
-    """One sentence; how long a cut took away is an estimate from the mean rate of what was kept."""
+    """Return one sentence; the duration of a cut part is an estimate from the mean rate of the kept messages."""
     kept_bytes = sum(source.read_bytes for source in sources)
     rate_s = (copy.last_ns - copy.first_ns) / 1e9 / max(1, kept_bytes)
     parts = [finding.message.removesuffix(".") for finding in noticed if finding.severity == "error"]
     for source in sources:
         about = f"{source.name}: " if len(sources) > 1 else ""
         parts += [f"{about}{part}" for part in _lost_of(source, rate_s)]
-    return f"Lost: {'; '.join(parts)}." if parts else "Nothing is lost but the index."
+    return f"Lost: {'; '.join(parts)}." if parts else "Only the index is lost."
 
 
 def _lost_of(source: RecoverySource, rate_s: float) -> Iterator[str]:
@@ -237,7 +236,7 @@ def _lost_of(source: RecoverySource, rate_s: float) -> Iterator[str]:
     if left_bytes:
         yield f"the incomplete part of the last {left_bytes} bytes (about {left_bytes * rate_s:.3f} s)"
     if not source.losses.is_sealed:
-        yield "whatever the recorder had not written yet"
+        yield "data that the recorder had not written yet"
     yield from source.losses.problems
     if source.losses.unsaid:
         yield f"{source.losses.unsaid} more pieces"

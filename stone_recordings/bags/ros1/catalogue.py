@@ -1,8 +1,8 @@
 """Places of all messages of a ROS 1 bag: from the index at its end, else by walking the whole file.
 
-**Conventions.** As `stone_recordings.bags.message_places`. The index is believed only where it agrees with itself and
-with the heads of the chunks; anything missing or contradictory falls back to the walk, which believes nothing but the
-records. So a bag that its recorder did not close, or whose end is missing, is walked whenever it is opened.
+**Conventions.** As `stone_recordings.bags.message_places`. The index is used only if it agrees with itself and with the
+heads of the chunks. If anything is missing or contradictory, the file is walked, and only its records count. So a bag
+that its recorder did not close, or whose end is missing, is walked on every opening.
 """
 
 from bisect import bisect_right
@@ -20,22 +20,23 @@ from stone_recordings.bags.message_places import Entries, GrowingEntries
 from stone_recordings.bags.ros1 import records as wire
 from stone_recordings.bags.ros1.records import Ros1Record
 
-# A walk through a ROS 1 bag, record after record, up to its last whole one: what an index is made anew from.
-#
-# **Conventions.** Where no record stands the walk goes on at the next place where a chunk is known to begin; where
-# none is known it ends. A chunk is taken whole or not at all. One that was begun and not ended counts as far as it
-# inflates; plain, its records are walked as those of the file itself.
+# A walk through a ROS 1 bag, record after record, up to its last whole one, from which an index is rebuilt. At an
+# invalid record the walk continues at the next known start of a chunk; without one it ends. A chunk is taken whole or
+# not at all. An unfinished chunk counts as far as it inflates; if it is plain, its records are walked like those of the
+# file itself.
 
 
 class Ros1Walk:
-    """`draft` is what was found, `read_bytes` where the last whole record ends."""
+    """`draft` is the result, `read_bytes` the end of the last whole record."""
 
     def __init__(self, view: memoryview, name: str, starts: Sequence[int], *, is_tolerant: bool) -> None:
         self.draft, self.read_bytes = Ros1Draft(starts=sorted(starts)), 0
         self._view, self._name, self._is_tolerant = view, name, is_tolerant
 
     def follow(self, at: int) -> None:
-        """From the record at `at` on. Raises: MalformedBagError and what `inflate` raises, unless it is tolerant."""
+        """Walk from the record at `at`. Raises: MalformedBagError and the errors of `inflate`, unless it is
+        tolerant.
+        """
         following: int | None = at
         while following is not None:
             self.read_bytes = following
@@ -45,7 +46,7 @@ class Ros1Walk:
             del self.draft.entries[number]
 
     def _step(self, at: int) -> int | None:
-        """Take the record at `at`; gives where the next one begins, None where none does."""
+        """Take the record at `at`; return the start of the next one, None without one."""
         record = self._head_at(at)
         if record is None:
             return self._resumed(at)
@@ -67,7 +68,7 @@ class Ros1Walk:
         return record if wire.MESSAGE <= record.op <= wire.CONNECTION else None
 
     def _is_begun(self, record: Ros1Record) -> bool:
-        """Whether a chunk was not ended: the file ends in it, or its recorder has not written its length yet."""
+        """Return whether a chunk is unfinished: the file ends in it, or its recorder has not written its length yet."""
         is_unsaid = record.start == record.stop and self._head_at(record.stop) is None
         return is_unsaid or record.stop > len(self._view)
 
@@ -76,28 +77,28 @@ class Ros1Walk:
             self.draft.take(self._view, record, OF_FILE)
             return
         chunk = chunk_of(record, self._name)
-        records, found = inflate(self._view, chunk), Ros1Draft()
+        records, content = inflate(self._view, chunk), Ros1Draft()
         for inner in _records(records, chunk.where):
-            found.take(records, inner, len(self.draft.chunks))
-        self.draft.add_chunk(chunk, found)
+            content.take(records, inner, len(self.draft.chunks))
+        self.draft.add_chunk(chunk, content)
 
     def _begun(self, record: Ros1Record) -> int | None:
-        """Whatever is whole of a chunk that was not ended."""
-        chunk, found, size_bytes = chunk_of(record, self._name), Ros1Draft(), 0
+        """Take the whole records of an unfinished chunk."""
+        chunk, content, size_bytes = chunk_of(record, self._name), Ros1Draft(), 0
         if not chunk.compression:
             return record.start
         records = _inflated_part(self._view[record.start :], chunk.compression)
-        with suppress(MalformedBagError):  # the last record was not written to its end
+        with suppress(MalformedBagError):  # the last record is incomplete
             for inner in _records(records, chunk.where):
-                found.take(records, inner, len(self.draft.chunks))
+                content.take(records, inner, len(self.draft.chunks))
                 size_bytes = inner.stop
         if size_bytes:
             part = replace(chunk, uncompressed_bytes=size_bytes, stop=len(self._view), is_cut=True)
-            self.draft.add_chunk(part, found)
+            self.draft.add_chunk(part, content)
         return None
 
     def _resumed(self, at: int) -> int | None:
-        """Where the walk goes on where no record stands at `at`."""
+        """Return where the walk continues after an invalid record at `at`."""
         following = self._known_after(at)
         if following is not None:
             self._lose(MalformedBagError(self._name, f"the bytes {at} to {following} are not complete records"))
@@ -114,7 +115,7 @@ class Ros1Walk:
 
 
 def _records(view: memoryview, where: str) -> Iterator[Ros1Record]:
-    """Messages and connections of a chunk. Raises: MalformedBagError where another record stands, or none."""
+    """Yield messages and connections of a chunk. Raises: MalformedBagError for another record, or none."""
     at = 0
     while at < len(view):
         record = wire.record_at(view, at, where)
@@ -125,23 +126,23 @@ def _records(view: memoryview, where: str) -> Iterator[Ros1Record]:
 
 
 def _inflated_part(packed: memoryview, compression: str) -> memoryview:
-    found = bytearray()
+    inflated = bytearray()
     for piece in pieces_of(packed, compression):
-        found += piece
-        if len(found) > UNDOUBTED_BYTES:  # larger than any chunk that a recorder was still writing
+        inflated += piece
+        if len(inflated) > UNDOUBTED_BYTES:  # larger than any chunk that a recorder was still writing
             break
-    return memoryview(found)
+    return memoryview(inflated)
 
 
-# What is known of a ROS 1 bag while it is read: its connections, chunks, and where messages lie.
+# The state of reading a ROS 1 bag: its connections, chunks, and places of messages.
 
 
 COMPRESSIONS = ("bz2", "lz4")
-OF_FILE = -1  # the chunk of what lies in none
+OF_FILE = -1  # the chunk number of messages outside of chunks
 
 
 class Ros1Type(NamedTuple):
-    """A type as a connection tells it: package/Name, and its definition, "" for none."""
+    """A type as in a connection: package/Name, and its definition, "" for none."""
 
     name: str
     definition: str
@@ -149,7 +150,7 @@ class Ros1Type(NamedTuple):
 
 @dataclass(frozen=True)
 class Ros1Connection:
-    """A publisher of a topic, and how it describes its messages."""
+    """A publisher of a topic, and its description of the messages."""
 
     topic: str
     type: Ros1Type
@@ -157,7 +158,7 @@ class Ros1Connection:
 
 @dataclass
 class Ros1Draft:
-    """`starts` are where the index says that chunks begin; `losses` is in words what was broken."""
+    """`starts` are the starts of chunks by the index; `losses` are the faults as text."""
 
     connections: dict[int, Ros1Connection] = field(default_factory=dict)
     chunks: list[Chunk] = field(default_factory=list)
@@ -166,23 +167,25 @@ class Ros1Draft:
     losses: list[str] = field(default_factory=list)
 
     def take(self, view: memoryview, record: Ros1Record, chunk: int) -> None:
-        """A message, or a connection, of a chunk whose records are `view`. Raises: MalformedBagError."""
+        """Take a message, or a connection, of a chunk whose records are `view`. Raises: MalformedBagError."""
         if record.op == wire.MESSAGE:
             time_ns = record.fields.time_ns("time")
             self.entries_of(record.fields.u32("conn")).add(time_ns, chunk, record.at)
         elif record.op == wire.CONNECTION:
-            told = wire.header_fields(view[record.start : record.stop], record.fields.where)
-            topic = record.fields.text("topic") or told.text("topic")
-            connection = Ros1Connection(topic, Ros1Type(told.text("type"), told.text("message_definition")))
+            description = wire.header_fields(view[record.start : record.stop], record.fields.where)
+            topic = record.fields.text("topic") or description.text("topic")
+            connection = Ros1Connection(
+                topic, Ros1Type(description.text("type"), description.text("message_definition"))
+            )
             self.define(record.fields.u32("conn"), connection, record.fields.where)
 
     def define(self, number: int, connection: Ros1Connection, where: str) -> None:
-        """Raises: MalformedBagError where the same id says two things."""
+        """Take a connection. Raises: MalformedBagError if the id was defined otherwise."""
         if self.connections.setdefault(number, connection) != connection:
             raise MalformedBagError(where, f"connection {number} is described twice, differently")
 
     def add_chunk(self, chunk: Chunk, found: "Ros1Draft") -> None:
-        """A chunk, and what was found in it under its number. Raises: as `define`."""
+        """Take a chunk, and its content under its number. Raises: as `define`."""
         for number, connection in found.connections.items():
             self.define(number, connection, chunk.where)
         self.chunks.append(chunk)
@@ -193,26 +196,26 @@ class Ros1Draft:
         return self.entries.setdefault(connection_id, GrowingEntries())
 
     def undefined(self) -> list[int]:
-        """Connections that messages speak of, and that are nowhere described."""
+        """Return the connections of messages that are never defined."""
         return sorted(self.entries.keys() - self.connections.keys())
 
 
 def chunk_of(record: Ros1Record, name: str) -> Chunk:
-    """Raises: MalformedBagError (its header does not say how large it is)."""
-    told = record.fields.text("compression")
-    compression = "" if told == "none" else told or "no name"
+    """Return the chunk of a record. Raises: MalformedBagError (its header lacks its size)."""
+    declared = record.fields.text("compression")
+    compression = "" if declared == "none" else declared or "no name"
     where = f"{name}, chunk at byte {record.at}"
     return Chunk(where, record.fields.u32("size"), 0, compression, record.start, record.stop, known=COMPRESSIONS)
 
 
-BAG_HEADER_BYTES = 4096  # recorders pad it so far, to write it anew when they close the bag
+BAG_HEADER_BYTES = 4096  # recorders pad it to this size, to rewrite it when they close the bag
 
 
 @dataclass(frozen=True, eq=False)
 class BagState:
-    """`is_closed`: nothing is missing behind the last message. `read_bytes` of the file are whole records.
+    """`is_closed`: nothing is missing after the last message. `read_bytes` of the file are whole records.
 
-    `losses` says in words what was broken before that, where the reader asked for what is left.
+    `losses` are the earlier faults as text, for a tolerant reader.
     """
 
     is_indexed: bool
@@ -223,7 +226,7 @@ class BagState:
 
 @dataclass(frozen=True, eq=False)
 class Ros1Catalogue:
-    """What is in the bag and where, by the number of the connection."""
+    """The content of the bag and its places, by the number of the connection."""
 
     connections: Mapping[int, Ros1Connection]
     chunks: Sequence[Chunk]
@@ -232,7 +235,7 @@ class Ros1Catalogue:
 
 
 def read_ros1_catalogue(view: memoryview, name: str, *, is_tolerant: bool = False) -> Ros1Catalogue:
-    """Places in a file that begins with the magic; with `is_tolerant` what is broken is told and passed over.
+    """Return the places in a file that starts with the magic; with `is_tolerant` faults are recorded and skipped.
 
     Raises: CutBagError (no message is whole), `BAG-036`, MalformedBagError and the refusals of `inflate`.
     """
@@ -243,7 +246,7 @@ def read_ros1_catalogue(view: memoryview, name: str, *, is_tolerant: bool = Fals
         try:
             return _finished(draft, BagState(True, True, read_index(view, header, draft, name)))
         except MalformedBagError:
-            pass  # the walk tells what is wrong, if anything is that matters
+            pass  # the walk reports faults, if any matter
     walk = Ros1Walk(view, name, draft.starts, is_tolerant=is_tolerant)
     walk.follow(header.stop)
     if is_there and walk.read_bytes < index_at and not is_tolerant:
@@ -279,9 +282,8 @@ def _bag_header(view: memoryview, name: str) -> Ros1Record:
     return header
 
 
-# The index that a ROS 1 recorder writes when it closes its bag: connections, chunks, and behind each its messages.
-#
-# **Conventions.** Raises MalformedBagError wherever it contradicts itself or the heads of the chunks.
+# The index that a ROS 1 recorder writes on closing: connections, chunks, and after each chunk its messages. Raises
+# MalformedBagError if it contradicts itself or the heads of the chunks.
 
 
 ENTRY = np.dtype([("sec", "<u4"), ("nsec", "<u4"), ("offset", "<u4")])
@@ -290,14 +292,14 @@ VERSION = 1
 
 @dataclass(frozen=True)
 class _ChunkInfo:
-    """Where a chunk is, and by connection how many messages it holds."""
+    """The place of a chunk, and its number of messages by connection."""
 
     at: int
     counts: dict[int, int]
 
 
 def read_index(view: memoryview, header: Ros1Record, draft: Ros1Draft, name: str) -> int:
-    """Fills the draft; gives the byte where the index ends."""
+    """Fill the draft; return the byte after the index."""
     infos, at = [], header.fields.u64("index_pos")
     for _ in range(header.fields.u32("conn_count")):
         record = _expected(view, at, wire.CONNECTION, name)
@@ -319,7 +321,7 @@ def read_index(view: memoryview, header: Ros1Record, draft: Ros1Draft, name: str
 
 
 def _add_chunk(view: memoryview, info: _ChunkInfo, draft: Ros1Draft, name: str) -> int:
-    """Take the message indexes behind one chunk; gives the byte where they end."""
+    """Take the message indexes after one chunk; return the byte after them."""
     record = _expected(view, info.at, wire.CHUNK, name)
     draft.chunks.append(chunk_of(record, name))
     counts: dict[int, int] = {}
@@ -336,7 +338,7 @@ def _add_chunk(view: memoryview, info: _ChunkInfo, draft: Ros1Draft, name: str) 
 
 
 def _rows(view: memoryview, record: Ros1Record) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Times, and offsets in the chunk."""
+    """Return times, and offsets in the chunk."""
     count, size_bytes = record.fields.u32("count"), record.stop - record.start
     if record.fields.u32("ver") != VERSION or size_bytes != count * ENTRY.itemsize:
         raise MalformedBagError(

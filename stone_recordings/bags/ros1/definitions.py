@@ -1,9 +1,9 @@
-"""Message types of ROS 1 as ROS 2 knows them: names, fields, and how the bytes of one become those of the other.
+"""ROS 1 message types in ROS 2: names, fields, and the conversion of their bytes.
 
-**Conventions.** `package/Name` becomes `package/msg/Name`, `tf/tfMessage` the type that took its place. `seq` of a
-header is on the wire of ROS 1 only. A type that is known here with the same wire is that one, so that `K` of a camera
-is called `k`; any other stays as the recording describes it. A connection that describes nothing is of ROS 1 Noetic.
-Source: wiki.ros.org/msg, common_msgs of ROS 1 and common_interfaces of ROS 2.
+**Conventions.** `package/Name` becomes `package/msg/Name`, `tf/tfMessage` the type that replaced it. Only ROS 1 has
+`seq` of a header on the wire. A type with the wire of a known one becomes that one, so that `K` of a camera is called
+`k`; any other type stays as described in the recording. A connection without a description is of ROS 1 Noetic. Source:
+wiki.ros.org/msg, common_msgs of ROS 1 and common_interfaces of ROS 2.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -26,48 +26,46 @@ from stone_recordings.messages.types.definitions_beside import SECTION
 from stone_recordings.messages.types.plan import Leaf, Node, Repeat, TextNode, compiled
 from stone_recordings.messages.types.registry import PACKAGES, registry
 
-# Messages as ROS 1 serialises them, made into CDR of ROS 2 by a plan that is compiled once per type.
-#
-# **Conventions.** ROS 1 writes field after field without padding; strings and sequences begin with a u32 length. CDR
-# aligns every number to its own size, counted from the body's first byte, and ends a string with NUL; the bytes of
-# numbers are the same. So a message is copied in few pieces, and an array of numbers in one. A message whose lengths
-# contradict its size is converted as far as it goes, and what is left over follows at its end: whoever decodes it
-# refuses it, as CDR that was cut. Work and memory are bounded by the message's own bytes. Source: wiki.ros.org/msg;
-# OMG DDSI-RTPS 2.5, 10.
+# Conversion of serialised ROS 1 messages into CDR of ROS 2, by a plan compiled once per type. ROS 1 writes field after
+# field without padding; strings and sequences start with a u32 length. CDR aligns every number to its own size, counted
+# from the body's first byte, and ends a string with NUL; the bytes of numbers are the same. So a message is copied in
+# few pieces, and an array of numbers in one. If a message's lengths contradict its size, it is converted up to the
+# fault and the rest is appended: decoders refuse it as cut CDR. Work and memory are bounded by the message's own bytes.
+# Source: wiki.ros.org/msg; OMG DDSI-RTPS 2.5, 10.
 
 
 ENCAPSULATION = b"\0\1\0\0"  # little-endian plain CDR
-STRICTEST = 8  # the largest alignment: what was written before matters modulo this
-# Elements that are copied one by one; of more than any message has, the rest is left out.
+STRICTEST = 8  # the largest alignment: only the written size modulo this matters
+# The limit of elements that are copied one by one; no message has more, and the rest is left out.
 MOST_ELEMENTS = 1 << 18
-# CDR takes at most twice the bytes of ROS 1 but for empty messages, which take none there.
+# CDR takes at most twice the bytes of ROS 1, except for empty messages, which take none there.
 GROWTH, GROWTH_BYTES = 2, 1 << 16
 UNBOUNDED = 1 << 62
 _U32 = Struct("<I")
 
 
 class Converted(NamedTuple):
-    """CDR, and how many bytes of the message it was made of."""
+    """CDR, and the number of the message's bytes in it."""
 
     payload: memoryview
     read_bytes: int
 
 
 class Conversion:
-    """Of the messages of one type."""
+    """The conversion of the messages of one type."""
 
     def __init__(self, plan: Sequence[Node], dropped: str) -> None:
         self._steps = tuple(_steps(plan, dropped))
 
     def of_message(self, source: memoryview) -> memoryview:
-        """The whole message."""
+        """Convert the whole message."""
         writer = self._written(source, UNBOUNDED)
         if writer.is_done:
             writer.body += source[writer.at :]
         return memoryview(writer.body).toreadonly()
 
     def of_head(self, source: memoryview, most_bytes: int) -> Converted:
-        """At least `most_bytes` of it, or as much as `source`, which may end before the message does, has of it."""
+        """Convert at least `most_bytes`, or as much as `source` allows, which may end before the message does."""
         writer = self._written(source, most_bytes)
         return Converted(memoryview(writer.body).toreadonly(), min(writer.at, len(source)))
 
@@ -78,17 +76,17 @@ class Conversion:
                 step.write(writer)
             writer.is_done = True
         except _WrittenError:
-            pass  # what is written is what there is
+            pass  # the written part is the result
         return writer
 
 
 class _WrittenError(Exception):
-    """The message ends before its fields do, or as much is written as was asked for."""
+    """The message ends before its fields do, or the requested size is written."""
 
 
 @dataclass(slots=True)
 class _CdrWriter:
-    """Reads `source` from `at` on and writes `body`, up to `most` bytes and the end of the piece that they end in."""
+    """Reads `source` from `at` on and writes `body`, up to `most` bytes and the end of their piece."""
 
     source: memoryview
     most: int
@@ -105,7 +103,7 @@ class _CdrWriter:
         self.body += bytes(count)
 
     def copy(self, count: int) -> None:
-        """Raises: _WrittenError."""
+        """Copy bytes. Raises: _WrittenError."""
         part = self.source[self.at : self.at + count]
         self.body += part
         self.at += len(part)
@@ -113,7 +111,7 @@ class _CdrWriter:
             raise _WrittenError
 
     def length(self, extra: int = 0) -> int:
-        """A length is read, and written with `extra` on it. Raises: _WrittenError."""
+        """Read a length, and write it increased by `extra`. Raises: _WrittenError."""
         self.zeros(-self.phase % _U32.size)
         if len(self.source) - self.at < _U32.size:
             raise _WrittenError
@@ -123,7 +121,7 @@ class _CdrWriter:
         return count
 
     def count_element(self) -> None:
-        """Raises: _WrittenError."""
+        """Count an element. Raises: _WrittenError."""
         self.elements += 1
         if self.elements > MOST_ELEMENTS or len(self.body) >= self.most:
             raise _WrittenError
@@ -140,7 +138,7 @@ class _Text:
 
 
 class _Number(NamedTuple):
-    """`source_bytes` of ROS 1 are `cdr_bytes` of CDR: as many, or none, or zeros of none."""
+    """`source_bytes` of ROS 1 are `cdr_bytes` of CDR: equal, or none, or zeros for none."""
 
     source_bytes: int
     cdr_bytes: int
@@ -148,7 +146,7 @@ class _Number(NamedTuple):
 
 
 class _Piece(NamedTuple):
-    """So many zeros are written, so many bytes passed over, so many copied."""
+    """The numbers of zeros to write, of bytes to skip, and of bytes to copy."""
 
     zeros: int
     passed: int
@@ -192,7 +190,7 @@ class _Fixed:
 
 @dataclass(frozen=True)
 class _Repeated:
-    """`length` elements, or as many as the message says (None)."""
+    """`length` elements, or the number in the message (None)."""
 
     length: int | None
     element: tuple[_CdrStep, ...]
@@ -210,7 +208,7 @@ class _Repeated:
 
 
 def _steps(nodes: Sequence[Node], dropped: str) -> Iterator[_CdrStep]:
-    """Numbers that follow each other are one step."""
+    """Yield steps; successive numbers are one step."""
     numbers: list[_Number] = []
     for node in nodes:
         if isinstance(node, Leaf):
@@ -253,18 +251,20 @@ def _pieces(numbers: Sequence[_Number], phase: int) -> Iterator[_Piece]:
 RENAMED = {"tf/tfMessage": "tf2_msgs/TFMessage"}
 TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 HEADER, SEQ = "std_msgs/msg/Header", Field("seq", "uint32")
-DROPPED = Field("seq of ROS 1", "uint32")  # no name that a definition can have
+DROPPED = Field("seq of ROS 1", "uint32")  # no valid name in a definition
 
 
 class Ros2Type(NamedTuple):
-    """What that is in ROS 2: package/msg/Name, and its definition as MCAP embeds it."""
+    """A type in ROS 2: package/msg/Name, and its definition in MCAP's form."""
 
     name: str
     schema: str
 
 
 def ros2_type(told: Ros1Type) -> Ros2Type:
-    """Raises: DefinitionRefusedError (no type, or none that is read), DefinitionMissingError (nothing describes it)."""
+    """Return the type in ROS 2. Raises: DefinitionRefusedError (an invalid type), DefinitionMissingError (no
+    definition).
+    """
     name, types = _parsed(told)
     compiled(name, types)
     header = tuple(field for field in types.get(HEADER, ()) if field != SEQ)
@@ -274,21 +274,21 @@ def ros2_type(told: Ros1Type) -> Ros2Type:
 
 @lru_cache(maxsize=64)
 def conversion_of(told: Ros1Type) -> Conversion:
-    """Raises: as `ros2_type`."""
+    """Return the conversion. Raises: as `ros2_type`."""
     name, types = _parsed(told)
     header = tuple(DROPPED if field == SEQ else field for field in types.get(HEADER, ()))
     return Conversion(compiled(name, {**types, HEADER: header}), DROPPED.name)
 
 
-def _parsed(told: Ros1Type) -> tuple[str, dict[str, tuple[Field, ...]]]:
-    """The name in ROS 2, and the fields on the wire of ROS 1."""
-    name = full_name(RENAMED.get(told.name, told.name), told.name)
-    types = parsed(told.definition.strip() or _noetic_text(name), name)
+def _parsed(declared: Ros1Type) -> tuple[str, dict[str, tuple[Field, ...]]]:
+    """Return the name in ROS 2, and the fields on the wire of ROS 1."""
+    name = full_name(RENAMED.get(declared.name, declared.name), declared.name)
+    types = parsed(declared.definition.strip() or _noetic_text(name), name)
     return name, {**{time: registry().types[time] for time in TIMES}, **types}
 
 
 def _as_known(name: str, fields: tuple[Field, ...]) -> tuple[Field, ...]:
-    """With the names that are known here, where the wire is the same."""
+    """Return the fields with the known names if the wire is the same."""
     known = registry().types.get(name, ())
     return known if [_wire(field) for field in known] == [_wire(field) for field in fields] else fields
 
@@ -298,17 +298,17 @@ def _wire(field: Field) -> tuple[str, str, int]:
 
 
 def _schema(name: str, types: Types) -> str:
-    """The type's own fields, then every other type that it uses in a section."""
+    """Return the type's own fields, then every other type in use in a section."""
     others = (f"{SECTION}\nMSG: {_short(other)}\n{_text(types[other])}" for other in _used(name, types))
     return "\n".join([_text(types[name]), *others])
 
 
 def _used(name: str, types: Types) -> Iterator[str]:
-    """The types that a type holds, once each."""
+    """Yield the types that a type holds, once each."""
     waiting, seen = [name], {name, *TIMES}
     while waiting:
-        found = dict.fromkeys(field.base for field in types[waiting.pop()] if field.base in types)
-        fresh = [base for base in found if base not in seen]
+        bases = dict.fromkeys(field.base for field in types[waiting.pop()] if field.base in types)
+        fresh = [base for base in bases if base not in seen]
         yield from fresh
         seen.update(fresh)
         waiting += fresh
@@ -327,7 +327,7 @@ def _short(name: str) -> str:
 
 
 def _noetic_text(name: str) -> str:
-    """How ROS 1 Noetic describes a type. Raises: DefinitionMissingError."""
+    """Return ROS 1 Noetic's definition of a type. Raises: DefinitionMissingError."""
     if name not in _noetic().fielddefs:
         raise DefinitionMissingError(name, PACKAGES)
     return _noetic().generate_msgdef(name, ros_version=1)[0]
@@ -338,10 +338,9 @@ def _noetic() -> Typestore:
     return get_typestore(Stores.ROS1_NOETIC)
 
 
-# The topics of a ROS 1 bag under their types in ROS 2, and why one of them is left unread.
-#
-# **Conventions.** A topic that several publishers wrote is one, if they describe it alike. MSG-307: its definition
-# cannot be read; BAG-020: it has none, and none is known; BAG-012: its publishers contradict each other.
+# The topics of a ROS 1 bag under their types in ROS 2, and the reasons for unread ones. Several publishers form one
+# topic if their definitions agree. MSG-307: the definition cannot be read; BAG-020: there is none, and none is known;
+# BAG-012: the publishers contradict each other.
 
 # Definitions are parsed; a hostile recording may declare any number of types.
 MOST_TYPES = 500
@@ -351,41 +350,41 @@ UNREAD = "ros1"
 def described(
     connections: Sequence[Ros1Connection], counts: Mapping[str, int]
 ) -> tuple[tuple[Topic, ...], tuple[Finding, ...]]:
-    """Topics by name, `counts` messages each, and a finding for each that is left unread; its encoding is "ros1"."""
-    told = dict.fromkeys(connection.type for connection in connections)
-    known = {one: _read(one) for one in islice(told, MOST_TYPES)}
+    """Return topics by name, `counts` messages each, and a finding for each unread one, whose encoding is "ros1"."""
+    declared = dict.fromkeys(connection.type for connection in connections)
+    known = {declared_type: _read(declared_type) for declared_type in islice(declared, MOST_TYPES)}
     types: dict[str, dict[Ros1Type, None]] = {}
     for connection in connections:
         types.setdefault(connection.topic, {})[connection.type] = None
     topics, findings = [], list[Finding]()
     for name, listed in sorted(types.items()):
-        found = _agreed([known.get(one, _TOO_MANY) for one in listed])
-        if isinstance(found, Finding):
-            findings.append(Finding(found.code, found.severity, name, found.message))
+        agreed = _agreed([known.get(declared_type, _TOO_MANY) for declared_type in listed])
+        if isinstance(agreed, Finding):
+            findings.append(Finding(agreed.code, agreed.severity, name, agreed.message))
             topics.append(Topic(name, next(iter(listed)).name, counts[name], "", UNREAD))
         else:
-            topics.append(Topic(name, found.name, counts[name], found.schema))
+            topics.append(Topic(name, agreed.name, counts[name], agreed.schema))
     return tuple(topics), tuple(findings)
 
 
 _TOO_MANY = Finding("MSG-307", "warning", "", f"The recording has more than {MOST_TYPES} types; this one is not read.")
 
 
-def _read(told: Ros1Type) -> Ros2Type | Finding:
-    """The type in ROS 2, or why it is none."""
+def _read(declared: Ros1Type) -> Ros2Type | Finding:
+    """Return the type in ROS 2, or a finding with the reason."""
     try:
-        return ros2_type(told)
+        return ros2_type(declared)
     except DefinitionMissingError as error:
-        message = f"The bag has no definition of {told.name!r}, nor has ROS 1 Noetic: the topic is not read."
+        message = f"The bag has no definition of {declared.name!r}, nor has ROS 1 Noetic: the topic is not read."
         return Finding(error.code, "warning", "", message)
     except DefinitionRefusedError as error:
         return Finding(error.code, "warning", "", str(error))
 
 
-def _agreed(found: Sequence[Ros2Type | Finding]) -> Ros2Type | Finding:
-    first, *others = found
+def _agreed(types: Sequence[Ros2Type | Finding]) -> Ros2Type | Finding:
+    first, *others = types
     for other in others:
         if isinstance(first, Ros2Type) and isinstance(other, Ros2Type) and other != first:
             message = f"Its publishers use the types {first.name} and {other.name}, or define them differently."
             return Finding("BAG-012", "warning", "", message)
-    return next((one for one in found if isinstance(one, Finding)), first)
+    return next((each for each in types if isinstance(each, Finding)), first)

@@ -1,8 +1,8 @@
 """The wire format of ROS 1 bags, version 2.0: walk records and read their headers, trusting no length.
 
-**Conventions.** A record is a u32 length, a header of so many bytes, another u32 and so many bytes of data; everything
-is little-endian. A header is fields, each a u32 length and name=value, in any order; `op` says what the record is.
-`where` is the sentence's subject when a record lies. Source: wiki.ros.org/Bags/Format/2.0.
+**Conventions.** A record is a u32 length, a header of that size, another u32 and data of that size; everything is
+little-endian. A header is fields, each a u32 length and name=value, in any order; `op` is the kind of the record.
+`where` is the subject of the sentence about an invalid record. Source: wiki.ros.org/Bags/Format/2.0.
 """
 
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ from stone_recordings.bags.errors import MalformedBagError
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 PREFIX_BYTES = 4
-# The longest that a recorder writes holds a topic's name; a connection's description is data, not header.
+# The longest header of a recorder holds a topic's name; a connection's description is data, not header.
 MOST_HEADER_BYTES = 1 << 16
 NS_PER_S = 1_000_000_000
 
@@ -29,7 +29,7 @@ class HeaderFields:
 
     @property
     def op(self) -> int:
-        """0 where there is none, or one of another size."""
+        """The opcode; 0 without one, or for one of another size."""
         value = self._values.get(b"op", b"")
         return value[0] if len(value) == 1 else 0
 
@@ -44,20 +44,20 @@ class HeaderFields:
         return int(sec) * NS_PER_S + int(nsec)
 
     def text(self, name: str) -> str:
-        """ "" where the field is missing; what is no UTF-8 is replaced."""
+        """Return a text; "" if the field is missing; invalid UTF-8 is replaced."""
         return self._values.get(name.encode(), b"").decode(errors="replace")
 
     def _sized(self, name: str, size: int) -> bytes:
         value = self._values.get(name.encode())
         if value is None or len(value) != size:
-            found = "is missing" if value is None else f"has {len(value)} bytes"
-            raise MalformedBagError(self.where, f"the header's field {name!r} of {size} bytes {found}")
+            fault = "is missing" if value is None else f"has {len(value)} bytes"
+            raise MalformedBagError(self.where, f"the header's field {name!r} of {size} bytes {fault}")
         return value
 
 
 @dataclass(frozen=True, slots=True)
 class Ros1Record:
-    """A header, and the half-open byte range of the data; the record begins at `at`."""
+    """A header, and the half-open byte range of the data; the record starts at `at`."""
 
     fields: HeaderFields
     at: int
@@ -70,7 +70,7 @@ class Ros1Record:
 
 
 def head_at(view: memoryview, at: int, where: str) -> Ros1Record:
-    """The record at `at`, whose header lies in `view`; its data may end beyond that. Raises: MalformedBagError."""
+    """Return the record at `at`, whose header lies in `view`; its data may end beyond it. Raises: MalformedBagError."""
     header_stop = at + PREFIX_BYTES + (header_bytes := _length_at(view, at, where))
     if header_bytes > MOST_HEADER_BYTES or header_stop > len(view) - PREFIX_BYTES:
         problem = f"the record at byte {at} declares a header of {header_bytes} bytes, {len(view) - at} are left"
@@ -81,7 +81,7 @@ def head_at(view: memoryview, at: int, where: str) -> Ros1Record:
 
 
 def record_at(view: memoryview, at: int, where: str) -> Ros1Record:
-    """The whole record at `at`. Raises: MalformedBagError."""
+    """Return the whole record at `at`. Raises: MalformedBagError."""
     record = head_at(view, at, where)
     if record.stop > len(view):
         declared_bytes, left_bytes = record.stop - record.start, len(view) - record.start
@@ -91,7 +91,7 @@ def record_at(view: memoryview, at: int, where: str) -> Ros1Record:
 
 
 def header_fields(header: memoryview, where: str) -> HeaderFields:
-    """Of several fields of one name the last counts. Raises: MalformedBagError."""
+    """Return the fields; the last field of a name counts. Raises: MalformedBagError."""
     values: dict[bytes, bytes] = {}
     raw, at = bytes(header), 0
     while at < len(raw):

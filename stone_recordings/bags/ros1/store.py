@@ -1,7 +1,7 @@
-"""Messages of a ROS 1 bag (version 2.0) as if ROS 2 had recorded them: types by their names in ROS 2, messages as CDR.
+"""Messages of a ROS 1 bag (version 2.0) as if recorded by ROS 2: types by their names in ROS 2, messages as CDR.
 
-**Conventions.** As `stone_recordings.bags.chunked_store`; payloads are copies. A topic whose types cannot be read has
-the encoding "ros1" and is left unread. Log times are the recorder's.
+**Conventions.** As `stone_recordings.bags.chunked_store`; payloads are copies. A topic with unreadable types has the
+encoding "ros1" and is left unread. Log times are the recorder's.
 """
 
 from collections.abc import Iterator
@@ -18,17 +18,17 @@ from stone_recordings.bags.ros1.catalogue import BagState, Ros1Catalogue, read_r
 from stone_recordings.bags.ros1.definitions import Conversion, conversion_of, described
 from stone_recordings.bags.ros1.records import Ros1Record
 
-# A head of CDR is made of no more bytes of ROS 1 than this: it lacks `seq` and has padding.
+# The ROS 1 bytes that suffice for a head of CDR, which lacks `seq` and has padding.
 ROS1_HEAD_BYTES = 2 * HEAD_BYTES
 RECORD_HEAD_BYTES = 256
 
 
 class Ros1Store(ChunkedStore):
-    """One open bag; `is_indexed` is False where the whole file had to be walked.
+    """One open bag; `is_indexed` is False if the whole file was walked.
 
-    `compression` is that of the first chunk. With `is_tolerant` what is broken in the middle of the bag is passed over,
-    and `state.losses` says so.
-    Raises: CutBagError (no message is whole), `BAG-036`, MalformedBagError and the refusals of chunks.
+    `compression` is that of the first chunk. With `is_tolerant` faults in the middle of the bag are skipped, and
+    `state.losses` lists them. Raises: CutBagError (no message is whole), `BAG-036`, MalformedBagError and the refusals
+    of chunks.
     """
 
     head_bytes = RECORD_HEAD_BYTES + ROS1_HEAD_BYTES
@@ -47,7 +47,7 @@ class Ros1Store(ChunkedStore):
         self._sized = ("", 0, 0)
 
     def size_bytes(self, topic: str, index: int) -> int:
-        """As CDR, of the message whose head was just given; what lies behind a head is as long as in the bag."""
+        """Return the size as CDR of the message whose head was just yielded; the rest is as long as in the bag."""
         if self._sized[:2] != (topic, index):
             self._head_found(self._seen_head(self._place(topic, index)[0]), topic, index, is_whole=False)
         return self._sized[2]
@@ -68,7 +68,7 @@ class Ros1Store(ChunkedStore):
         return head.payload
 
     def _record(self, view: memoryview, topic: str, index: int) -> Ros1Record:
-        """The message's record, which the index promised. Raises: MalformedBagError where another one stands there."""
+        """Return the message's record. Raises: MalformedBagError if the record differs from the index."""
         number, offset = self._place(topic, index)
         record = wire.head_at(view, offset, self._where(number))
         is_promised = record.op == wire.MESSAGE and self._topic_of(record) == topic
@@ -99,14 +99,14 @@ def _ended(path: Path, file: MappedFile, state: BagState, messages: int) -> Iter
 
 
 def _is_zero(path: Path, start: int) -> bool:
-    """Read, not mapped: pages of a map that are looked at count as memory."""
+    """Return whether only zeros follow; reads the file, because touched pages of a map count as memory."""
     with path.open("rb") as file:
         file.seek(start)
         return not any(piece.strip(b"\0") for piece in iter(lambda: file.read(PIECE_BYTES), b""))
 
 
 def _by_topic(catalogue: Ros1Catalogue) -> dict[str, Entries]:
-    """In log-time order (ties: file order); several connections may carry one topic."""
+    """Return entries in log-time order (ties: file order); several connections may carry one topic."""
     none = GrowingEntries().finished()
     parts: dict[str, list[Entries]] = {}
     for number, connection in sorted(catalogue.connections.items()):

@@ -1,4 +1,4 @@
-"""ars548_messages/msg/DetectionList: 800 slots, of which the first `list_numofdetections` count.
+"""ars548_messages/msg/DetectionList: 800 slots; the first `list_numofdetections` count.
 
 **Conventions.** Slots beyond the count are left over from earlier scans and never read: only the head, the count and
 the valid detections of each message are touched, for speed. Header stamps are the host's by the driver's default;

@@ -149,7 +149,7 @@ def test_messages_without_a_pose_cost_themselves_alone_and_are_named(tmp_path, s
     finding = next(finding for finding in sequence.findings if finding.code == "MSG-305")
     assert str(STAMPS_NS[3]) in finding.message
     assert str(STAMPS_NS[5]) in finding.message
-    assert "2 messages hold no pose" in finding.message
+    assert "2 messages contain no pose" in finding.message
     told = [one for one in inspect(path).findings if one.code == "MSG-305"]
     assert told == ([finding] if source == "odometry" else [])
 

@@ -50,7 +50,7 @@ def test_a_tilt_is_refused_by_its_cause_and_what_is_recommended_is_not(folder: P
     bag, calibration, _ = DRIVE.record(folder, fault_of(row), tmp_path)
     sequence, _ = opened(row, bag, calibration)
     assert refusal(sequence) == REFUSED[row]
-    is_told = {one.code for one in sequence.findings if "nothing is labelled" in one.message}
+    is_told = {one.code for one in sequence.findings if "labelling refuses" in one.message}
     assert is_told == {"footprint_off_ground": {"CAL-433"}, "poses_tilted": {"SYN-518"}, "": set()}[REFUSED[row]]
 
 

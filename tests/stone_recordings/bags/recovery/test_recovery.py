@@ -155,7 +155,7 @@ def test_attachments_metadata_sequence_and_publish_time_are_kept(tmp_path: Path)
         writer.add_message(channel, 10, b"\x00\x01\x00\x00", publish_time=9, sequence=77)
         writer.finish()
     path.write_bytes(path.read_bytes()[:-20])
-    assert recover(path, out).lost == "Nothing is lost but the index."
+    assert recover(path, out).lost == "Only the index is lost."
     with out.open("rb") as file:
         reader = SeekingReader(file)
         assert reader.get_header().profile == "ros2"
@@ -222,7 +222,7 @@ def test_a_database_is_recovered_as_well_and_the_original_is_never_the_target(tm
     messages = sorted(_messages(), key=lambda message: message.log_time_ns)
     recovery = recover(write_db3(tmp_path / "run.db3", messages), tmp_path / "out.mcap")
     assert _content(tmp_path / "out.mcap") == _expected(messages)
-    assert (recovery.lost, recovery.finding.severity) == ("Nothing is lost but the index.", "info")
+    assert (recovery.lost, recovery.finding.severity) == ("Only the index is lost.", "info")
     path = write_mcap(tmp_path / "run.mcap", _messages())
     before = path.read_bytes()
     (tmp_path / "alias.mcap").symlink_to(path)
@@ -433,7 +433,7 @@ def test_a_whole_file_with_zeros_behind_it_is_not_cut_off(tmp_path: Path, kind: 
         assert bytes(bag.message("/a", 0).payload) == MANY[0].payload
     recovery, kept = _recovered(path, path.read_bytes())
     assert kept == _expected(MANY)
-    assert recovery.lost == "Nothing is lost but the index."
+    assert recovery.lost == "Only the index is lost."
     assert recovery.finding.severity == "info"
 
 

@@ -153,7 +153,7 @@ def _messages(path: Path) -> dict[str, list[bytes]]:
 def test_a_whole_bag_becomes_the_mcap_file_that_it_was_made_of(drive: Path, tmp_path: Path) -> None:
     bag = as_ros1(drive, tmp_path / "run.bag", "lz4")
     recovery = recover(bag, tmp_path / "out.mcap")
-    assert (recovery.finding.severity, recovery.lost) == ("info", "Nothing is lost but the index.")
+    assert (recovery.finding.severity, recovery.lost) == ("info", "Only the index is lost.")
     assert _messages(tmp_path / "out.mcap") == _messages(drive)
     with open_bag(tmp_path / "out.mcap") as found, open_bag(bag) as expected:
         assert found.topics == expected.topics
