@@ -70,7 +70,8 @@ def _inflated(packed: memoryview, name: str, room: memoryview) -> int:
         raise IngestError(
             "MSG-330",
             f"{COMPRESSED_CLOUD}: its points are compressed as {name[:SHOWN_CHARACTERS]!r}; zlib and zstd are "
-            "supported. Record the PointCloud2 topic beside it, or play the recording through republish of point_cloud_transport "
+            "supported. Record the PointCloud2 topic beside it, or play the recording through republish of "
+            "point_cloud_transport "
             "(out_transport raw) and record that",
         )
     at = 0
