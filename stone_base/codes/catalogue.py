@@ -15,17 +15,17 @@ CATALOGUE: Mapping[str, CodeMeaning] = {
 PROFILE_CODES = frozenset({"LAB-601", "LAB-603", "LAB-606", "LAB-613", "LAB-614"})
 """Codes of labels made with profile `paper` that processing again with profile `field` solves."""
 FAMILIES: Mapping[str, str] = {
-    "BAG": "Files of recordings",
+    "BAG": "Recording files",
     "MSG": "Messages",
     "TOP": "Topics",
     "TIM": "Stamps and clocks",
-    "GNS": "Positions of a receiver",
+    "GNS": "GNSS",
     "SYN": "Poses and frames",
     "CAL": "Calibrations",
     "LAB": "Labels",
     "IMP": "Imported labels",
-    "QLT": "Quality of the data",
-    "": "Failed runs, and warnings about a phase",
+    "QLT": "Data quality",
+    "": "Failed runs and phase warnings",
 }
 """Titles of the families of codes, in the order in which they are listed; "" is of codes in small letters."""
 

@@ -6,99 +6,105 @@ MEANINGS = (
     CodeMeaning(
         "LAB-601",
         "wrong",
-        "The track covers so few voxels that the reference terrain model is unreliable.",
+        "The track covers too few voxels for a reliable reference terrain model.",
         "Drive farther, or process again with profile field.",
     ),
     CodeMeaning(
         "LAB-602",
         "less",
-        "Some frames contain no driven voxel, so no T.",
-        "Look at these frames: nothing where the ground under the robot is out of the LiDAR's sight; see also LAB-607.",
+        "Some frames contain no driven voxel, so they have no T.",
+        "Check these frames. No action is needed if the LiDAR cannot see the ground under the robot; see also LAB-607.",
     ),
     CodeMeaning(
         "LAB-603",
         "wrong",
-        "The track spans little elevation, so ground that lies higher or lower is labelled N whatever its shape.",
+        "The track spans little elevation, so higher or lower ground is labelled N regardless of its shape.",
         "Process again with profile field, which does not use absolute elevation.",
     ),
     CodeMeaning(
         "LAB-604",
         "wrong",
-        "The slope of the driven ground scatters more than drivable ground does.",
+        "The slope of the driven ground varies more than on drivable ground.",
         "Check the LiDAR's height and the footprint in the calibration.",
     ),
     CodeMeaning(
         "LAB-605",
         "wrong",
-        "Many driven voxels are unlike the rest.",
+        "Many driven voxels differ from the rest.",
         "Check mount and footprint; the driven terrain may be of several kinds.",
     ),
     CodeMeaning(
         "LAB-606",
         "wrong",
-        "Some driven voxels are far from the rest and widen the reference terrain model.",
-        "Process again with profile field, which leaves such voxels out of the reference. Check mount and footprint.",
+        "Some driven voxels differ strongly from the rest and widen the reference terrain model.",
+        "Process again with profile field, which excludes such voxels from the reference. Check mount and footprint.",
     ),
     CodeMeaning(
         "LAB-607",
         "wrong",
-        "A part of the ground that was driven over contains no T.",
-        "Look at SYN-515, CAL-433 and the surface in map.png.",
+        "Part of the driven ground contains no T.",
+        "Check SYN-515, CAL-433 and the surface in map.png.",
     ),
     CodeMeaning(
         "LAB-608",
         "none",
-        "Points beyond the range of any LiDAR are left out and change no label.",
-        "Configure the driver to write NaN where nothing came back; if all points are so far, they are in millimetres.",
+        "Points beyond the range of any LiDAR are left out; labels are unaffected.",
+        "Configure the driver to write NaN if no echo returns. If all points are this far away, their unit is "
+        "probably millimetres.",
     ),
     CodeMeaning(
         "LAB-609",
         "wrong",
-        "The surface of some tiles did not converge; slopes and heights there are wrong.",
-        "Look at map.png, and report it with report.json.",
+        "The surface of some tiles did not converge, so their slopes and heights are wrong.",
+        "Check map.png, and report the problem with report.json.",
     ),
-    CodeMeaning("LAB-611", "none", "The poses were refined; the sentence says by how much.", "Nothing."),
+    CodeMeaning(
+        "LAB-611", "none", "The poses were refined; the message contains the correction.", "No action is needed."
+    ),
     CodeMeaning(
         "LAB-612",
         "wrong",
-        "Some poses were too far from where refinement would put them, and stayed as given.",
-        "Check the source of poses.",
+        "Some poses were too far from their refined position and stayed unchanged.",
+        "Check the pose source.",
     ),
     CodeMeaning(
         "LAB-613",
         "wrong",
-        "Labels made from one half of the track call more than 30 % of the ground driven over in the other half N.",
-        "Process again with profile field. If it is field already, check poses and mount, and drive over each kind of "
-        "terrain.",
+        "Labels made from one half of the track classify more than 30 % of the driven ground in the other half as N.",
+        "Process again with profile field. If the profile is already field, check poses and mount, and drive "
+        "over each kind of terrain.",
     ),
     CodeMeaning(
         "LAB-614",
         "less",
-        "Labels made from one half of the track call 14 to 30 % of the ground driven over in the other half N.",
-        "Process again with profile field, or drive farther over each kind of terrain: elsewhere it is N too.",
+        "Labels made from one half of the track classify 14 to 30 % of the driven ground in the other half as N.",
+        "Process again with profile field, or drive farther over each kind of terrain. Terrain that you do "
+        "not drive over may also be labelled N.",
     ),
     CodeMeaning(
         "LAB-615",
         "wrong",
-        "Many driven voxels are steeper or rougher than the vehicle's limits allow.",
-        "Check the LiDAR's mount and the poses, and the limits under vehicle in the calibration. Tall grass that was "
-        "driven through causes it too.",
+        "Many driven voxels exceed the vehicle's limits for slope or roughness.",
+        "Check the LiDAR's mount, the poses, and the limits under vehicle in the calibration. Driving through "
+        "tall grass also has this effect.",
     ),
     CodeMeaning(
         "IMP-601",
         "less",
-        "The dataset does not say which voxels a ray reached: a free voxel may be one that was never observed.",
-        "Nothing; consider it when you compare scores.",
+        "The dataset does not record which voxels a ray reached, so a free voxel may never have been observed.",
+        "No action is needed; consider this when you compare scores.",
     ),
     CodeMeaning(
         "IMP-602",
         "less",
-        "The dataset does not say which voxels a camera sees, so scores within the cameras' view count all voxels.",
-        "Nothing; consider it when you compare scores.",
+        "The dataset does not record which voxels a camera sees, so scores within the cameras' view count all voxels.",
+        "No action is needed; consider this when you compare scores.",
     ),
-    CodeMeaning("QLT-601", "less", "Sensors fall silent.", "Check their power and network."),
+    CodeMeaning("QLT-601", "less", "Sensors stop sending messages.", "Check the sensors' power and network."),
     CodeMeaning("QLT-602", "none", "A camera is much less sharp than the others.", "Clean and focus the lens."),
-    CodeMeaning("QLT-603", "none", "Images are black or white in large parts.", "Set the exposure."),
-    CodeMeaning("QLT-604", "wrong", "The LiDAR returns few points.", "Clean it, and check what covers it."),
-    CodeMeaning("QLT-605", "none", "A radar detected nothing in many scans.", "Check its mount and driver."),
+    CodeMeaning("QLT-603", "none", "Large parts of images are black or white.", "Adjust the exposure."),
+    CodeMeaning(
+        "QLT-604", "wrong", "The LiDAR returns few points.", "Clean the LiDAR, and check whether anything covers it."
+    ),
+    CodeMeaning("QLT-605", "none", "A radar detected nothing in many scans.", "Check the radar's mount and driver."),
 )

@@ -13,16 +13,15 @@ Harm = Literal["none", "less", "wrong", "refused"]
 HARM_ORDER: tuple[Harm, ...] = ("refused", "wrong", "less", "none")
 HARM_WORDS: Mapping[Harm, str] = {
     "none": "labels unaffected",
-    "less": "something is missing",
+    "less": "some data is missing",
     "wrong": "labels may be wrong",
     "refused": "no labels",
 }
 HARM_SENTENCES: Mapping[Harm, str] = {
-    "none": "No. The labels are the same as without it.",
-    "less": "Partly. Something is left out: messages, frames, masks or the data of a sensor. The other labels are as "
-    "usual.",
-    "wrong": "Possibly. Labels are made, and some of them may be wrong: check before you trust them.",
-    "refused": "There are no labels until it is solved: the input or the run is refused.",
+    "none": "No. The labels are the same as without this finding.",
+    "less": "Partly. Messages, frames, masks or the data of a sensor are left out. The other labels are unaffected.",
+    "wrong": "Possibly. Labels are made, but some may be wrong: check them before you use them.",
+    "refused": "Yes. The input or the run is refused, so there are no labels until you solve the problem.",
 }
 
 
