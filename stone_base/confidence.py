@@ -15,6 +15,6 @@ def least_level(least_confidence: float) -> int:
 def no_confidence(name: object) -> Refused:
     return Refused(
         "no_confidence",
-        f"{name}: it has no array confidence, which a least confidence needs; label the run again with "
-        "`stone label --confidence` (profile field), or leave the option out",
+        f"{name} has no array confidence, which --least-confidence requires; label the run again with `stone "
+        "label --confidence` (profile field), or omit the option",
     )

@@ -44,8 +44,8 @@ class Refused(StoneError):  # noqa: N818
 def splits_forbidden() -> Refused:
     return Refused(
         "splits_forbidden",
-        "the draft splits are set by administrators alone; import without --set-splits (sets_splits), or sign in by "
-        "`stone auth login URL --name ADMINISTRATOR --admin`",
+        "only administrators may set the draft splits; import without --set-splits (sets_splits), or sign in "
+        "with `stone auth login URL --name ADMINISTRATOR --admin`",
     )
 
 

@@ -89,7 +89,7 @@ GRIDS: Mapping[str, LabelGrid] = {grid.name: grid for grid in (PAPER, RELEASE, O
 def named_grid(name: str) -> LabelGrid:
     """Return the grid of this name. Raises `bad_grid`."""
     if name not in GRIDS:
-        raise Refused("bad_grid", f"there is no grid {name[:80]!r}; the platform knows {', '.join(GRIDS)}")
+        raise Refused("bad_grid", f"unknown grid {name[:80]!r}; choose one of {', '.join(GRIDS)}")
     return GRIDS[name]
 
 
@@ -98,7 +98,8 @@ def require_one_geometry(a: LabelGrid, b: LabelGrid) -> None:
     if a.geometry != b.geometry:
         raise Refused(
             "grids_differ",
-            f"A has the grid {a}, B has {b}; labels can be compared at one grid: process one of them again",
+            f"A has the grid {a}, B has {b}; labels can only be compared on the same grid: process one of the "
+            "two again",
         )
 
 
@@ -135,16 +136,16 @@ def grid_of(record: object) -> LabelGrid:
     if not (isinstance(low, list | tuple) and len(low) == 3 and all(map(_is_near, low))):
         raise _bad(f"min_m as three numbers of metres within ± {MOST_AWAY_M:g}", low)
     if not (_is_number(voxel_m) and MAP_VOXEL_M <= voxel_m <= MOST_MAP_HEIGHT * MAP_VOXEL_M and _is_multiple(voxel_m)):  # type: ignore[operator, arg-type]
-        raise _bad(f"voxel_m as a whole multiple of {MAP_VOXEL_M} m, the voxel of the map", voxel_m)
+        raise _bad(f"voxel_m as an integer multiple of {MAP_VOXEL_M} m, the voxel size of the map", voxel_m)
     if not (isinstance(shape, list | tuple) and len(shape) == 3 and all(type(size) is int for size in shape)):
-        raise _bad("shape as three whole numbers of voxels", shape)
+        raise _bad("shape as three integers (voxels)", shape)
     name, classes, unknown = record.get("name"), record.get("classes", PAPER.classes), record.get("unknown")
     if not (isinstance(name, str) and NAME.fullmatch(name)):
-        raise _bad("name as 1 to 40 small letters, digits, - or _", name)
+        raise _bad("name as 1 to 40 lower-case letters, digits, - or _", name)
     if not (isinstance(classes, list | tuple) and tuple(classes) == PAPER.classes):
         raise _bad("classes as [0, 1, 2, 3]", classes)
     if not (unknown is None or (type(unknown) is int and 4 <= unknown <= 255)):
-        raise _bad("unknown as null or a number from 4 to 255", unknown)
+        raise _bad("unknown as null or an integer from 4 to 255", unknown)
     corner = (float(low[0]), float(low[1]), float(low[2]))
     found = LabelGrid(name, corner, float(voxel_m), (shape[0], shape[1], shape[2]), PAPER.classes, unknown)  # type: ignore[arg-type]
     _check(found)
@@ -158,10 +159,10 @@ def _check(grid: LabelGrid) -> None:
         raise _bad(f"multiples of {SIDE_STEP} from {SIDE_STEP} to {most} voxels along x and y", f"{x} × {y}")
     if z not in HEIGHTS or z * grid.pooled > MOST_MAP_HEIGHT:
         most_m = MOST_MAP_HEIGHT * MAP_VOXEL_M
-        raise _bad(f"{', '.join(map(str, HEIGHTS))} voxels of together at most {most_m:g} m along z", z)
+        raise _bad(f"{', '.join(map(str, HEIGHTS))} voxels, at most {most_m:g} m in total, along z", z)
     known = GRIDS.get(grid.name)
     if known is not None and known != grid:
-        raise _bad(f"the name {grid.name!r} for {known} alone", grid)
+        raise _bad(f"the name {grid.name!r} only for {known}", grid)
 
 
 def _is_number(value: object) -> bool:
@@ -177,4 +178,4 @@ def _is_multiple(voxel_m: float) -> bool:
 
 
 def _bad(expected: str, found: object) -> Refused:
-    return Refused("bad_grid", f"a grid has {expected}, but here is {str(found)[:120]!r}")
+    return Refused("bad_grid", f"a grid must have {expected}; got {str(found)[:120]!r}")
