@@ -1,1 +1,1 @@
-"""What all of it says with the same words: errors, findings, names, the label grid. The standard library only."""
+"""Shared basics: errors, findings, names and the label grid. Only the standard library is used."""

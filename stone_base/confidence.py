@@ -8,7 +8,7 @@ CERTAIN = 255
 
 
 def least_level(least_confidence: float) -> int:
-    """Return the least value of the array that stands for this probability, 0 to 1, or more."""
+    """Return the lowest value of the array that stands for at least this probability (0 to 1)."""
     return ceil(CERTAIN * least_confidence)
 
 

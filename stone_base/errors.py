@@ -1,20 +1,20 @@
-"""The root of every error the platform raises on purpose, and `Refused`, which most code raises.
+"""The root of all errors that the platform raises on purpose, and the most common one, `Refused`.
 
-**Conventions.** A refusal is `Refused(code, sentence)`; the sentence quotes value, limit and likely mistake. A class
-exists only if somebody catches it or reads its attributes. In docstrings, "Raises `upload_locked`" names the code.
-Nothing is raised as a bare `StoneError`.
+**Conventions.** A refusal is `Refused(code, sentence)`; the sentence contains value, limit and likely mistake.
+Subclasses exist only if some code catches them or reads their attributes. In docstrings, "Raises `upload_locked`" names
+the code. No code raises a bare `StoneError`.
 """
 
 
 def one_line(text: str) -> str:
-    """`text` with what is not printable escaped: what it quotes may hold line ends and commands to a terminal."""
+    """Return `text` with unprintable characters escaped: quoted input may contain line ends and terminal commands."""
     if text.isprintable():
         return text
     return "".join(character if character.isprintable() else repr(character)[1:-1] for character in text)
 
 
 class StoneError(Exception):
-    """An input or a state is refused; `code` names the reason for programs, the sentence for people."""
+    """A refused input or state; `code` is the reason for programs, the sentence is for people."""
 
     code: str
 
@@ -22,7 +22,7 @@ class StoneError(Exception):
         super().__init__(one_line(sentence))
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Some classes take facts, not sentences, so a pickle carries the finished sentence (worker → parent)."""
+        """Pickle the finished sentence (worker → parent), because some classes take other arguments than a sentence."""
         return _restored, (type(self), self.args, self.__dict__)
 
 
@@ -34,7 +34,7 @@ def _restored(leaf: type[StoneError], args: tuple[object, ...], facts: dict[str,
 
 
 class Refused(StoneError):  # noqa: N818
-    """A refusal that is known by its code alone."""
+    """A refusal that callers identify by its code."""
 
     def __init__(self, code: str, sentence: str) -> None:
         super().__init__(sentence)
@@ -50,7 +50,7 @@ def splits_forbidden() -> Refused:
 
 
 class ShapeError(StoneError):
-    """An array has another shape than the function is defined for."""
+    """An array whose shape the function does not accept."""
 
     code = "bad_shape"
 
@@ -59,4 +59,4 @@ class ShapeError(StoneError):
 
 
 class PlatformFaultError(Refused):
-    """Not the input is at fault but the machine, for now: a job that meets one of these is tried again."""
+    """A temporary fault of the machine, not of the input: jobs retry after this error."""

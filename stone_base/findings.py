@@ -1,4 +1,4 @@
-"""Findings about an input: a code, a grade and a sentence each."""
+"""Findings about an input: each has a code, a severity and a sentence."""
 
 from dataclasses import asdict, dataclass
 from typing import Literal
@@ -10,7 +10,7 @@ Severity = Literal["error", "warning", "info"]
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing noticed; `topic` is the ROS topic, sensor or file it is about ("" when about the whole)."""
+    """One observation about `topic`: a ROS topic, sensor or file, or "" for the whole input."""
 
     code: str
     severity: Severity

@@ -1,12 +1,11 @@
-"""The label grids around the robot: one frozen value each, and all that the platform knows by name.
+"""The label grids around the robot, as immutable values, and the grids that the platform knows by name.
 
-**Conventions.** A grid is aligned with the ego frame. `min_m` is its lowest corner, and voxel [i, j, k] covers
-`min_m` + [i, j, k] · `voxel_m` up to the next. Arrays have its `shape`, axes x, y, z, C order. Labels are cut out
-of a map of voxels of `MAP_VOXEL_M`; a voxel of a grid is a cube of `pooled`³ of them. Two grids may be held against
-each other if their `geometry` is the same.
+**Conventions.** A grid is aligned with the ego frame. `min_m` is its lowest corner; voxel [i, j, k] starts at `min_m` +
+[i, j, k] · `voxel_m`. Arrays have its `shape`, axes x, y, z, C order. Labels come from a map with voxels of
+`MAP_VOXEL_M`; a grid voxel is a cube of `pooled`³ map voxels. Two grids are comparable if their `geometry` is equal.
 
-Sources: the paper (256 × 256 × 32 voxels of 0.2 m); the README of the released dataset, revision 4ba5f700; Occ3D
-(arXiv 2304.14365), whose grid the release took over.
+Sources: the paper (256 × 256 × 32 voxels of 0.2 m); the README of the released dataset, revision 4ba5f700; Occ3D (arXiv
+2304.14365), which defined the release's grid.
 """
 
 import re
@@ -19,7 +18,7 @@ from stone_base.errors import Refused
 MAP_VOXEL_M = 0.2
 MOST_SIDE, MOST_MAP_SIDE, SIDE_STEP = 320, 512, 8
 HEIGHTS = (8, 16, 32)
-"""How many voxels a column may have: a column of the map is one word of 32 bits, whole columns fill such words."""
+"""Allowed voxels per column: a map column is one 32-bit word, and whole columns fill such words."""
 MOST_MAP_HEIGHT = 32
 MOST_AWAY_M = 200.0
 NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,39}")
@@ -31,8 +30,8 @@ Shape = tuple[int, int, int]
 class LabelGrid:
     """A grid: its lowest corner `min_m`, the side `voxel_m` of a voxel and the number of voxels along each axis.
 
-    `classes` are the numbers of free, T, P and N in its files. `unknown` is the number that its files have for a voxel
-    that nobody knows of; None if their masks tell that.
+    `classes` are the numbers of free, T, P and N in its files. `unknown` is the value of unobserved voxels in its
+    files, or None if the files' masks mark them.
     """
 
     name: str
@@ -50,32 +49,32 @@ class LabelGrid:
 
     @property
     def voxels(self) -> int:
-        """The number of its voxels."""
+        """The number of voxels."""
         return prod(self.shape)
 
     @property
     def pooled(self) -> int:
-        """How many voxels of the map lie along a side of one of its voxels."""
+        """The number of map voxels along one side of a grid voxel."""
         return round(self.voxel_m / MAP_VOXEL_M)
 
     @property
     def on_map(self) -> "LabelGrid":
-        """The same space in voxels of the map's size."""
+        """The same grid with voxels of the map's size."""
         x, y, z = (size * self.pooled for size in self.shape)
         return replace(self, voxel_m=MAP_VOXEL_M, shape=(x, y, z))
 
     @property
     def geometry(self) -> tuple[Corner, float, Shape]:
-        """All that places its voxels."""
+        """The values that determine the position of every voxel."""
         return self.min_m, self.voxel_m, self.shape
 
     def as_record(self) -> dict[str, object]:
-        """Return the grid as JSON: what `grid_of` reads."""
+        """Return the grid as JSON for `grid_of`."""
         record: dict[str, object] = {"name": self.name, "min_m": list(self.min_m), "voxel_m": self.voxel_m}
         return {**record, "shape": list(self.shape), "classes": list(self.classes), "unknown": self.unknown}
 
     def __str__(self) -> str:
-        """Return the name and what it stands for, for a sentence."""
+        """Return the name and extent, for use in a sentence."""
         low, high = (" ".join(f"{value:g}" for value in corner) for corner in (self.min_m, self.max_m))
         return f"{self.name} ({' × '.join(map(str, self.shape))} of {self.voxel_m:g} m, [{low}] to [{high}] m)"
 
@@ -94,7 +93,7 @@ def named_grid(name: str) -> LabelGrid:
 
 
 def require_one_geometry(a: LabelGrid, b: LabelGrid) -> None:
-    """Raise `grids_differ` if the voxels of A and B are not the same places."""
+    """Raise `grids_differ` if the voxels of A and B have different positions."""
     if a.geometry != b.geometry:
         raise Refused(
             "grids_differ",
@@ -104,29 +103,29 @@ def require_one_geometry(a: LabelGrid, b: LabelGrid) -> None:
 
 
 def recorded_grid(record: object) -> LabelGrid:
-    """Return the grid of a record that names one only if it is not the paper's. Raises `bad_grid`."""
+    """Return the recorded grid; a missing record means the paper's grid. Raises `bad_grid`."""
     return PAPER if record is None else grid_of(record)
 
 
 def record_unless_paper(grid: LabelGrid) -> dict[str, object] | None:
-    """Return the record that `recorded_grid` reads."""
+    """Return the record for `recorded_grid`, or None for the paper's grid."""
     return None if grid == PAPER else grid.as_record()
 
 
 def grid_of_shape(shape: tuple[int, ...]) -> LabelGrid | None:
-    """Return the first known grid of arrays of this shape, None if there is none."""
+    """Return the first known grid with this shape, or None."""
     return next((grid for grid in GRIDS.values() if grid.shape == shape), None)
 
 
 def grid_with_shape(shape: tuple[int, ...]) -> LabelGrid:
-    """Return some grid of arrays of this shape, wherever it lies. Raises `bad_grid` if no grid can have the shape."""
+    """Return a grid with this shape at any position. Raises `bad_grid` if no grid can have the shape."""
     return grid_of_shape(shape) or grid_of(
         {"name": "unnamed", "min_m": [0, 0, 0], "voxel_m": MAP_VOXEL_M, "shape": shape}
     )
 
 
 def grid_of(record: object) -> LabelGrid:
-    """Return the grid that a JSON object describes, as `LabelGrid.as_record` makes it. Raises `bad_grid`."""
+    """Return the grid that a JSON object in the form of `LabelGrid.as_record` describes. Raises `bad_grid`."""
     if not isinstance(record, Mapping):
         raise _bad("an object", record)
     unknown_keys = sorted(set(record) - {"name", "min_m", "voxel_m", "shape", "classes", "unknown"})
@@ -147,9 +146,9 @@ def grid_of(record: object) -> LabelGrid:
     if not (unknown is None or (type(unknown) is int and 4 <= unknown <= 255)):
         raise _bad("unknown as null or an integer from 4 to 255", unknown)
     corner = (float(low[0]), float(low[1]), float(low[2]))
-    found = LabelGrid(name, corner, float(voxel_m), (shape[0], shape[1], shape[2]), PAPER.classes, unknown)  # type: ignore[arg-type]
-    _check(found)
-    return found
+    grid = LabelGrid(name, corner, float(voxel_m), (shape[0], shape[1], shape[2]), PAPER.classes, unknown)  # type: ignore[arg-type]
+    _check(grid)
+    return grid
 
 
 def _check(grid: LabelGrid) -> None:
@@ -177,5 +176,5 @@ def _is_multiple(voxel_m: float) -> bool:
     return abs(voxel_m / MAP_VOXEL_M - round(voxel_m / MAP_VOXEL_M)) < 1e-9
 
 
-def _bad(expected: str, found: object) -> Refused:
-    return Refused("bad_grid", f"a grid must have {expected}; got {str(found)[:120]!r}")
+def _bad(expected: str, value: object) -> Refused:
+    return Refused("bad_grid", f"a grid must have {expected}; got {str(value)[:120]!r}")

@@ -1,7 +1,7 @@
-"""The quality of a label set in two figures: its held-out track, and the finding that harms its labels most.
+"""The quality of a label set in two figures: its held-out recall, and its most harmful finding.
 
-**Conventions.** Both are read from the set's `report.json`. None is unknown: labels that were imported or made by an
-earlier version, or a way too short to be judged.
+**Conventions.** `report.json` of the set contains both figures. None means unknown: the labels were imported or made by
+an earlier version, or the track is too short.
 """
 
 from collections.abc import Iterable, Mapping
@@ -14,7 +14,7 @@ from stone_base.codes.meaning import Harm
 
 @dataclass(frozen=True)
 class GravestFinding:
-    """The code of a finding, and how it harms the labels."""
+    """The code of a finding, and its effect on labels."""
 
     code: str
     harm: Harm
@@ -22,9 +22,12 @@ class GravestFinding:
 
 @dataclass(frozen=True)
 class LabelQuality:
-    """`held_out_recall` is the share of ground, driven over in the half of the way that a reference did not see, that
-    its labels call T or P; `held_out_m` metres of way were judged. A gravest code of None: no finding harms the labels,
-    or none is known."""
+    """The held-out recall and the most harmful finding of a label set.
+
+    `held_out_recall`: share of the driven ground, in the half of the track hidden from the reference, that is labelled
+    T or P. `held_out_m`: length of the judged track in metres. `gravest_code`: None if no finding is harmful, or none
+    is known.
+    """
 
     held_out_recall: float | None = None
     held_out_m: float | None = None
@@ -33,14 +36,14 @@ class LabelQuality:
 
     @property
     def gravest(self) -> GravestFinding | None:
-        """None as well for a code that the catalogue lacks, or that does no harm."""
+        """The most harmful finding, or None if its code does no harm or is not in the catalogue."""
         if self.gravest_code is None or self.gravest_severity is None:
             return None
         harm = harm_of(self.gravest_code, self.gravest_severity)
         return None if harm is None or harm == "none" else GravestFinding(self.gravest_code, harm)
 
     def as_record(self) -> dict[str, Any]:
-        """The figures as answers, manifests and exports contain them."""
+        """Return the figures in the form of API responses, manifests and exports."""
         gravest = self.gravest
         return {
             "held_out_recall": self.held_out_recall,
@@ -53,31 +56,33 @@ UNKNOWN = LabelQuality()
 
 
 def quality_of(report: Mapping[str, Any]) -> LabelQuality:
-    """Return the quality that a `report.json` states; an older report, or that of imported labels, lacks a part."""
+    """Return the quality in a `report.json`; reports of older versions and of imported labels lack parts."""
     held = report.get("held_out") or {}
     recall = held.get("recall")
-    found = (LabelQuality(None, None, one["code"], one["severity"]) for one in report.get("findings") or ())
+    qualities = (
+        LabelQuality(None, None, finding["code"], finding["severity"]) for finding in report.get("findings") or ()
+    )
     judged_m = None if recall is None else held.get("judged_m")
-    return replace(gravest_of(found), held_out_recall=recall, held_out_m=judged_m)
+    return replace(gravest_of(qualities), held_out_recall=recall, held_out_m=judged_m)
 
 
 def gravest_of(qualities: Iterable[LabelQuality]) -> LabelQuality:
-    """Return the finding that harms labels most, the first of equal ones, as a quality without a recall."""
+    """Return the most harmful finding (the first of equals) as a quality without a recall."""
     harmed = [
-        (one.gravest_code, one.gravest_severity)
-        for one in qualities
-        if one.gravest_code and one.gravest_severity and one.gravest
+        (quality.gravest_code, quality.gravest_severity)
+        for quality in qualities
+        if quality.gravest_code and quality.gravest_severity and quality.gravest
     ]
     if not harmed:
         return UNKNOWN
-    code, severity = min(harmed, key=lambda one: harm_rank(*one))
+    code, severity = min(harmed, key=lambda pair: harm_rank(*pair))
     return LabelQuality(gravest_code=code, gravest_severity=severity)
 
 
 def pooled(qualities: Iterable[LabelQuality]) -> LabelQuality:
-    """Return the recall over the judged metres of all label sets together, and the gravest finding of any."""
+    """Return the recall over the judged metres of all label sets, and their most harmful finding."""
     rows = list(qualities)
-    judged = [(one.held_out_recall, one.held_out_m) for one in rows]
+    judged = [(quality.held_out_recall, quality.held_out_m) for quality in rows]
     known = [(recall, judged_m) for recall, judged_m in judged if recall is not None and judged_m]
     total_m = sum(judged_m for _, judged_m in known)
     if not total_m:

@@ -1,10 +1,10 @@
-"""Names that everybody writes alike: of sequences, and of the parts of a split."""
+"""Naming rules of sequences and of splits."""
 
 import re
 from typing import Literal
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-"""A sequence's name in full; it becomes a folder's name."""
+"""The complete name of a sequence, which is also a folder name."""
 
 Part = Literal["train", "val", "test"]
 PARTS: tuple[Part, ...] = ("train", "val", "test")

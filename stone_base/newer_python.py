@@ -1,6 +1,6 @@
-"""Names of Python 3.11, for the client on Python 3.10.
+"""Standard library names of Python 3.11 for the client on Python 3.10.
 
-**Conventions.** The client's packages take these names from here; on 3.11 and newer they are the standard library's.
+**Conventions.** The client's packages import these names from here; Python 3.11 and newer use the standard library.
 """
 
 import sys
@@ -17,12 +17,12 @@ else:
     from typing import Any, BinaryIO
 
     class StrEnum(str, Enum):  # noqa: UP042
-        """Members that are their values as text."""
+        """Enum members that equal their text values."""
 
         __str__ = str.__str__
 
     def file_digest(file: BinaryIO, name: str) -> Any:
-        """Return the hash object of what is left of a file."""
+        """Return the hash object of the remaining bytes of a file."""
         digest = hashlib.new(name)
         while piece := file.read(2**18):
             digest.update(piece)

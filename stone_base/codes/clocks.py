@@ -1,4 +1,4 @@
-"""Meanings of TIM and GNS codes: stamps, clocks and positions of a receiver."""
+"""Meanings of TIM and GNS codes: stamps, clocks and GNSS positions."""
 
 from stone_base.codes.meaning import CodeMeaning
 

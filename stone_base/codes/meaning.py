@@ -1,8 +1,7 @@
-"""The meaning of a code, and how much what it reports harms the labels.
+"""The meaning of a code, and its effect on labels.
 
-**Conventions.** Severity is of one finding, harm of its code: `TIM-201` and `LAB-603` are both warnings, of which the
-first changes no label. What harm a code does may differ where it is an error, or only a warning; a finding of severity
-`info` does none.
+**Conventions.** A finding has a severity, a code has a harm: `TIM-201` and `LAB-603` are both warnings, but `TIM-201`
+changes no label. The harm of a code may differ between errors and warnings; a finding of severity `info` does none.
 """
 
 from collections.abc import Mapping
@@ -27,7 +26,10 @@ HARM_SENTENCES: Mapping[Harm, str] = {
 
 @dataclass(frozen=True)
 class CodeMeaning:
-    """What `code` means and what to do, in full sentences; `as_error`, `as_warning`: the harm where it differs."""
+    """The meaning and the remedy of `code`, in full sentences.
+
+    `as_error` and `as_warning` override `harm` for that severity.
+    """
 
     code: str
     harm: Harm
@@ -37,12 +39,12 @@ class CodeMeaning:
     as_warning: Harm | None = None
 
     def harm_as(self, severity: str) -> Harm:
-        """The harm of a finding of this code and `severity`."""
+        """Return the harm of a finding with this code and `severity`."""
         if severity == "info":
             return "none"
         return {"error": self.as_error, "warning": self.as_warning}.get(severity) or self.harm
 
     @property
     def differing(self) -> Mapping[str, Harm]:
-        """The harm by severity, of those severities that do another one."""
+        """The harm by severity, for the severities whose harm differs from `harm`."""
         return {word: harm for word in ("warning", "error") if (harm := self.harm_as(word)) != self.harm}

@@ -1,4 +1,4 @@
-"""Codes of earlier releases, by which logs and scripts may still know a refusal."""
+"""New names of renamed codes, for logs and scripts that contain the old names."""
 
 from collections.abc import Mapping
 
