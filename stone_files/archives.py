@@ -193,7 +193,7 @@ NAME = re.compile(rf"{_PART}(/{_PART})*")
 
 
 def bad_member(name: str, why: str) -> Refused:
-    return Refused("bad_member", f"{name[:200]!r} cannot be a file of an archive: {why}")
+    return Refused("bad_member", f"{name[:200]!r} cannot be a file in an archive: {why}")
 
 
 @dataclass(frozen=True)
@@ -263,10 +263,12 @@ def check_names(names: Iterable[str]) -> None:
     files, folders = set[str](), set[str]()
     for name in names:
         if len(name) > MOST_NAME or not NAME.fullmatch(name):
-            raise bad_member(name, f"it is not a relative path of letters, digits and ._+=@- below {MOST_NAME}")
+            raise bad_member(
+                name, f"names are relative paths of letters, digits and ._+=@-, shorter than {MOST_NAME} characters"
+            )
         folded = name.casefold()
         if folded in files:
-            raise bad_member(name, "there is another file of that name")
+            raise bad_member(name, "another file has the same name")
         files.add(folded)
         folders |= {folded[:place] for place, sign in enumerate(folded) if sign == "/"}
     for both in sorted(files & folders):
@@ -333,9 +335,7 @@ RECORD = re.compile(rb"(\d{1,6}) ([^=\n]{1,200})=")
 
 
 def bad_tar(path: Path, why: str) -> Refused:
-    return Refused(
-        "bad_tar", f"{path} cannot be read as a tar: {why} (is it compressed, or cut off? download it again)"
-    )
+    return Refused("bad_tar", f"{path} cannot be read as a tar: {why} (compressed or cut off? download it again)")
 
 
 @dataclass(frozen=True)
@@ -371,7 +371,9 @@ def _files(path: Path, descriptor: int) -> Iterator[tuple[str, tuple[int, int]]]
         length = int(said["size"]) if head.kind in FILE and "size" in said else head.size_bytes
         begin = place + BLOCK_BYTES
         if begin + length > size_bytes:
-            raise bad_tar(path, f"{head.name[:100]!r} should end at byte {begin + length} of {size_bytes}")
+            raise bad_tar(
+                path, f"{head.name[:100]!r} would end at byte {begin + length}, but the file has {size_bytes} bytes"
+            )
         place = begin + length + -length % BLOCK_BYTES
         if head.kind in (PAX, LONG_NAME, PAX_OF_ALL):
             said |= _extension(path, head, _content(path, descriptor, begin, length))
@@ -381,12 +383,12 @@ def _files(path: Path, descriptor: int) -> Iterator[tuple[str, tuple[int, int]]]
         elif head.kind != FOLDER:
             raise bad_tar(path, f"{head.name[:100]!r} is a link or a device")
         said = {}
-    raise bad_tar(path, f"it has more than {MOST_FILES} files")
+    raise bad_tar(path, f"it contains more than {MOST_FILES} files")
 
 
 def _head(path: Path, place: int, block: bytes) -> _Head:
     if len(block) < BLOCK_BYTES:
-        raise bad_tar(path, f"it ends in the header at byte {place}")
+        raise bad_tar(path, f"it ends inside the header at byte {place}")
     blank = block[:148] + b" " * 8 + block[156:]
     if _number(path, block[148:156]) != sum(blank):
         raise bad_tar(path, f"the checksum of the header at byte {place} is wrong")
@@ -407,7 +409,7 @@ def _number(path: Path, field: bytes) -> int:
 
 def _content(path: Path, descriptor: int, begin: int, length: int) -> bytes:
     if length > MOST_EXTENSION_BYTES:
-        raise bad_tar(path, f"a name of {length} bytes")
+        raise bad_tar(path, f"a name has {length} bytes, more than the limit")
     return os.pread(descriptor, length, begin)
 
 

@@ -35,7 +35,7 @@ def atomic_file(path: Path) -> Iterator[Path]:
     """
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():
-        raise output_exists(path, "a folder" if target.is_dir() else "no regular file")
+        raise output_exists(path, "a folder" if target.is_dir() else "not a regular file")
     with _staging(target) as staging:
         with _held(staging, os.open(staging, os.O_CREAT | os.O_EXCL | os.O_RDONLY, 0o666)):
             yield staging

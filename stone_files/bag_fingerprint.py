@@ -137,7 +137,7 @@ DEFINITION = re.compile(r"[a-z][a-z0-9_]{0,99}\.[A-Z][A-Za-z0-9]{0,99}\.msg")
 
 def bad_bag_files(why: str) -> Refused:
     files = "its .mcap, .db3 or .bag files, and the metadata.yaml of a rosbag2 folder"
-    return Refused("bad_recording_files", f"{why}; send the files of one recording: {files}")
+    return Refused("bad_recording_files", f"{why}; send only the files of one recording: {files}")
 
 
 def is_bag_part(name: str) -> bool:
@@ -148,22 +148,22 @@ def is_bag_part(name: str) -> bool:
 def check_bag_files(names: Sequence[str]) -> None:
     """Raises `bad_recording_files` where files so called are not one bag of several files."""
     if not 2 <= len(names) <= MOST_FILES:
-        raise bad_bag_files(f"these are {len(names)} files, a bag of several has 2 to {MOST_FILES}")
+        raise bad_bag_files(f"{len(names)} files were sent; a bag of several files has 2 to {MOST_FILES}")
     for name in names:
         if not is_bag_part(name):
             raise bad_bag_files(f"{name[:100]!r} is not part of a bag")
     folded = {name.casefold() for name in names}
     if len(folded) < len(names):
-        raise bad_bag_files(f"{len(names)} files have only {len(folded)} names")
+        raise bad_bag_files(f"the {len(names)} files have only {len(folded)} different names")
     storages = {form[1].casefold() for name in names if (form := BAG_FILE.fullmatch(name))}
     if not storages:
-        raise bad_bag_files("there is no .mcap, no .db3 and no .bag file")
+        raise bad_bag_files("no .mcap, .db3 or .bag file was sent")
     if len(storages) > 1:
-        raise bad_bag_files(f"files of several kinds are there: {', '.join(f'.{kind}' for kind in sorted(storages))}")
+        raise bad_bag_files(f"the files have several formats: {', '.join(f'.{kind}' for kind in sorted(storages))}")
     for name in names:
         journal = JOURNAL.fullmatch(name)
         if journal and journal[1].casefold() not in folded:
-            raise bad_bag_files(f"{name[:100]!r} has no {journal[1][:100]!r} beside it")
+            raise bad_bag_files(f"{name[:100]!r} was sent without {journal[1][:100]!r}")
 
 
 def whole_sha256(files: Iterable[tuple[str, str]]) -> str:

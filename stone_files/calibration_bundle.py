@@ -27,7 +27,7 @@ TEXT_SUFFIX = ".txt"
 # How calibrations in text files begin: KITTI's with a date or a projection, RELLIS-3D's are four numbers and no more.
 TEXT_HEAD = re.compile(rb"\s*(?:calib_time: |P\d: |(?:\d[\d.eE+-]*\s+){3}\d[\d.eE+-]*\s*\Z)")
 TEXT_HEAD_BYTES = 200
-NO_DOCUMENT = "it holds no .yaml, .yml, .json or .urdf file, and no .txt of KITTI's or RELLIS-3D's"
+NO_DOCUMENT = "it contains no .yaml, .yml, .json or .urdf file, and no .txt in KITTI's or RELLIS-3D's format"
 ZIP_MAGIC = b"PK\x03\x04"
 ENCRYPTED = 0x1
 
@@ -54,7 +54,7 @@ def read_bundle(path: Path) -> Bundle:
 def _folder(path: Path) -> Bundle:
     entries = list(islice(path.rglob("*"), MOST_ENTRIES + 1))
     if len(entries) > MOST_ENTRIES:
-        raise calibration_bundle(path.name, f"it holds more than {MOST_ENTRIES} entries")
+        raise calibration_bundle(path.name, f"it contains more than {MOST_ENTRIES} entries")
     files = sorted(file for file in entries if file.is_file() and not file.is_symlink())
     names = [file.relative_to(path).as_posix() for file in files]
     wanted = _wanted(path.name, names)
@@ -116,19 +116,19 @@ def _check_member(name: str, member: ZipInfo) -> None:
     shown = repr(member.filename[:60])
     parts = member.filename.split("/")
     if member.filename.startswith("/") or ".." in parts or "\\" in member.filename or not member.filename.isprintable():
-        raise calibration_bundle(name, f"the zip holds a file called {shown}, which leads outside the bundle")
+        raise calibration_bundle(name, f"the zip contains {shown}, whose path leads outside the bundle")
     if member.flag_bits & ENCRYPTED:
         raise calibration_bundle(name, f"{shown} in the zip is encrypted")
     if member.compress_type not in (ZIP_STORED, ZIP_DEFLATED):
         raise calibration_bundle(
-            name, f"{shown} in the zip is compressed by method {member.compress_type}, not deflate"
+            name, f"{shown} in the zip uses compression method {member.compress_type}, not deflate"
         )
 
 
 def _wanted(name: str, names: list[str]) -> frozenset[str]:
     """Raises `CAL-428` for none, too many, or two of one name."""
     if len(names) > MOST_FILES:
-        raise calibration_bundle(name, f"it holds {len(names)} files, the limit is {MOST_FILES}")
+        raise calibration_bundle(name, f"it contains {len(names)} files; the limit is {MOST_FILES}")
     if len(set(names)) < len(names):
         raise calibration_bundle(name, "two files in it have the same name")
     hidden = [file for file in names if file.rsplit("/", 1)[-1].startswith(".") or file.startswith("__MACOSX/")]
@@ -141,7 +141,7 @@ def _wanted(name: str, names: list[str]) -> frozenset[str]:
 
 def _check_total(name: str, total_bytes: int) -> None:
     if total_bytes > BUNDLE_LIMIT_BYTES:
-        raise calibration_bundle(name, f"its files together are larger than {BUNDLE_LIMIT_BYTES} bytes")
+        raise calibration_bundle(name, f"its files are larger than {BUNDLE_LIMIT_BYTES} bytes in total")
 
 
 def zipped(bundle: Bundle) -> bytes:
@@ -155,7 +155,7 @@ def zipped(bundle: Bundle) -> bytes:
 
 def calibration_size(name: str, limit_bytes: int) -> Refused:
     return Refused(
-        "CAL-420", f"{name} is larger than {limit_bytes} bytes; a calibration is a few kilobytes (another file?)"
+        "CAL-420", f"{name} is larger than {limit_bytes} bytes; a calibration has a few kilobytes (wrong file?)"
     )
 
 

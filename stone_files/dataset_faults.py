@@ -31,193 +31,207 @@ class DatasetFault(NamedTuple):
 
 DATASET_FAULTS = {
     "DST-001": DatasetFault(
-        "There is neither a folder of tables nor an annotations.json.",
-        "is it the folder above, or a set of another layout?",
+        "The dataset has neither a folder of tables nor an annotations.json.",
+        "was its parent folder given, or a dataset in another layout?",
     ),
-    "DST-002": DatasetFault("There are tables in two places.", "give one version, or the folder of one dataset"),
+    "DST-002": DatasetFault("The dataset has tables in two folders.", "give one version, or the folder of one dataset"),
     "DST-003": DatasetFault(
-        "The tar is compressed, so that no file in it can be read by its place.",
-        "`gunzip` it first; a zip is read as it is",
+        "The tar is compressed, so its files cannot be read by offset.",
+        "`gunzip` the tar first; a zip is read directly",
     ),
     "DST-004": DatasetFault(
-        "A path is absolute, has `..` or a backslash, or is a link to outside of the dataset.",
-        "paths are relative to the dataset's folder; copy what a link leads to",
+        "A path is absolute, contains `..` or a backslash, or is a link to a file outside the dataset.",
+        "use paths relative to the dataset's folder; replace links by copies of their targets",
     ),
-    "DST-005": DatasetFault("A table has more rows than are read.", "is it a table at all?"),
+    "DST-005": DatasetFault("A table has more rows than the limit.", "is the file a table?"),
     "DST-006": DatasetFault(
-        "The zip is cut off, has two files of one name, or is none that every program reads alike.",
-        "was the download cut off? write it again with `zip -r`",
+        "The zip is cut off, has two files with the same name, or is ambiguous to different programs.",
+        "was the download cut off? create the zip again with `zip -r`",
     ),
-    "DST-007": DatasetFault("Two files of the zip overlap, or one overlaps its directory.", "write the zip again"),
-    "DST-008": DatasetFault("A file of the zip is encrypted.", "write the zip without a password"),
+    "DST-007": DatasetFault(
+        "Two files of the zip overlap, or a file overlaps the zip's directory.", "create the zip again"
+    ),
+    "DST-008": DatasetFault("A file of the zip is encrypted.", "create the zip without a password"),
     "DST-009": DatasetFault(
-        "The files of the zip would inflate to more bytes than any dataset's do.", "is it a zip bomb?"
+        "The decompressed files of the zip would be larger than any dataset.", "is the file a zip bomb?"
     ),
     "DST-010": DatasetFault("A table is missing.", "was the dataset unpacked completely?"),
     "DST-011": DatasetFault("A table is not JSON.", "was the download cut off?"),
     "DST-012": DatasetFault("A table is JSON, but not a list of rows.", "tables are `[{…}, …]`"),
     "DST-013": DatasetFault("A row of a table is not an object.", "tables are `[{…}, …]`"),
-    "DST-014": DatasetFault("A row of a table is longer than any row can be.", "is a quote or a bracket missing?"),
-    "DST-015": DatasetFault("A row lacks a key that is needed.", "was it written by another version of the tool?"),
-    "DST-016": DatasetFault("A value is of another type than the schema says.", "is it the value of another key?"),
+    "DST-014": DatasetFault("A table row is too long.", "is a quote or a bracket missing?"),
+    "DST-015": DatasetFault("A row lacks a required key.", "was the dataset written by another version of the tool?"),
+    "DST-016": DatasetFault(
+        "A value does not have the type that the schema requires.", "does the value belong to another key?"
+    ),
     "DST-017": DatasetFault(
-        "A token is invalid: a frame token is 32 hex digits or a UUID of them, any other 1 to 128 characters.",
-        "frame tokens name the folders of labels and the files of submissions",
+        "A token is invalid. A frame token is 32 hex digits or a UUID of 32 hex digits; other tokens have 1 "
+        "to 128 characters.",
+        "frame tokens name the label folders and the submission files",
     ),
     "DST-018": DatasetFault(
-        "Two rows of a table have one token.", "were two datasets joined, or was one row written twice?"
+        "Two rows of a table have the same token.", "were two datasets joined, or was one row written twice?"
     ),
     "DST-019": DatasetFault(
-        "The name of a scene cannot name a sequence.",
-        "1 to 100 letters, digits, dots, dashes and underscores, the first a letter or digit",
+        "A scene's name is not a valid sequence name.",
+        "use 1 to 100 letters, digits, dots, dashes and underscores; start with a letter or digit",
     ),
     "DST-020": DatasetFault("A number is NaN or infinite.", "did the localisation fail here?"),
-    "DST-021": DatasetFault("A rotation is a 3 × 3 matrix.", "the schema wants a quaternion w x y z"),
+    "DST-021": DatasetFault("A rotation is a 3 × 3 matrix.", "the schema requires a quaternion w x y z"),
     "DST-022": DatasetFault(
-        "A quaternion is not of unit length.", "the order is w x y z; was it averaged without normalising?"
+        "A quaternion does not have unit length.",
+        "the order is w x y z; was the quaternion averaged without normalisation?",
     ),
     "DST-023": DatasetFault(
-        "A translation is beyond any plausible distance.",
-        "are they metres, and not millimetres? of poses in UTM or ECEF, subtract the same whole metres from all",
+        "A translation is implausibly large.",
+        "is it in millimetres instead of metres? if poses are UTM or ECEF, subtract the same whole metres "
+        "from all of them",
     ),
-    "DST-024": DatasetFault("A camera's matrix is not 3 × 3.", "is it the 3 × 4 projection, or empty as a LiDAR's?"),
+    "DST-024": DatasetFault(
+        "A camera matrix is not 3 × 3.", "is it the 3 × 4 projection matrix, or empty as for a LiDAR?"
+    ),
     "DST-025": DatasetFault(
-        "A camera's matrix is singular, or not that of a pinhole camera.",
-        "is it [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels?",
+        "A camera matrix is singular, or not the matrix of a pinhole camera.",
+        "does it have the form [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels?",
     ),
     "DST-026": DatasetFault(
-        "A camera's model is not known, or has another number of coefficients.",
-        "pinhole 0, plumb_bob 5, rational_polynomial 8, equidistant 4",
+        "A camera model is unknown, or its number of coefficients is wrong.",
+        "coefficients: pinhole 0, plumb_bob 5, rational_polynomial 8, equidistant 4",
     ),
     "DST-027": DatasetFault(
-        "The tables do not give one size for the images of a camera.",
-        "`width` and `height` of sample_data are pixels, of one calibration always the same",
+        "The tables give several sizes, or none, for the images of a camera.",
+        "`width` and `height` of sample_data are pixels and must be the same for all images of one calibration",
     ),
     "DST-028": DatasetFault(
-        "A stamp is not in microseconds, or is of another clock than the frames.",
-        "seconds, milliseconds or nanoseconds?",
+        "A stamp is not in microseconds, or uses another clock than the frames.",
+        "is it in seconds, milliseconds or nanoseconds?",
     ),
     "DST-030": DatasetFault(
-        "A row names a token that the other table does not have.", "were rows left out when the dataset was cut?"
+        "A row refers to a token that the other table does not contain.", "were rows lost when the dataset was reduced?"
     ),
-    "DST-031": DatasetFault("Two scenes have the same name.", "their labels would be in the same folder"),
+    "DST-031": DatasetFault("Two scenes have the same name.", "their labels would share a folder"),
     "DST-032": DatasetFault(
-        "A scene's first or last sample is another than its samples say.",
+        "A scene's first or last sample contradicts its samples.",
         "was the scene shortened without updating its row?",
     ),
     "DST-033": DatasetFault(
-        "A scene's nbr_samples is not the number of its samples.", "was the scene shortened without updating its row?"
+        "A scene's nbr_samples differs from its number of samples.", "was the scene shortened without updating its row?"
     ),
     "DST-034": DatasetFault(
-        "prev and next do not lead through all rows once.",
-        "was a row left out, or put in, without linking its neighbours?",
+        "The prev and next links do not visit each row exactly once.",
+        "was a row removed or inserted without linking its neighbours?",
     ),
     "DST-035": DatasetFault(
-        "Stamps do not increase along next.", "did the clock jump, or are rows linked in another order?"
+        "Stamps do not increase along the next links.", "did the clock jump, or are rows linked in the wrong order?"
     ),
     "DST-036": DatasetFault(
-        "A frame has no LIDAR_TOP sweep, whose pose is the frame's pose.", "is the sweep not a key frame?"
+        "A frame has no LIDAR_TOP sweep, which defines the frame's pose.", "is the sweep not marked as a key frame?"
     ),
     "DST-037": DatasetFault(
-        "A frame has two key-frame rows of one sensor.", "is a sweep between key frames marked as one?"
+        "A frame has two key-frame rows of the same sensor.", "is a sweep between key frames marked as a key frame?"
     ),
     "DST-038": DatasetFault(
-        "A sensor has two calibrations within one scene.", "a sequence has one calibration: cut the scene in two"
+        "A sensor has two calibrations within one scene.", "a sequence has one calibration: split the scene in two"
     ),
     "DST-039": DatasetFault(
-        "A row of sample_data is more than a second from its frame.", "does it belong to another frame?"
+        "A row of sample_data is more than 1 s from its frame.", "does it belong to another frame?"
     ),
     "DST-040": DatasetFault(
-        "A file's name has another stamp than its row.", "does the row name the file of another frame?"
+        "The stamp in a file name differs from the stamp of its row.", "does the row refer to a file of another frame?"
     ),
     "DST-041": DatasetFault(
-        "A file's name or folder is of another sensor than its row.", "does the row name the file of another camera?"
+        "A file's name or folder belongs to another sensor than its row.",
+        "does the row refer to a file of another camera?",
     ),
-    "DST-042": DatasetFault("Two rows name one file.", "was a row copied without changing its file name?"),
+    "DST-042": DatasetFault("Two rows refer to the same file.", "was a row copied without changing its file name?"),
     "DST-043": DatasetFault(
-        "Some frame tokens are UUIDs with dashes, others 32 hex digits without.",
-        "were two datasets joined? all tokens of one have one form",
+        "Some frame tokens are UUIDs with dashes, others are 32 hex digits without dashes.",
+        "were two datasets joined? all tokens of one dataset must have the same form",
     ),
     "DST-044": DatasetFault(
-        "Splits of the dataset tear a drive: scenes that continue each other are in two.",
-        "put whole drives into a split; an import of it leaves the draft splits as they are",
+        "Splits of the dataset divide a drive: consecutive scenes are in different splits.",
+        "put whole drives into one split; an import of this dataset leaves the draft splits unchanged",
     ),
     "DST-045": DatasetFault(
         "The splits are not an object of lists of scene names.",
-        'expected is {"train": ["scene", …], …}, and one such file',
+        'write one such file in the form {"train": ["scene", …], …}',
     ),
-    "DST-046": DatasetFault("A split names a scene that does not exist.", "are the splits of a larger dataset?"),
-    "DST-047": DatasetFault("A scene is in two splits.", "a method trained on it would be tested on it"),
+    "DST-046": DatasetFault("A split names a scene that does not exist.", "do the splits belong to a larger dataset?"),
+    "DST-047": DatasetFault("A scene is in two splits.", "a method would be tested on a scene of its training data"),
     "DST-048": DatasetFault(
-        "Rows that belong to several scenes, copied to each, would take many times the size of the tables.",
-        "are there many or long rows of log, map, category or sensor that belong to every scene?",
+        "Rows that belong to several scenes would, when copied to each scene, take many times the size of the tables.",
+        "do many or long rows of log, map, category or sensor belong to every scene?",
     ),
     "DST-049": DatasetFault(
-        "A scene lies farther from the origin of `global` than a map of voxels reaches.",
-        "are poses in UTM or ECEF? subtract the same whole metres from the translations of all",
+        "A scene is too far from the origin of `global` for a voxel map.",
+        "are the poses UTM or ECEF? subtract the same whole metres from all translations",
     ),
-    "DST-050": DatasetFault("The file of a row of sample_data is missing.", "was the dataset unpacked completely?"),
+    "DST-050": DatasetFault("The file of a sample_data row is missing.", "was the dataset unpacked completely?"),
     "DST-051": DatasetFault(
-        "A sweep does not consist of rows of five float32.",
-        "x y z intensity ring; is it cut off, or are there four columns?",
+        "A sweep does not consist of rows with five float32 values.",
+        "expected are x y z intensity ring; is the file cut off, or does it have four columns?",
     ),
     "DST-052": DatasetFault(
-        "A sweep has points that are NaN or infinite.", "leave out returns without range before writing"
+        "A sweep contains points that are NaN or infinite.", "leave out shots without a return when you write the sweep"
     ),
-    "DST-053": DatasetFault("An image is neither JPEG nor PNG.", "is it an empty file, or a pointer of Git LFS?"),
+    "DST-053": DatasetFault("An image is neither JPEG nor PNG.", "is the file empty, or a Git LFS pointer?"),
     "DST-054": DatasetFault("An image ends before its end marker.", "was the copy cut off?"),
-    "DST-055": DatasetFault("An image has another size than its row says.", "was it scaled without its intrinsics?"),
+    "DST-055": DatasetFault(
+        "An image's size differs from the size in its row.", "was the image scaled without its intrinsics?"
+    ),
     "DST-056": DatasetFault(
-        "A radar scan is not a binary PCD with the fields that are needed.",
-        "x y z rcs vx_comp vy_comp, as nuScenes writes them",
+        "A radar scan is not a binary PCD with the required fields.",
+        "expected are x y z rcs vx_comp vy_comp, as in nuScenes",
     ),
     "DST-060": DatasetFault(
         "A frame of a labelled scene has no labels.",
-        "gts/<scene>/<frame token>/labels.npz; was the dataset unpacked completely?",
+        "expected is gts/<scene>/<frame token>/labels.npz; was the dataset unpacked completely?",
     ),
     "DST-061": DatasetFault("A label file is not an npz file.", "was the copy cut off?"),
     "DST-062": DatasetFault(
-        "Labels lack the array of classes.",
-        "`semantics` in the paper's and Occ3D's layout, `label` in the release's; was another --layout stated?",
+        "A label file lacks the array of classes.",
+        "expected is `semantics` in the paper's and Occ3D's layout, `label` in the release's; was another "
+        "--layout given?",
     ),
     "DST-063": DatasetFault(
-        "Labels are of another grid than stated, or than the first labels.",
-        "was another --grid stated, or are labels of two sets mixed?",
+        "Labels have another grid than the given grid or the first labels.",
+        "was the wrong --grid given, or are labels of two datasets mixed?",
     ),
-    "DST-064": DatasetFault("Labels are of another dtype or order.", "uint8 in C order"),
+    "DST-064": DatasetFault("Labels have the wrong dtype or memory order.", "expected is uint8 in C order"),
     "DST-065": DatasetFault(
-        "Labels are larger than a grid, compressed or decompressed.", "is it a zip bomb, or a grid of floats?"
+        "Labels are larger than a grid, compressed or decompressed.", "is the file a zip bomb, or a grid of floats?"
     ),
     "DST-066": DatasetFault(
-        "Labels have values whose meaning is not given.",
-        "give it with --classes; a set of 18 numbers is Occ3D's, whose 17 is free",
+        "Labels contain values without a meaning.",
+        "define the values with --classes; labels with 18 classes usually follow Occ3D, where 17 is free",
     ),
     "DST-067": DatasetFault(
-        "A mask is not a uint8 grid of the labels' shape.", "is it a mask of pixels, or of another grid?"
+        "A mask is not a uint8 grid with the labels' shape.", "is it a pixel mask, or a mask of another grid?"
     ),
-    "DST-068": DatasetFault("A mask has other values than 0 and 1.", "is it 255 where it is true?"),
+    "DST-068": DatasetFault("A mask contains other values than 0 and 1.", "is the value 255 used for true?"),
     "DST-069": DatasetFault(
-        "annotations.json places labels elsewhere than at gts/<scene>/<frame token>/labels.npz.",
+        "annotations.json has another label path than gts/<scene>/<frame token>/labels.npz.",
         "is it the annotations.json of another dataset?",
     ),
     "DST-070": DatasetFault(
-        "The class map is not valid.", "`name: my-set` and `classes: {0: free, 11: T, 12: P, 13: N, 255: unobserved}`"
+        "The class map is invalid.",
+        "expected is `name: my-set` and `classes: {0: free, 11: T, 12: P, 13: N, 255: unobserved}`",
     ),
     "DST-071": DatasetFault(
-        "The labels of a scene are free everywhere in all frames.",
-        "does --classes call every class free, or are the labels of a test set blanked?",
+        "All labels of a scene are free in all frames.",
+        "does --classes map every class to free, or are the labels of a test set blanked?",
     ),
     "DST-072": DatasetFault(
-        "The labels of a scene occupy more voxels of a part of its map than any surface has.",
+        "The labels of a scene occupy more voxels in part of its map than a surface can.",
         "do the poses climb without end, or does --classes map free space to an occupied class?",
     ),
     "DST-073": DatasetFault(
-        "Sweeps, labels and tables do not fit together: the returns of frames lie in no occupied voxels.",
-        "state the grid with --grid; quaternions are w x y z",
+        "Sweeps, labels and tables do not match: the returns of frames are not in occupied voxels.",
+        "set the grid with --grid; quaternions have the order w x y z",
     ),
     "DST-074": DatasetFault(
-        "The returns of a frame lie in the labels of another frame.",
-        "were frames or scenes mixed up, or numbered from another start, when labels or sweeps were written?",
+        "The returns of a frame match the labels of another frame.",
+        "were frames or scenes mixed up, or numbered differently, when labels or sweeps were written?",
     ),
 }
 
@@ -236,7 +250,7 @@ class DatasetFaultError(StoneError):
         self.code, self.place, self.likely = code, place, likely
 
     def __str__(self) -> str:
-        others = f"; {self.rows - 1} more rows of this file have it" if self.rows > 1 else ""
+        others = f"; {self.rows - 1} more rows of this file have the same fault" if self.rows > 1 else ""
         return f"{super().__str__()}{others}"
 
     def as_record(self) -> dict[str, object]:

@@ -65,7 +65,7 @@ def refuse_compressed(path: Path) -> None:
         begin = file.read(max(map(len, COMPRESSED)))
     for magic, tool in COMPRESSED.items():
         if begin.startswith(magic):
-            raise DatasetFaultError("DST-003", DatasetPlace(path.name), f"it is compressed by {tool}")
+            raise DatasetFaultError("DST-003", DatasetPlace(path.name), f"the file is compressed with {tool}")
 
 
 def is_zip(path: Path) -> bool:
@@ -142,13 +142,17 @@ def path_fault(key: str, name: str, place: DatasetPlace, table: str = "") -> Dat
     what = f"{key} {quoted(name)}".lstrip()
     if "\\" not in name:
         is_absolute = key and name.startswith("/")
-        likely = "an absolute path; paths begin with samples/ or sweeps/" if is_absolute else ""
+        likely = "the path is absolute; paths must start with samples/ or sweeps/" if is_absolute else ""
         return DatasetFaultError("DST-004", place, f"{what} leads outside the dataset", likely)
     if key and table:
-        mended = f"in the dataset's folder: {slashes_in_table(place.file, key)}"
+        mended = f"run in the dataset's folder: {slashes_in_table(place.file, key)}"
     else:
-        mended = f"replace each by /, for example with {SLASHES_IN_ARCHIVE}" if not key else "replace each by /"
-    return DatasetFaultError("DST-004", place, f"{what} has backslashes", f"paths have / on every system; {mended}")
+        mended = (
+            f"replace each backslash by /, for example with {SLASHES_IN_ARCHIVE}"
+            if not key
+            else "replace each backslash by /"
+        )
+    return DatasetFaultError("DST-004", place, f"{what} has backslashes", f"paths use / on every system; {mended}")
 
 
 def quoted(value: object) -> str:
@@ -164,7 +168,7 @@ def _versions(folder: Path) -> Iterator[str]:
 
 def _only(path: Path, found: set[str]) -> str:
     if not found:
-        raise DatasetFaultError("DST-001", DatasetPlace(path.name), f"expected is a folder v1.0-…, or {ANNOTATIONS}")
+        raise DatasetFaultError("DST-001", DatasetPlace(path.name), f"expected a folder v1.0-… or {ANNOTATIONS}")
     if len(found) > 1:
         raise DatasetFaultError("DST-002", DatasetPlace(path.name), f"there are {', '.join(sorted(found)[:4])}")
     return next(iter(found))

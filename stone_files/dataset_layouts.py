@@ -84,7 +84,7 @@ RELEASE_FACTS = ReleaseFacts()
 def named_layout(name: str) -> DatasetLayout:
     """Return the layout of this name. Raises `bad_layout`."""
     if name not in LAYOUTS:
-        raise Refused("bad_layout", f"there is no layout {name[:80]!r}; the platform knows {', '.join(LAYOUTS)}")
+        raise Refused("bad_layout", f"unknown layout {name[:80]!r}; choose one of {', '.join(LAYOUTS)}")
     return LAYOUTS[name]
 
 

@@ -24,7 +24,7 @@ def chosen_grids(texts: Sequence[str]) -> tuple[LabelGrid, ...]:
     grids = tuple(map(chosen_grid, texts)) or (PAPER,)
     names = [grid.name for grid in grids]
     if len(set(names)) < len(names):
-        raise Refused("bad_grid", f"two of the grids {', '.join(names)} have one name; each needs its own")
+        raise Refused("bad_grid", f"two of the grids {', '.join(names)} have the same name; give each its own")
     return grids
 
 
@@ -34,10 +34,10 @@ def read_grid_file(path: Path) -> LabelGrid:
         with path.open("rb") as file:
             content = file.read(MOST_BYTES + 1)
         if len(content) > MOST_BYTES:
-            raise Refused("bad_grid", f"{path} has more than {MOST_BYTES} bytes; a grid has a name and a few numbers")
+            raise Refused("bad_grid", f"{path} has more than {MOST_BYTES} bytes; a grid is a name and a few numbers")
         return grid_of(json.loads(content))
     except (OSError, ValueError, RecursionError) as error:
-        raise Refused("bad_grid", f"{path} is no JSON that describes a grid ({error})"[:300]) from error
+        raise Refused("bad_grid", f"{path} is not JSON that describes a grid ({error})"[:300]) from error
 
 
 def grid_text(grid: LabelGrid) -> str:

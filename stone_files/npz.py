@@ -68,8 +68,8 @@ def npy_parts(key: str, array: NDArray[Any]) -> tuple[bytes, NDArray[np.uint8]]:
     if array.dtype.hasobject or array.nbytes > MAX_MEMBER_BYTES:
         raise Refused(
             "unwritable_array",
-            f"array {key!r} of dtype {array.dtype} and {array.nbytes} bytes cannot be stored; numeric arrays "
-            f"below {MAX_MEMBER_BYTES} bytes can (was a list of arrays turned into an object array?)",
+            f"array {key!r} of dtype {array.dtype} and {array.nbytes} bytes cannot be stored; only numeric "
+            f"arrays below {MAX_MEMBER_BYTES} bytes can (was a list of arrays turned into an object array?)",
         )
     header = io.BytesIO()
     contiguous = np.ascontiguousarray(array).reshape(array.shape)

@@ -63,7 +63,7 @@ def read_end(read_at: ReadAt, size_bytes: int) -> End:
     if at < 0 or len(tail) - at < END.size:
         if _begins_as_zip(read_at):
             raise _cut_short(size_bytes)
-        raise ZipFaultError("not_zip", "a zip that ends in its directory", "none" if size_bytes else "an empty file")
+        raise ZipFaultError("not_zip", "a zip that ends with its directory", "none" if size_bytes else "an empty file")
     _, disk, start_disk, here, entries, directory_bytes, offset, comment_bytes = END.unpack_from(tail, at)
     position = size_bytes - tail_bytes + at
     narrow = End(entries, directory_bytes, offset)
@@ -92,7 +92,7 @@ def _may_end_at(end: End, position: int) -> bool:
 
 def _cut_short(size_bytes: int) -> ZipFaultError:
     return ZipFaultError(
-        "truncated", "the zip's directory at its end", f"none: {size_bytes} bytes, cut off inside a file"
+        "truncated", "the zip's directory at its end", f"none: the file is cut off after {size_bytes} bytes"
     )
 
 
@@ -100,13 +100,15 @@ def _read_wide(read_at: ReadAt, locator: bytes, at: int) -> End:
     """The wide end record named by the locator at byte `at`."""
     _, disk, position, disks = LOCATOR.unpack(locator)
     if position + END_64.size > at:
-        raise ZipFaultError("truncated", f"a zip64 end record before byte {at}", f"one at byte {position}")
+        raise ZipFaultError("truncated", f"a zip64 end record before byte {at}", f"a record at byte {position}")
     record = read_at(position, END_64.size)
     if record[:4] != b"PK\6\6":
         raise ZipFaultError("truncated", f"a zip64 end record at byte {position}", "other bytes")
     _, size_bytes, _, _, own_disk, start_disk, here, entries, directory_bytes, offset = END_64.unpack(record)
     if size_bytes != at - position - BEFORE_ITS_SIZE:
-        raise ZipFaultError("truncated", f"a zip64 end record that ends at byte {at}", f"one of {size_bytes} bytes")
+        raise ZipFaultError(
+            "truncated", f"a zip64 end record that ends at byte {at}", f"a record of {size_bytes} bytes"
+        )
     parts = (disk, own_disk, start_disk, here - entries, max(disks, 1) - 1)
     return _checked(End(entries, directory_bytes, offset), parts, position)
 
@@ -114,10 +116,12 @@ def _read_wide(read_at: ReadAt, locator: bytes, at: int) -> End:
 def _checked(end: End, parts: tuple[int, ...], position: int) -> End:
     """An end whose directory stops at byte `position`; `parts` are zeros where the archive is in one part."""
     if any(parts):
-        raise ZipFaultError("unsupported_zip", "an archive in one part", "one of several")
+        raise ZipFaultError("unsupported_zip", "an archive in one part", "an archive in several parts")
     if end.directory_offset + end.directory_bytes != position:
         stop = end.directory_offset + end.directory_bytes
-        raise ZipFaultError("truncated", f"the directory to end at byte {position}", f"its end at {stop}")
+        raise ZipFaultError(
+            "truncated", f"the directory to end at byte {position}", f"a directory that ends at byte {stop}"
+        )
     return end
 
 
@@ -129,7 +133,7 @@ def _same(narrow: End, wide: End) -> End:
     )
     for said, meant, elsewhere in pairs:
         if said not in (meant, elsewhere):
-            raise ZipFaultError("unsupported_zip", f"{meant} in both end records, as in the zip64 one", f"{said}")
+            raise ZipFaultError("unsupported_zip", f"{meant} in both end records, as in the zip64 record", f"{said}")
     return wide
 
 
@@ -182,7 +186,9 @@ def checked_end(read_at: ReadAt, size_bytes: int, max_entries: int) -> End:
         raise ZipFaultError("too_large", f"a directory of at most {limit_bytes} bytes", f"{end.directory_bytes} bytes")
     if end.entries * CENTRAL.size > end.directory_bytes or end.directory_offset + end.directory_bytes > size_bytes:
         raise ZipFaultError(
-            "truncated", f"{end.entries} directory records inside the file", f"{end.directory_bytes} bytes of them"
+            "truncated",
+            f"{end.entries} directory records inside the file",
+            f"{end.directory_bytes} bytes of directory records",
         )
     return end
 
@@ -221,11 +227,13 @@ def _bounded(member: ZipMember, start: int, descriptor_bytes: int) -> tuple[int,
     stop = start + member.packed_bytes
     if stop > member.limit:
         raise ZipFaultError(
-            "overlapping_files", f"{member.name!r} to end before byte {member.limit}", f"its end at {stop}"
+            "overlapping_files", f"{member.name!r} to end before byte {member.limit}", f"an end at byte {stop}"
         )
     if member.limit - stop > descriptor_bytes:
         raise ZipFaultError(
-            "unsupported_zip", f"the next file after {member.name!r}", f"{member.limit - stop} bytes of no file"
+            "unsupported_zip",
+            f"the next file after {member.name!r}",
+            f"{member.limit - stop} bytes that belong to no file",
         )
     return start, stop
 
@@ -250,7 +258,7 @@ def directory_members(read_at: ReadAt, end: End) -> Iterator[ZipMember]:
         yield _member(fields, held[at + CENTRAL.size : stop], end.directory_offset)
         at = stop
     if (left := len(held) - at + last - place) > 0:
-        raise ZipFaultError("unsupported_zip", "directory records only", f"{left} bytes more")
+        raise ZipFaultError("unsupported_zip", "only directory records", f"{left} bytes more")
 
 
 def _member(fields: tuple[int, ...], variable: bytes, limit: int) -> ZipMember:
@@ -278,7 +286,7 @@ def _decoded(name: bytes, flags: int) -> str:
     try:
         return name.decode("utf-8" if flags & IN_UTF8 else "cp437")
     except UnicodeDecodeError as error:
-        raise ZipFaultError("unsupported_zip", "a name in UTF-8, as its header says", f"{name[:40]!r}") from error
+        raise ZipFaultError("unsupported_zip", "a name in UTF-8, as the header declares", f"{name[:40]!r}") from error
 
 
 def limits_of(offsets: NDArray[np.uint64], packed_bytes: NDArray[np.uint64], end: int) -> NDArray[np.int64]:
@@ -296,7 +304,7 @@ def limits_of(offsets: NDArray[np.uint64], packed_bytes: NDArray[np.uint64], end
         raise ZipFaultError(
             "overlapping_files",
             f"the file at byte {int(starts[at])} to end before byte {int(nexts[at])}",
-            f"its end after {int(starts[at]) + LOCAL.size + int(sizes[at])}",
+            f"an end after byte {int(starts[at]) + LOCAL.size + int(sizes[at])}",
         )
     first = int(starts[0]) if len(starts) else end
     if first:
@@ -329,7 +337,7 @@ def extra_fields(extra: bytes, name: str) -> dict[int, bytes]:
         if len(value) < count:
             raise ZipFaultError("truncated", f"an extra field of {count} bytes for {name!r}", f"{len(value)}")
         if tag in fields and tag in (ZIP64_TAG, UNICODE_PATH_TAG):
-            raise ZipFaultError("unsupported_zip", f"each extra field of {name!r} once", f"field {tag:#06x} again")
+            raise ZipFaultError("unsupported_zip", f"each extra field of {name!r} only once", f"field {tag:#06x} again")
         fields[tag] = value
         at += FIELD.size + count
     return fields
@@ -355,4 +363,6 @@ def check_other_name(fields: dict[int, bytes], name: str) -> None:
     """
     path = fields.get(UNICODE_PATH_TAG)
     if path is not None and path[BEFORE_THE_PATH:].rpartition(b"/")[2] != name.rpartition("/")[2].encode():
-        raise ZipFaultError("unsupported_zip", f"one name for {name!r}", f"another in field {UNICODE_PATH_TAG:#06x}")
+        raise ZipFaultError(
+            "unsupported_zip", f"one name for {name!r}", f"another name in field {UNICODE_PATH_TAG:#06x}"
+        )

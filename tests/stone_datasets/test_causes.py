@@ -71,7 +71,7 @@ def test_stamps_of_another_unit_are_named_once_a_table_with_what_makes_microseco
     for fault in faults.found:
         count = ROWS[Path(fault.place.file).stem]
         assert fault.rows == count
-        assert f"; {count - 1} more rows of this file have it" in str(fault)
+        assert f"; {count - 1} more rows of this file have the same fault" in str(fault)
         assert fault.place.row == 1
     assert cause in str(faults.found[0])
     assert faults.left_out == 0
@@ -132,8 +132,8 @@ def counted(rows: Rows) -> None:
 
 
 MISTAKES: dict[str, tuple[Callable[[Path], object], str, str]] = {
-    "backslashes": (in_names(lambda name: name.replace("/", "\\")), "DST-004", "has backslashes (paths have /"),
-    "absolute paths": (in_names(lambda name: f"/data/{name}"), "DST-004", "an absolute path; paths begin"),
+    "backslashes": (in_names(lambda name: name.replace("/", "\\")), "DST-004", "has backslashes (paths use /"),
+    "absolute paths": (in_names(lambda name: f"/data/{name}"), "DST-004", "the path is absolute; paths must start"),
     "paths from the working folder": (
         in_names(lambda name: f"data/nuscenes/{name}"), "DST-041", "leave out 'data/nuscenes'"),
     "paths that begin with a dot": (in_names(lambda name: f"./{name}"), "DST-041", "leave out '.'"),

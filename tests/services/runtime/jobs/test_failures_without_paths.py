@@ -38,7 +38,7 @@ def test_a_failure_calls_a_file_as_its_owner_does(platform: Platform, place: str
     path = platform.settings.root / place.format(sha256=SHA256, id=upload_id)
 
     def fail(_attempt: Attempt) -> Outcome:
-        raise bad_tar(path, "it ends in the header at byte 5")
+        raise bad_tar(path, "it ends inside the header at byte 5")
 
     job_id = a_job(platform, owner, "ingest.dataset")
     run_all(platform, {"ingest.dataset": fail})
