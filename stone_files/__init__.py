@@ -1,1 +1,1 @@
-"""Files as the platform writes them: whole or absent, and archives whose every byte is known beforehand."""
+"""The platform's file formats: outputs that are complete or absent, and archives whose bytes are known in advance."""

@@ -1,9 +1,9 @@
 """Virtual tar and zip archives, and the index of a tar: the offset of every byte, from names, sizes and CRCs.
 
-**Conventions.** Pure layout, no bytes of content: an archive is a row of regions, each some header bytes and perhaps
-the content of one member, so any range can be served by itself. Equal members give equal bytes: every file is 0644, of
-nobody, of 1980-01-01 (the first day a zip knows; tar warns of 1970). A member's name is a relative path of plain ASCII
-parts, so that nothing can be unpacked outside of its folder, on any system.
+**Conventions.** Only the layout, without content: an archive is a sequence of regions, each with header bytes and
+optionally the content of one member, so any byte range can be served separately. Equal members give equal bytes: every
+file is 0644, owner 0, dated 1980-01-01 (the first zip date; tar warns of 1970). A member's name is a relative path of
+plain ASCII parts, so no system unpacks a file outside its folder.
 
 Source: POSIX.1-2017 pax §"ustar Interchange Format" and §"pax Interchange Format"; PKWARE APPNOTE 6.3.10 §4.3, §4.5.3.
 """
@@ -22,17 +22,13 @@ from numpy.typing import NDArray
 from stone_base.errors import Refused
 
 # Tar headers: one ustar block per file, preceded by a pax record for long names and large sizes.
-#
-# **Conventions.** Names are ASCII. Every file is 0644, of user and group 0, of 1980-01-01.
-#
-# Source: POSIX.1-2017 pax, "ustar Interchange Format", "pax Extended Header".
 
 
 BLOCK_BYTES = 512
 RECORD_BYTES = 20 * BLOCK_BYTES
 END_BYTES = 2 * BLOCK_BYTES
 MOST_USTAR_BYTES = 8**11 - 1
-MODIFIED_S = 315_532_800  # 1980-01-01, as in a zip; tar warns of the implausible 1970
+MODIFIED_S = 315_532_800  # 1980-01-01, as in a zip; tar warns of 1970
 NAME_BYTES, PREFIX_BYTES = 100, 155
 FORM = struct.Struct("<100s8s8s8s12s12s8sc100s6s2s32s32s8s8s155s12s")
 CHECKSUM_AT = 148
@@ -40,12 +36,12 @@ Sizes = TypeVar("Sizes", np.int64, NDArray[np.int64])
 
 
 def padding_bytes(sizes_bytes: Sizes) -> Sizes:
-    """How many zeros follow contents of these sizes."""
+    """Return the number of padding zeros after contents of these sizes."""
     return -sizes_bytes % BLOCK_BYTES
 
 
 def tar_head_bytes(name: str, size_bytes: int) -> int:
-    """The length of `tar_head(name, size_bytes)`."""
+    """Return the length of `tar_head(name, size_bytes)`."""
     if size_bytes <= MOST_USTAR_BYTES and (len(name) <= NAME_BYTES or _split(name)):
         return BLOCK_BYTES
     record = len(_pax(name, size_bytes))
@@ -53,19 +49,19 @@ def tar_head_bytes(name: str, size_bytes: int) -> int:
 
 
 def tar_head(name: str, size_bytes: int) -> bytes:
-    """What stands before the content of a file."""
+    """Return the header bytes of a file."""
     place = ("", name) if len(name) <= NAME_BYTES else _split(name)
     if place and size_bytes <= MOST_USTAR_BYTES:
         return _block(place, size_bytes, b"0")
     record = _pax(name, size_bytes)
     padded = record + bytes(-len(record) % BLOCK_BYTES)
     shown = ("", name[-NAME_BYTES:].lstrip("/"))
-    ustar_bytes = size_bytes if size_bytes <= MOST_USTAR_BYTES else 0  # readers take it from the record
+    ustar_bytes = size_bytes if size_bytes <= MOST_USTAR_BYTES else 0  # the record contains the size
     return _block(("", "PaxHeader"), len(record), b"x") + padded + _block(shown, ustar_bytes, b"0")
 
 
 def _split(name: str) -> tuple[str, str] | None:
-    """Prefix and name at the last slash that leaves room for both; None where there is none."""
+    """Return prefix and name, split at the last slash that leaves room for both; None if there is none."""
     at = name.rfind("/", 0, PREFIX_BYTES + 1)
     if at <= 0 or len(name) - at - 1 > NAME_BYTES:
         return None
@@ -73,7 +69,7 @@ def _split(name: str) -> tuple[str, str] | None:
 
 
 def _pax(name: str, size_bytes: int) -> bytes:
-    """`path` and `size` as records `<length> <key>=<value>` and a newline, the length counting itself."""
+    r"""Return `path` and `size` as records `<length> <key>=<value>` with a newline; the length includes itself."""
     return _record("path", name) + _record("size", str(size_bytes))
 
 
@@ -93,12 +89,7 @@ def _block(place: tuple[str, str], size_bytes: int, kind: bytes) -> bytes:
     return block[:CHECKSUM_AT] + b"%06o\0 " % sum(block) + block[CHECKSUM_AT + 8 :]
 
 
-# Zip headers for stored entries, with zip64 fields only where needed.
-#
-# **Conventions.** CRC and sizes are known beforehand, so no data descriptors; names are ASCII; every file is 0644, of
-# 1980-01-01. An entry's `offset_bytes` is where its local header begins.
-#
-# Source: PKWARE APPNOTE 6.3.10 §4.3.7 (local), §4.3.12 (central), §4.3.14 to 16 (end), §4.5.3 (zip64 extra).
+# Zip headers for stored entries. CRC and sizes are known in advance, so there are no data descriptors.
 
 
 FULL32, FULL16 = 0xFFFFFFFF, 0xFFFF
@@ -112,7 +103,7 @@ END, END_64, LOCATOR = struct.Struct("<4s4H2IH"), struct.Struct("<4sQ2H2I4Q"), s
 
 @dataclass(frozen=True)
 class ZipEntry:
-    """A stored file."""
+    """A stored file; its local header starts at `offset_bytes`."""
 
     name: str
     size_bytes: int
@@ -121,31 +112,31 @@ class ZipEntry:
 
 
 def local_bytes(names: NDArray[np.int64], sizes_bytes: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The lengths of local headers, for names of these lengths."""
+    """Return the lengths of local headers for names of these lengths."""
     return np.asarray(LOCAL.size + names + 20 * (sizes_bytes >= FULL32), np.int64)
 
 
 def central_bytes(
     names: NDArray[np.int64], sizes_bytes: NDArray[np.int64], offsets: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """The lengths of entries of the central directory."""
+    """Return the lengths of central directory entries."""
     is_large, is_far = sizes_bytes >= FULL32, offsets >= FULL32
     return np.asarray(CENTRAL.size + names + 4 * (is_large | is_far) + 16 * is_large + 8 * is_far, np.int64)
 
 
 def end_bytes(count: int, begin: int, length: int) -> int:
-    """The length of `zip_end(count, begin, length)`."""
+    """Return the length of `zip_end(count, begin, length)`."""
     return END.size + (END_64.size + LOCATOR.size if _needs_64(count, begin, length) else 0)
 
 
 def zip_local(entry: ZipEntry) -> bytes:
-    """What stands before the content."""
+    """Return the local header."""
     extra = _extra(entry.size_bytes, entry.size_bytes) if entry.size_bytes >= FULL32 else b""
     return LOCAL.pack(b"PK\3\4", *_described(entry, extra)) + entry.name.encode("ascii") + extra
 
 
 def zip_central(entry: ZipEntry) -> bytes:
-    """The entry of the central directory."""
+    """Return the central directory entry."""
     sizes = (entry.size_bytes, entry.size_bytes) if entry.size_bytes >= FULL32 else ()
     far = (entry.offset_bytes,) if entry.offset_bytes >= FULL32 else ()
     extra = _extra(*sizes, *far) if sizes or far else b""
@@ -156,7 +147,7 @@ def zip_central(entry: ZipEntry) -> bytes:
 
 
 def zip_end(count: int, begin: int, length: int) -> bytes:
-    """What stands behind the central directory, which begins at `begin` and has `length` bytes."""
+    """Return the bytes after the central directory, which starts at `begin` and has `length` bytes."""
     plain = (min(count, FULL16), min(count, FULL16), min(length, FULL32), min(begin, FULL32))
     end = END.pack(b"PK\5\6", 0, 0, *plain, 0)
     if not _needs_64(count, begin, length):
@@ -166,7 +157,7 @@ def zip_end(count: int, begin: int, length: int) -> bytes:
 
 
 def _described(entry: ZipEntry, extra: bytes) -> tuple[int, ...]:
-    """What local header and central entry say alike."""
+    """Return the fields that the local header and the central entry share."""
     size = min(entry.size_bytes, FULL32)
     stamp = (0, DOS_1980_01_01)
     return (_version(extra), 0, 0, *stamp, entry.crc32, size, size, len(entry.name), len(extra))
@@ -198,7 +189,7 @@ def bad_member(name: str, why: str) -> Refused:
 
 @dataclass(frozen=True)
 class ArchiveMemberRange:
-    """The bytes [start, stop) of the content of the member at this place."""
+    """The bytes [start, stop) of the content of member number `ordinal`."""
 
     ordinal: int
     start: int
@@ -216,7 +207,7 @@ Segment = bytes | ArchiveMemberRange
 
 @dataclass(frozen=True, eq=False)
 class ArchiveMembers:
-    """What stands in an archive, in order: N names, sizes (N,) int64 and CRC-32 of contents (N,) uint32."""
+    """The members of an archive, in order: N names, sizes (N,) int64 and CRC-32 of contents (N,) uint32."""
 
     names: Sequence[str]
     sizes_bytes: NDArray[np.int64]
@@ -228,7 +219,9 @@ class ArchiveMembers:
 
 @dataclass(frozen=True, eq=False)
 class Archive:
-    """`starts` (R + 1,): where each region begins, and the end; `region` gives the segments of one."""
+    """An archive: `starts` (R + 1,) are the starts of its regions and its end; `region` returns the segments of a
+    region.
+    """
 
     starts: NDArray[np.int64]
     region: Callable[[int], Iterable[Segment]]
@@ -238,7 +231,7 @@ class Archive:
         return int(self.starts[-1])
 
     def segments(self, start: int, stop: int) -> Iterator[Segment]:
-        """What the bytes [start, stop) consist of, clipped to the archive; none is empty."""
+        """Yield the non-empty segments of the bytes [start, stop), clipped to the archive."""
         first = int(np.searchsorted(self.starts, start, "right")) - 1
         place, number = int(self.starts[first]), first
         while place < min(stop, self.size_bytes):
@@ -251,14 +244,14 @@ class Archive:
 
 
 def layout(members: ArchiveMembers, kind: Kind) -> Archive:
-    """The archive of these members, whose names `check_names` has let pass."""
+    """Return the archive of these members; `check_names` must have accepted their names."""
     return _tar(members) if kind == "tar" else _zip(members)
 
 
 def check_names(names: Iterable[str]) -> None:
-    """Raises `bad_member` for a name that is no plain path, stands twice or is both a file and a folder.
+    """Raise `bad_member` for an invalid path, a duplicate, or a name that is both a file and a folder.
 
-    Names are compared as on a disk that does not tell cases apart.
+    Names are compared case-insensitively, as on some disks.
     """
     files, folders = set[str](), set[str]()
     for name in names:
@@ -276,7 +269,7 @@ def check_names(names: Iterable[str]) -> None:
 
 
 def _tar(members: ArchiveMembers) -> Archive:
-    """Heads, contents padded to blocks, and zeros that fill the last record."""
+    """Return the archive of headers, contents padded to blocks, and zeros that fill the last record."""
     sizes = members.sizes_bytes
     heads = np.fromiter(map(tar_head_bytes, members.names, sizes.tolist()), np.int64, len(sizes))
     starts = _starts(heads + sizes + padding_bytes(sizes))
@@ -294,7 +287,7 @@ def _tar(members: ArchiveMembers) -> Archive:
 
 
 def _zip(members: ArchiveMembers) -> Archive:
-    """Local headers with stored contents, the central directory entry by entry, the end."""
+    """Return the archive of local headers with stored contents, the central directory and the end records."""
     sizes, count = members.sizes_bytes, len(members.sizes_bytes)
     names = np.fromiter(map(len, members.names), np.int64, count)
     offsets = _starts(local_bytes(names, sizes) + sizes)
@@ -316,16 +309,13 @@ def _zip(members: ArchiveMembers) -> Archive:
 
 
 def _starts(lengths: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Where each begins that follow one another from 0, and where the last ends."""
+    """Return the start of each consecutive region from 0, and the end of the last."""
     return np.concatenate([np.zeros(1, np.int64), np.cumsum(lengths, dtype=np.int64)])
 
 
-# Index of a tar archive: the byte range of every file, read from its headers alone.
-#
-# **Conventions.** ustar with the extensions that writers use: pax records `path` and `size`, GNU long names and binary
-# sizes. Every length is compared with the file before it is read. Links and devices are refused: an export has none.
-#
-# Source: POSIX.1-2017 pax, "ustar Interchange Format"; GNU tar manual, "Basic Tar Format".
+# Index of a tar archive: the byte range of every file, read from the headers alone. Every length is compared with the
+# file before it is used. Links and devices are refused, because exports contain none. Source of the extensions (pax
+# records `path` and `size`, GNU long names, binary sizes): GNU tar manual, "Basic Tar Format".
 
 
 MOST_EXTENSION_BYTES = 64 * 1024
@@ -340,7 +330,7 @@ def bad_tar(path: Path, why: str) -> Refused:
 
 @dataclass(frozen=True)
 class _Head:
-    """One 512-byte block: what it says of the content after it."""
+    """A 512-byte header: name, size and kind of the content after it."""
 
     name: str
     size_bytes: int
@@ -348,7 +338,8 @@ class _Head:
 
 
 def tar_spans_of(path: Path, is_wanted: Callable[[str], bool]) -> dict[str, tuple[int, int]]:
-    """Offset and size of each file that is wanted, by name; of two of one name the last, as tar unpacks them.
+    """Return the offset and size of each wanted file by name. Like tar, use the last of several files with the same
+    name.
 
     Raises `bad_tar`.
     """
@@ -356,7 +347,7 @@ def tar_spans_of(path: Path, is_wanted: Callable[[str], bool]) -> dict[str, tupl
 
 
 def tar_members(path: Path) -> Iterator[tuple[str, tuple[int, int]]]:
-    """Every file with its offset and size, whatever its name. Raises `bad_tar`."""
+    """Yield every file with its offset and size, without checking its name. Raises `bad_tar`."""
     with path.open("rb") as file:
         yield from _files(path, file.fileno())
 
@@ -398,7 +389,7 @@ def _head(path: Path, place: int, block: bytes) -> _Head:
 
 
 def _number(path: Path, field: bytes) -> int:
-    """Octal digits, or base 256 where the first bit is set; none is zero."""
+    """Return the number in octal digits, or in base 256 if the first bit is set; an empty field is 0."""
     if field[0] == 0x80:
         return int.from_bytes(field[1:], "big")
     digits = field.strip(b" \0")
@@ -414,7 +405,7 @@ def _content(path: Path, descriptor: int, begin: int, length: int) -> bytes:
 
 
 def _extension(path: Path, head: _Head, content: bytes) -> dict[str, str]:
-    """The path and the size that an extension record gives the file after it."""
+    """Return the path and size that an extension record assigns to the next file."""
     if head.kind == LONG_NAME:
         return {"path": content.rstrip(b"\0").decode("utf-8", "replace")}
     said, place = dict[str, str](), 0

@@ -1,10 +1,10 @@
-"""Atomic output files and folders: written beside their target and renamed into place when complete.
+"""Atomic output files and folders: written next to their target and renamed when complete.
 
-**Conventions.** The staging path is `.<name>.<pid>.<random>.partial` in the target's own folder, hence on the same
-filesystem, so the rename is atomic (POSIX `rename`). Everything is flushed to the disk before the rename and the
-folder after it. A failure, Ctrl-C or SIGTERM removes the staging; what `kill -9` or a power cut leaves is removed by
-the next run for the same target. A staging is stale when its process is gone and nobody holds its `flock` (forked
-workers share the lock of their parent, so a worker that outlives it keeps its staging).
+**Conventions.** The staging path is `.<name>.<pid>.<random>.partial` in the target's folder, so it has the same
+filesystem and the rename is atomic (POSIX `rename`). All data is flushed to disk before the rename, and the folder
+after it. A failure, Ctrl-C or SIGTERM removes the staging path; the next run for the same target removes leftovers of
+`kill -9` or a power cut. A staging path is stale if its process is gone and its `flock` is free. Forked workers share
+the lock of their parent, so a surviving worker keeps its staging path.
 """
 
 import fcntl
@@ -29,9 +29,9 @@ FLUSHES = 8
 
 @contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:
-    """Yield an empty file to write; at the end it becomes `path`, in place of an earlier file of that name.
+    """Yield an empty file to write; at the end, rename it to `path` and replace an earlier file.
 
-    Raises `output_exists` before any work when `path` is a folder or a device.
+    Raises `output_exists` before any work if `path` is a folder or a device.
     """
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():
@@ -46,12 +46,12 @@ def atomic_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def atomic_directory(path: Path, *, replaces: str | None = None) -> Iterator[Path]:
-    """Yield an empty folder to fill; at the end it becomes `path`.
+    """Yield an empty folder to fill; at the end, rename it to `path`.
 
-    An earlier non-empty `path` is replaced only where it holds an entry named `replaces`, the mark of an earlier
-    output of the same kind: a mistyped `-o ~` must not cost a home. It is moved aside, the new folder moved in, then
-    the old one deleted; a crash between the two moves is undone by the next run.
-    Raises `output_exists`, before any work and again at the end, when `path` is a file or a folder not ours.
+    An earlier non-empty `path` is replaced only if it contains an entry named `replaces`, the mark of an earlier output
+    of the same kind: a mistyped `-o ~` must not delete a home folder. The old folder is moved aside, the new folder is
+    moved in, and then the old folder is deleted. The next run undoes a crash between the two moves. Raises
+    `output_exists`, before any work and again at the end, if `path` is a file or another non-empty folder.
     """
     target = Path(os.path.realpath(path))
     _refuse_foreign(path, target, replaces)
@@ -76,7 +76,9 @@ def _refuse_foreign(path: Path, target: Path, replaces: str | None) -> None:
 
 @contextmanager
 def _staging(target: Path) -> Iterator[Path]:
-    """A fresh hidden path beside `target`, removed on the way out unless it was renamed; stale ones go first."""
+    """Yield a new hidden path next to `target`; remove stale ones first, and remove this one at the end unless it was
+    renamed.
+    """
     missing = [folder for folder in target.parents if not folder.exists()]
     target.parent.mkdir(parents=True, exist_ok=True)
     _recover(target)
@@ -86,7 +88,7 @@ def _staging(target: Path) -> Iterator[Path]:
             yield staging
         except BaseException:
             _remove(staging)
-            with suppress(OSError):  # a folder made for this output goes with it, unless it has other tenants now
+            with suppress(OSError):
                 for folder in missing:
                     folder.rmdir()
             raise
@@ -94,7 +96,9 @@ def _staging(target: Path) -> Iterator[Path]:
 
 @contextmanager
 def _held(staging: Path, descriptor: int) -> Iterator[None]:
-    """Hold the staging's lock, so that a run in another container, blind to our pid, does not call it stale."""
+    """Hold the staging path's lock, so a run in another container, which cannot see our pid, does not consider it
+    stale.
+    """
     try:
         fcntl.flock(descriptor, fcntl.LOCK_SH)
         yield
@@ -116,11 +120,11 @@ def _move_in(staging: Path, target: Path) -> None:
 
 
 def _recover(target: Path) -> None:
-    """Remove what dead runs left; an output moved aside whose successor never arrived is put back."""
+    """Remove leftovers of dead runs; restore an output that was moved aside without a successor."""
     ours = re.compile(rf"\.{re.escape(target.name)}\.(\d+)\.[0-9a-f]{{8}}\.(partial|replaced)")
     for entry in sorted(target.parent.iterdir()):
         match = ours.fullmatch(entry.name)
-        with suppress(FileNotFoundError):  # another run for the same target is recovering too
+        with suppress(FileNotFoundError):  # another run for the same target may be recovering too
             if match is not None and _is_stale(entry, int(match[1])):
                 _put_back_or_remove(entry, target, was_output=match[2] == "replaced")
 
@@ -156,7 +160,9 @@ def _remove(path: Path) -> None:
 
 
 def _flush_tree(folder: Path) -> None:
-    """Several at once: a label set is thousands of small files, and the disk waits for none of them alone."""
+    """Flush all files of a folder in parallel: a label set has thousands of small files, and the disk batches their
+    flushes.
+    """
     with ThreadPoolExecutor(FLUSHES) as pool:
         for _ in pool.map(flush, (entry for entry in folder.rglob("*") if not entry.is_symlink())):
             pass
@@ -164,7 +170,7 @@ def _flush_tree(folder: Path) -> None:
 
 
 def flush(path: Path) -> None:
-    """Wait until the file or folder is on the disk."""
+    """Flush the file or folder to disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -174,7 +180,7 @@ def flush(path: Path) -> None:
 
 @contextmanager
 def _sigterm_unwinds() -> Iterator[None]:
-    """Turn SIGTERM into `SystemExit(143)` while an output is open, unless the process has a handler of its own."""
+    """Turn SIGTERM into `SystemExit(143)` while an output is open, unless the process has its own handler."""
     in_main = threading.current_thread() is threading.main_thread()
     is_ours = in_main and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
     if is_ours:

@@ -1,7 +1,7 @@
-"""The fingerprint of a sequence's inputs: a hash that anybody can recompute (sha256sum).
+"""The fingerprint of a sequence's inputs: a hash that anyone can recompute (sha256sum).
 
-**Conventions.** Of a joined recording every member is an input under its own name; under `joined.json`, which holds the
-offsets of their clocks, stands the hash of the whole, description and members.
+**Conventions.** Every member of a joined recording is an input under its own name. The key `joined.json` (which
+contains the clock offsets) has the hash of the whole: description and members.
 """
 
 import re
@@ -21,9 +21,9 @@ HASH_BLOCK_BYTES = 1 << 20
 
 
 def bag_parts(path: Path) -> list[Path]:
-    """The files that are the bag, by name: of a rosbag2 folder, or a file and what its recorder left beside it.
+    """Return the bag's files, sorted by name: all of a rosbag2 folder, or a file and its recorder's journals.
 
-    Of a joined recording its description and the files of every member. Raises: JoinedFileError.
+    For a joined recording, return its description and the files of every member. Raises: JoinedFileError.
     """
     if is_joined(path):
         return [path / JOINED, *(part for member in _members(path) for part in bag_parts(member))]
@@ -34,7 +34,7 @@ def bag_parts(path: Path) -> list[Path]:
 
 
 def bag_paths(path: Path) -> tuple[Path, ...]:
-    """The bag and its files: a folder may be of links, and whoever may read it may not for that read what they name.
+    """Return the bag and its files, for access rights: a folder may contain links to files outside it.
 
     Raises: JoinedFileError.
     """
@@ -43,9 +43,9 @@ def bag_paths(path: Path) -> tuple[Path, ...]:
 
 
 def recording_sha256(path: Path, is_given_up: Callable[[], bool] = lambda: False) -> str:
-    """sha256 of the file; of several, of their names and hashes in order of name; nothing of use once given up.
+    """Return the sha256 of the file, or the combined hash of several files; meaningless once `is_given_up()` is true.
 
-    Of a joined recording so of its description and its members. Raises: JoinedFileError.
+    For a joined recording, combine its description and members. Raises: JoinedFileError.
     """
     if is_joined(path):
         return _joined_sha256(path, _member_hashes(path, is_given_up))
@@ -57,10 +57,10 @@ def recording_sha256(path: Path, is_given_up: Callable[[], bool] = lambda: False
 def recording_inputs(
     path: Path, known: str | None = None, is_given_up: Callable[[], bool] = lambda: False
 ) -> Mapping[str, str]:
-    """What a sequence's `inputs` say of a recording: its hash, by name; of a joined one those of its members besides.
+    """Return a recording's hash by name, as in a sequence's `inputs`; for a joined recording, also its members' hashes.
 
-    `known` is the hash of the whole where it need not be read for it; of a joined one's members those are believed that
-    its description has. Raises: JoinedFileError.
+    `known` is the hash of the whole if it need not be computed; the hashes of joined members then come from the
+    description. Raises: JoinedFileError.
     """
     if not is_joined(path):
         return {path.name: known or recording_sha256(path, is_given_up)}
@@ -71,9 +71,9 @@ def recording_inputs(
 
 @contextmanager
 def hashed_meanwhile(path: Path, known: str | None = None) -> Iterator[Callable[[], Mapping[str, str]]]:
-    """`recording_inputs` by another thread while the recording is read, unless its hash is known; asking waits.
+    """Run `recording_inputs` in a thread while the recording is read; the yielded function waits for its result.
 
-    Whoever leaves without having asked, because the recording is refused, does not wait for the rest.
+    If the caller leaves without the result, because the recording is refused, hashing stops.
     """
     given_up = Event()
     with ThreadPoolExecutor(1) as beside:
@@ -111,20 +111,17 @@ def _file_sha256(path: Path, is_given_up: Callable[[], bool]) -> str:
 
 
 def stream_sha256(file: FileIO, is_given_up: Callable[[], bool] = lambda: False) -> str:
-    """sha256 of what is left of an open file; nothing of use once given up."""
+    """Return the sha256 of the rest of an open file; meaningless once `is_given_up()` is true."""
     digest, block = sha256(), bytearray(HASH_BLOCK_BYTES)
     while not is_given_up() and (size := file.readinto(block)):
         digest.update(memoryview(block)[:size])
     return digest.hexdigest()
 
 
-# Checks that several uploaded files are one bag, and hashes them as a whole.
-#
-# **Conventions.** The files of a rosbag2 folder: one or more of `.mcap` or of `.db3`, or the parts of a split ROS 1
-# `.bag` (`.bag.active` where its recorder died), each perhaps compressed as a file by zstd, a database perhaps beside
-# the journal of what was not finished; perhaps `metadata.yaml`; and definitions of messages where the recorder
-# embedded none (`my_msgs.Reading.msg`). Names are compared as on a disk that does not tell cases apart, so that a
-# folder can be written anywhere.
+# Checks that several uploaded files are one bag: the `.mcap` or `.db3` files of a rosbag2 folder, or the parts of a
+# split ROS 1 `.bag` (`.bag.active` if its recorder crashed); optionally each compressed with zstd, with database
+# journals, metadata.yaml and message definitions (`my_msgs.Reading.msg`). Names are compared case-insensitively, so
+# that any disk can store the folder.
 
 
 METADATA = "metadata.yaml"
@@ -141,12 +138,12 @@ def bad_bag_files(why: str) -> Refused:
 
 
 def is_bag_part(name: str) -> bool:
-    """Whether a file so called belongs to a bag."""
+    """Return whether a file with this name belongs to a bag."""
     return name == METADATA or any(form.fullmatch(name) for form in (BAG_FILE, JOURNAL, DEFINITION))
 
 
 def check_bag_files(names: Sequence[str]) -> None:
-    """Raises `bad_recording_files` where files so called are not one bag of several files."""
+    """Raise `bad_recording_files` unless files with these names are one bag of several files."""
     if not 2 <= len(names) <= MOST_FILES:
         raise bad_bag_files(f"{len(names)} files were sent; a bag of several files has 2 to {MOST_FILES}")
     for name in names:
@@ -167,5 +164,5 @@ def check_bag_files(names: Sequence[str]) -> None:
 
 
 def whole_sha256(files: Iterable[tuple[str, str]]) -> str:
-    """The hash of (name, sha256) of several files: that of the lines `sha256sum` prints for them in order of name."""
+    """Return the hash of several files (name, sha256): the hash of `sha256sum`'s lines, sorted by name."""
     return sha256("".join(f"{digest}  {name}\n" for name, digest in sorted(files)).encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""Bytes of an archive that are read where they lie, by ranges: in a local file, or behind an address."""
+"""Byte ranges of an archive that is read in place: in a local file, or at a URL."""
 
 import os
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from typing import Protocol
 
 
 class ByteRanges(Protocol):
-    """The bytes of one archive. `path` is its name in messages."""
+    """The bytes of one archive; messages name it by `path`."""
 
     @property
     def path(self) -> Path: ...
@@ -17,11 +17,11 @@ class ByteRanges(Protocol):
     def size_bytes(self) -> int: ...
 
     def read_at(self, offset: int, count: int) -> bytes:
-        """Return the bytes from `offset` on, `count` of them; fewer if the archive ends."""
+        """Return `count` bytes from `offset`, or fewer at the end of the archive."""
         ...
 
     def identity(self) -> list[str | int]:
-        """Return facts that change when the bytes do."""
+        """Return values that change when the bytes change."""
         ...
 
 

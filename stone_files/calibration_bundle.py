@@ -1,9 +1,9 @@
-"""The documents of a calibration: one file, a folder of files, or a zip of them; read whole, bounded, never unpacked.
+"""The documents of a calibration: one file, a folder of files, or a zip; read completely, with limits, never unpacked.
 
-**Conventions.** Documents come by name in order. What is neither YAML nor JSON is left aside and named (a Kalibr run
-writes reports and text results beside its YAML); of text files those that begin as KITTI's or RELLIS-3D's do are read.
-Nothing is written, so that no name in a zip can lead anywhere; names
-that try are refused all the same. A zip is stored or deflated: other methods may ask for gigabytes before one byte.
+**Conventions.** Documents are sorted by name. Files other than YAML and JSON are ignored and listed (Kalibr writes
+reports and text results next to its YAML). Text files are read if they start like KITTI's or RELLIS-3D's. Nothing is
+written to disk, so a name in a zip cannot point outside; such names are refused nevertheless. A zip must be stored or
+deflated: other methods may allocate gigabytes before the first byte.
 """
 
 import re
@@ -24,7 +24,7 @@ MOST_FILES = 64
 MOST_ENTRIES = 1000
 SUFFIXES = (".yaml", ".yml", ".json", ".urdf", ".xacro")
 TEXT_SUFFIX = ".txt"
-# How calibrations in text files begin: KITTI's with a date or a projection, RELLIS-3D's are four numbers and no more.
+# First bytes of text calibrations: KITTI's start with a date or a projection; RELLIS-3D's are just four numbers.
 TEXT_HEAD = re.compile(rb"\s*(?:calib_time: |P\d: |(?:\d[\d.eE+-]*\s+){3}\d[\d.eE+-]*\s*\Z)")
 TEXT_HEAD_BYTES = 200
 NO_DOCUMENT = "it contains no .yaml, .yml, .json or .urdf file, and no .txt in KITTI's or RELLIS-3D's format"
@@ -34,14 +34,14 @@ ENCRYPTED = 0x1
 
 @dataclass(frozen=True)
 class Bundle:
-    """`documents`: (name, bytes) of what may be a calibration; `aside`: names of what was not looked at."""
+    """`documents`: (name, bytes) of possible calibrations; `aside`: names of ignored files."""
 
     documents: tuple[tuple[str, bytes], ...]
     aside: tuple[str, ...] = ()
 
 
 def read_bundle(path: Path) -> Bundle:
-    """Raises OSError, `CAL-420`, `CAL-428` (no document, too many, a zip that is not one)."""
+    """Return the bundle at a path. Raises OSError, `CAL-420`, `CAL-428` (no document, too many, not a valid zip)."""
     if path.is_dir():
         return _folder(path)
     with path.open("rb") as file:
@@ -63,7 +63,7 @@ def _folder(path: Path) -> Bundle:
 
 
 def _bundle(name: str, names: list[str], found: Iterable[tuple[str, bytes | None]]) -> Bundle:
-    """Raises `CAL-428` for files that are too large together, and for none that is a document."""
+    """Return the bundle of these files. Raises `CAL-428` if they are too large in total, or none is a document."""
     documents, total_bytes = list[tuple[str, bytes]](), 0
     for file, content in found:
         if content is not None:
@@ -82,7 +82,7 @@ def _content(file: Path) -> bytes | None:
 
 
 def _read(name: str, stream: IO[bytes]) -> bytes | None:
-    """The whole file, None for a text that is no calibration. Raises `CAL-420`."""
+    """Return the file's bytes, or None for a text that is not a calibration. Raises `CAL-420`."""
     head = stream.read(TEXT_HEAD_BYTES)
     if name.lower().endswith(TEXT_SUFFIX) and not TEXT_HEAD.match(head):
         return None
@@ -106,7 +106,7 @@ def _zip(name: str, content: bytes) -> Bundle:
 
 
 def _unpacked(archive: ZipFile, members: list[ZipInfo]) -> Iterator[tuple[str, bytes | None]]:
-    """The sizes in a zip are claims: what is read is what counts."""
+    """Yield each member's content; the bytes are counted, because the sizes in a zip may be wrong."""
     for member in sorted(members, key=lambda member: member.filename):
         with archive.open(member) as stream:
             yield member.filename, _read(member.filename, stream)
@@ -126,7 +126,7 @@ def _check_member(name: str, member: ZipInfo) -> None:
 
 
 def _wanted(name: str, names: list[str]) -> frozenset[str]:
-    """Raises `CAL-428` for none, too many, or two of one name."""
+    """Return the names of documents. Raises `CAL-428` for none, too many, or two with the same name."""
     if len(names) > MOST_FILES:
         raise calibration_bundle(name, f"it contains {len(names)} files; the limit is {MOST_FILES}")
     if len(set(names)) < len(names):
@@ -145,7 +145,7 @@ def _check_total(name: str, total_bytes: int) -> None:
 
 
 def zipped(bundle: Bundle) -> bytes:
-    """The documents as a zip that `read_bundle` reads; equal bundles give equal bytes, whenever they are packed."""
+    """Return the documents as a zip for `read_bundle`; equal bundles always give equal bytes."""
     packed = BytesIO()
     with ZipFile(packed, "w") as archive:
         for name, content in bundle.documents:

@@ -1,4 +1,4 @@
-"""Every fault that a published dataset may have: its code, what it means, and the mistake that usually causes it."""
+"""All faults of published datasets: code, meaning, and the mistake that usually causes it."""
 
 from dataclasses import asdict, dataclass
 from typing import NamedTuple
@@ -10,7 +10,7 @@ QUOTED = 120
 
 @dataclass(frozen=True)
 class DatasetPlace:
-    """Where a fault is: a file of the dataset, by its name there, and the row where it is a table's."""
+    """The position of a fault: a file name within the dataset, and the row in a table."""
 
     file: str
     row: int | None = None
@@ -23,7 +23,7 @@ class DatasetPlace:
 
 
 class DatasetFault(NamedTuple):
-    """What a code means, and the mistake that usually causes it."""
+    """The meaning of a code, and the mistake that usually causes it."""
 
     meaning: str
     likely: str
@@ -239,13 +239,15 @@ DATASET_FAULTS = {
 class DatasetFaultError(StoneError):
     """A published dataset has the fault `code` of `DATASET_FAULTS`.
 
-    What a sandboxed process raised has its sentence alone, in which the other rows are counted already.
+    Errors from a sandboxed process contain only the sentence, which already counts the other rows.
     """
 
     rows = 1
 
     def __init__(self, code: str, place: DatasetPlace, what: str, likely: str = "") -> None:
-        """`likely` is the mistake, if the value itself shows it; then `rows` of one file that have it are one fault."""
+        """`likely` is the mistake, if the value itself shows it; `rows` of one file with the same mistake are then one
+        fault.
+        """
         super().__init__(f"{place}: {what} ({likely or DATASET_FAULTS[code].likely})")
         self.code, self.place, self.likely = code, place, likely
 

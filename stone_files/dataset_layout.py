@@ -1,8 +1,9 @@
-"""The layout of a published dataset: where its tables are, in a folder, tar or zip, and what of it is refused unread.
+"""The layout of a published dataset: its tables in a folder, tar or zip, and the names that are refused without
+reading.
 
-**Conventions.** A dataset lies in the folder that is given, or one below it. Its tables are in `v1.0-*/`, or all is in
-annotations.json: then its version is "". A name is a path relative to the dataset. The client refuses by the same
-rules before it sends a byte; what the tables and files hold is `stone_datasets`.
+**Conventions.** A dataset is the given folder or a folder directly below it. Its tables are in `v1.0-*/`, or in
+annotations.json; then its version is "". A name is a path relative to the dataset. The client applies the same rules
+before it sends a byte; `stone_datasets` reads tables and files.
 """
 
 import re
@@ -34,7 +35,7 @@ SHORT.maxlevel, SHORT.maxlist, SHORT.maxdict, SHORT.maxstring = 4, 8, 4, QUOTED
 
 
 def root_in_folder(path: Path) -> tuple[Path, str]:
-    """The folder of the dataset, and its version. Raises `DST-001`, `DST-002`."""
+    """Return the dataset's folder and version. Raises `DST-001`, `DST-002`."""
     folders = [path, *(one for one in sorted(path.iterdir()) if one.is_dir() and not one.is_symlink())]
     found = {f"{one.relative_to(path).as_posix()}/{version}" for one in folders for version in _versions(one)}
     if not found:
@@ -44,7 +45,7 @@ def root_in_folder(path: Path) -> tuple[Path, str]:
 
 
 def root_in_archive(path: Path, heads: set[tuple[str, str]]) -> tuple[str, str]:
-    """Root, which ends in a slash or is empty, and version, by all that `head_of` answered for the archive's names.
+    """Return root (ends in a slash, or is empty) and version, from all `head_of` results for the archive's names.
 
     Raises `DST-001`, `DST-002`.
     """
@@ -54,13 +55,13 @@ def root_in_archive(path: Path, heads: set[tuple[str, str]]) -> tuple[str, str]:
 
 
 def head_of(name: str) -> tuple[str, str] | None:
-    """What a table, or annotations.json, tells by its name: the root that it lies in, and the version."""
+    """Return root and version from the name of a table or of annotations.json; None for other names."""
     head = HEAD.fullmatch(name)
     return None if head is None else (head["root"], head["version"] or "")
 
 
 def refuse_compressed(path: Path) -> None:
-    """Raises `DST-003`."""
+    """Raise `DST-003` if the file is compressed."""
     with path.open("rb") as file:
         begin = file.read(max(map(len, COMPRESSED)))
     for magic, tool in COMPRESSED.items():
@@ -69,7 +70,7 @@ def refuse_compressed(path: Path) -> None:
 
 
 def is_zip(path: Path) -> bool:
-    """Whether the path is that of a file that begins as a zip."""
+    """Return whether the path is a file that starts like a zip."""
     if not path.is_file():
         return False
     with path.open("rb") as file:
@@ -77,7 +78,7 @@ def is_zip(path: Path) -> bool:
 
 
 def zip_fault(path: Path, fault: ZipFaultError) -> DatasetFaultError:
-    """The refusal of a dataset whose zip has this fault."""
+    """Return the refusal of a dataset with this zip fault."""
     said = (DatasetPlace(path.name), str(fault))
     if fault.code == "overlapping_files":
         return DatasetFaultError("DST-007", *said)
@@ -87,7 +88,7 @@ def zip_fault(path: Path, fault: ZipFaultError) -> DatasetFaultError:
 
 
 def refuse_archive(path: Path) -> None:
-    """Refuse a tar or zip that has no dataset, by its heads alone. Raises a `DatasetFaultError`, `bad_tar`."""
+    """Raise a `DatasetFaultError` or `bad_tar` if a tar or zip contains no dataset, reading headers only."""
     refuse_compressed(path)
     heads = set[tuple[str, str]]()
     try:
@@ -106,18 +107,18 @@ def _zip_names(path: Path) -> Iterator[str]:
 
 
 def refuse_outside(name: str) -> None:
-    """Raises `DST-004`."""
+    """Raise `DST-004` for a path that leads outside the dataset."""
     if not is_inside(name):
         raise leaving(name)
 
 
 def is_inside(name: str) -> bool:
-    """Whether a path stays below the folder that it is relative to."""
+    """Return whether a relative path stays below its folder."""
     return not name.startswith("/") and "\\" not in name and "\0" not in name and ".." not in name.split("/")
 
 
 def slashes_in_table(file: str, key: str) -> str:
-    """The line that writes a table again with / in the paths below a key."""
+    """Return the command that replaces backslashes by / in a table's paths under `key`."""
     return (
         f"python -c \"import json, pathlib; p = pathlib.Path('{file}'); r = json.loads(p.read_text('utf-8')); "
         f"[x.update({key}=x['{key}'].replace(chr(92), '/')) for x in r]; p.write_text(json.dumps(r))\""
@@ -125,19 +126,19 @@ def slashes_in_table(file: str, key: str) -> str:
 
 
 def is_below(path: str, root: str) -> bool:
-    """Whether a path without links is that of the folder `root`, or of something in it."""
+    """Return whether a path without links is the folder `root` or below it."""
     return path == root or path.startswith(root.rstrip("/") + "/")
 
 
 def leaving(name: str) -> DatasetFaultError:
-    """The refusal of this name."""
+    """Return the refusal of this name."""
     return path_fault("", name, DatasetPlace(name))
 
 
 def path_fault(key: str, name: str, place: DatasetPlace, table: str = "") -> DatasetFaultError:
-    """The refusal of a path that does not stay below the folder that it is relative to, as a row has it below `key`.
+    """Return the refusal of the path `name`, from a row's `key`, that leads outside its folder.
 
-    Of a key without a table, the file of the place is named; without a key it is the name of a file of an archive.
+    Without a table, `place` names the file; without a key, `name` is a file name in an archive.
     """
     what = f"{key} {quoted(name)}".lstrip()
     if "\\" not in name:
@@ -156,7 +157,7 @@ def path_fault(key: str, name: str, place: DatasetPlace, table: str = "") -> Dat
 
 
 def quoted(value: object) -> str:
-    """A value from outside as a message shows it: short, and no deeper than anybody would read."""
+    """Return an external value in short form for a message, with limited nesting."""
     text = SHORT.repr(value)
     return text if len(text) <= QUOTED else f"{text[:QUOTED]}…"
 

@@ -1,7 +1,7 @@
-"""The layouts of published datasets: what their labels, tokens and sweeps look like, each fact with its source.
+"""The layouts of published datasets: their labels, tokens and sweeps, with the source of each fact.
 
-**Conventions.** One row per layout. Nothing else knows how a layout differs from another: readers, the recognition of a
-layout, the exporter of its labels and the makers of test datasets read this table.
+**Conventions.** One row per layout. Readers, layout recognition, the label exporter and the test dataset makers use
+only this table.
 
 Sources: the paper; the README of the release at revision 4ba5f700, and a third party that read its archive by byte
 ranges (arrays, tables and bags); Occ3D (arXiv 2304.14365).
@@ -20,11 +20,12 @@ DASHED_TOKEN = re.compile(r"[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9
 
 @dataclass(frozen=True)
 class DatasetLayout:
-    """How the files of a layout look.
+    """The file conventions of a layout.
 
-    `label_key` is the array of classes in labels.npz. With `has_masks` its files have `mask_lidar` and `mask_camera`;
-    else voxels of `grid.unknown` are unobserved. With `has_dashes` sample tokens are UUIDs. With `has_no_returns` a
-    sweep has a row for every shot, and rows of NaN are shots without a return. `roots` are names of its root folder.
+    `label_key` is the array of classes in labels.npz. With `has_masks`, its files have `mask_lidar` and `mask_camera`;
+    otherwise voxels of value `grid.unknown` are unobserved. With `has_dashes`, sample tokens are UUIDs. With
+    `has_no_returns`, a sweep has a row for every shot, and shots without a return are NaN. `roots` are names of its
+    root folder.
     """
 
     name: str
@@ -38,7 +39,7 @@ class DatasetLayout:
     source: str
 
     def with_grid(self, grid: LabelGrid) -> "DatasetLayout":
-        """Return the layout with labels of another grid."""
+        """Return the layout with another grid."""
         return replace(self, grid=grid)
 
 
@@ -61,7 +62,7 @@ LAYOUTS: Mapping[str, DatasetLayout] = {
 
 @dataclass(frozen=True)
 class ReleaseFacts:
-    """Sizes of the released dataset, as its README and whoever read its archive give them."""
+    """Sizes of the released dataset, from its README and from a third party that read its archive."""
 
     zip_bytes: int = 346_343_831_255
     zip_entries: int = 458_212
@@ -89,9 +90,11 @@ def named_layout(name: str) -> DatasetLayout:
 
 
 def recognised_layout(keys: Collection[str], shape: tuple[int, ...] | None, *, has_dashes: bool) -> DatasetLayout:
-    """Return the layout that a label file of these keys, whose classes have this shape, and tokens tell.
+    """Return the layout of a label file with these keys and this shape of its classes, and of tokens with or without
+    dashes.
 
-    Without labels (no keys, no shape) tokens alone tell it. A shape of no known grid leaves the layout its own grid.
+    Without labels (no keys, no shape), only the tokens decide. If no known grid has the shape, the layout keeps its own
+    grid.
     """
     of_key = [one for one in LAYOUTS.values() if one.label_key in keys] or [
         one for one in LAYOUTS.values() if one.has_dashes == has_dashes
@@ -102,12 +105,12 @@ def recognised_layout(keys: Collection[str], shape: tuple[int, ...] | None, *, h
 
 
 def plain_token(written: str) -> str | None:
-    """Return the frame token that a dataset writes so: 32 hex digits, or a UUID of them; None if it is neither."""
+    """Return the frame token (32 hex digits) of a token in a dataset: 32 hex digits or a UUID; None for other text."""
     if PLAIN_TOKEN.fullmatch(written):
         return written
     return written.replace("-", "") if DASHED_TOKEN.fullmatch(written) else None
 
 
 def dashed_token(token: str) -> str:
-    """Return the UUID that 32 hex digits are written as."""
+    """Return 32 hex digits in UUID form."""
     return "-".join((token[:8], token[8:12], token[12:16], token[16:20], token[20:]))

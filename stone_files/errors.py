@@ -1,4 +1,4 @@
-"""Why an output cannot be written."""
+"""Refusals of outputs."""
 
 from pathlib import Path
 

@@ -1,6 +1,6 @@
-"""Files that describe a label grid: `grid.json` of a label set, and what `--grid` names.
+"""Files that describe a label grid: `grid.json` of a label set, and the argument of `--grid`.
 
-**Conventions.** JSON, as `LabelGrid.as_record` makes it.
+**Conventions.** JSON in the form of `LabelGrid.as_record`.
 """
 
 import json
@@ -15,12 +15,14 @@ MOST_BYTES = 64 * 1024
 
 
 def chosen_grid(text: str) -> LabelGrid:
-    """Return the grid of this name, or the one that the file at this path describes. Raises `bad_grid`."""
+    """Return the grid with this name, or the grid in the file at this path. Raises `bad_grid`."""
     return named_grid(text) if text in GRIDS or not Path(text).is_file() else read_grid_file(Path(text))
 
 
 def chosen_grids(texts: Sequence[str]) -> tuple[LabelGrid, ...]:
-    """Return the grids that these name, the paper's if none. Raises `bad_grid`, also for two of one name."""
+    """Return the grids with these names or paths, or the paper's if there are none. Raises `bad_grid`, also for equal
+    names.
+    """
     grids = tuple(map(chosen_grid, texts)) or (PAPER,)
     names = [grid.name for grid in grids]
     if len(set(names)) < len(names):
@@ -41,5 +43,5 @@ def read_grid_file(path: Path) -> LabelGrid:
 
 
 def grid_text(grid: LabelGrid) -> str:
-    """Return the file of a grid."""
+    """Return the content of a grid file."""
     return json.dumps(grid.as_record(), indent=1) + "\n"

@@ -1,8 +1,8 @@
-"""The description of a joined recording: `joined.json` of a folder whose bags are one run, with their clocks' offsets.
+"""The description of a joined recording: `joined.json` in a folder of bags from one run, with their clock offsets.
 
-**Conventions.** A member is a bag of the folder, a file or a folder of a split one, or a link to one; nothing else is
-named. `offset_ns` is added to the stamps of a member, so that they are on the clock of the reference, which is the
-member with the LiDAR and has offset 0. Equal values give equal bytes.
+**Conventions.** A member is a bag in the folder: a file, the folder of a split bag, or a link to one of them.
+`offset_ns` is added to a member's stamps to convert them to the reference clock. The reference is the member with the
+LiDAR and has offset 0. Equal values give equal bytes.
 """
 
 import json
@@ -21,11 +21,11 @@ MOST_MEMBERS = 64
 MOST_BYTES = 4 * 2**20
 MOST_RUNS = 20_000
 MOST_NAME_BYTES = 255
-# Seventy years: a clock that counts from the start of its computer is off by fifty.
+# Seventy years: a clock that starts at boot is off by more than fifty.
 MOST_OFFSET_NS = 70 * 365 * 86_400 * 10**9
 LAST_INDEX = 2**48
 SHA256 = re.compile(r"[0-9a-f]{64}|")
-# How an offset came to be known.
+# Sources of an offset.
 REFERENCE, SAME_MESSAGES, SAME_TOPICS, GIVEN = "reference", "same messages", "same topics", "given"
 CAMERAS, TRIGGERS, RADARS, GYRO, SWEEPS = "camera motion", "camera triggers", "radar speed", "gyro", "sweeps"
 SOURCES = (REFERENCE, SAME_MESSAGES, SAME_TOPICS, GIVEN, CAMERAS, TRIGGERS, RADARS, GYRO, SWEEPS)
@@ -42,10 +42,10 @@ class JoinedFileError(StoneError):
 
 @dataclass(frozen=True)
 class JoinedMember:
-    """A bag called `name`, whose offset's standard error is `sigma_ns`, None where nobody measured it.
+    """A bag called `name`; `sigma_ns` is the standard error of its offset, or None if it was not measured.
 
-    `known_by`: of `SOURCES`. `kept_topics` bear stamps of the reference's clock though this member holds them: only
-    their log times are moved. `left_out`: by topic, half-open runs of messages that an earlier member holds, too.
+    `known_by`: one of `SOURCES`. `kept_topics` already have stamps of the reference clock, so only their log times are
+    moved. `left_out`: by topic, half-open runs of messages that an earlier member also contains.
     """
 
     name: str
@@ -57,24 +57,24 @@ class JoinedMember:
     sha256: str = ""
 
     def count_left_out(self) -> Mapping[str, int]:
-        """Messages by topic."""
+        """Number of excluded messages by topic."""
         return {topic: sum(stop - start for start, stop in runs) for topic, runs in self.left_out.items()}
 
 
 def is_joined(path: Path) -> bool:
-    """Whether `path` is the folder of a joined recording."""
+    """Return whether `path` is the folder of a joined recording."""
     return (path / JOINED).is_file()
 
 
 def joined_bytes(members: Sequence[JoinedMember]) -> bytes:
-    """The file for these members. Raises: JoinedFileError where `read_joined` would refuse it."""
+    """Return the file for these members. Raises: JoinedFileError if `read_joined` would refuse it."""
     _check(members, "")
     record = {"format": FORMAT, "version": VERSION, "members": [asdict(member) for member in members]}
     return (json.dumps(record, indent=1, sort_keys=True) + "\n").encode()
 
 
 def read_joined(folder: Path) -> tuple[JoinedMember, ...]:
-    """The members, in order. Raises: JoinedFileError (BAG-040)."""
+    """Return the members in order. Raises: JoinedFileError (BAG-040)."""
     with (folder / JOINED).open("rb") as file:
         content = file.read(MOST_BYTES + 1)
     if len(content) > MOST_BYTES:
@@ -94,7 +94,7 @@ def read_joined(folder: Path) -> tuple[JoinedMember, ...]:
 
 
 def member_path(folder: Path, member: JoinedMember) -> Path:
-    """Where a member lies. Raises: JoinedFileError where it is missing, or is itself a joined recording."""
+    """Return a member's path. Raises: JoinedFileError if it is missing or is itself a joined recording."""
     path = folder / member.name
     if not (path.is_file() or path.is_dir()):
         raise JoinedFileError(folder.name, f"its member {member.name!r} is missing")
@@ -129,7 +129,7 @@ def _runs(folder: str, listed: Any) -> tuple[tuple[int, int], ...]:
 
 
 def _check(members: Sequence[JoinedMember], folder: str) -> None:
-    """Raises: JoinedFileError."""
+    """Raise JoinedFileError for an invalid list of members."""
     if not 1 <= len(members) <= MOST_MEMBERS:
         raise JoinedFileError(folder, f"it must list 1 to {MOST_MEMBERS} members, not {len(members)}")
     if len({member.name.casefold() for member in members}) < len(members):
@@ -142,7 +142,7 @@ def _check(members: Sequence[JoinedMember], folder: str) -> None:
 
 
 def _problem(member: JoinedMember) -> str:
-    """What no member can be; "" for one that may be."""
+    """Return the fault of a member, or ""."""
     shown = f"member {member.name[:80]!r}"
     if not is_member_name(member.name):
         return f"{shown} is not the name of a file directly in the folder"
@@ -158,6 +158,6 @@ def _problem(member: JoinedMember) -> str:
 
 
 def is_member_name(name: str) -> bool:
-    """Whether a member may be called so: one component, visible, not the description itself."""
+    """Return whether a member may have this name: one component, visible, not the description itself."""
     is_plain = name.isprintable() and not set("/\\") & set(name) and not name.startswith(".")
     return is_plain and 0 < len(name.encode()) <= MOST_NAME_BYTES and name.casefold() != JOINED

@@ -1,7 +1,7 @@
 """A fast, deterministic npz writer.
 
-**Conventions.** A zip of `<key>.npy` members in the order given, deflated by ISA-L or by who knows the arrays better,
-dated 1980-01-01 so that content addressing works; `numpy.load` reads it without pickle. C order only. No zip64: an
+**Conventions.** A zip of `<key>.npy` members in the given order, deflated by ISA-L or by the caller. All are dated
+1980-01-01, so equal arrays give equal bytes. `numpy.load` reads the file without pickle. C order only. No zip64: an
 array stays below 4 GiB.
 
 Source: PKWARE APPNOTE 6.3.10 §4.3; NEP 1 (npy 1.0); RFC 1951, 3.2.4.
@@ -32,10 +32,10 @@ MAX_MEMBER_BYTES = 2**32 - 2**20
 def npz_bytes(
     arrays: Mapping[str, NDArray[Any]], level: int = LEVEL, deflated: Mapping[str, bytes] = MappingProxyType({})
 ) -> bytes:
-    """The npz file that holds these arrays under these keys; deterministic.
+    """Return a deterministic npz file with these arrays under these keys.
 
-    `level` is ISA-L's, 0 (fastest) to 3. `deflated` are the final deflate blocks of the data of some of the arrays, in
-    C order, which are not deflated again.
+    `level` is ISA-L's, 0 (fastest) to 3. `deflated` contains the final deflate blocks of some arrays' data in C order;
+    these arrays are not deflated again.
 
     Raises:
         `unwritable_array`: a dtype that would need pickle, or an array of 4 GiB and more.
@@ -59,12 +59,12 @@ def npz_bytes(
 
 
 def _stored_block(data: bytes) -> bytes:
-    """A deflate block that holds up to 65535 bytes as they are and ends where a byte does; another follows."""
+    """Return a deflate block that stores up to 65535 bytes unchanged, ends at a byte boundary and is not the last."""
     return struct.pack("<B2H", 0, len(data), len(data) ^ 0xFFFF) + data
 
 
 def npy_parts(key: str, array: NDArray[Any]) -> tuple[bytes, NDArray[np.uint8]]:
-    """Header and data of one array as a npy 1.0 file in C order; `key` only names it in the refusal."""
+    """Return header and data of one array as an npy 1.0 file in C order; `key` is used in the refusal."""
     if array.dtype.hasobject or array.nbytes > MAX_MEMBER_BYTES:
         raise Refused(
             "unwritable_array",
@@ -80,30 +80,25 @@ def npy_parts(key: str, array: NDArray[Any]) -> tuple[bytes, NDArray[np.uint8]]:
 def _headers(
     key: str, method: int, facts: tuple[int, int, int], offset: int, extra: bytes = b""
 ) -> tuple[bytes, bytes]:
-    """The local header of a member and its directory entry; `facts` are the CRC-32 and the sizes, packed and not."""
+    """Return the local header and directory entry of a member; `facts` are CRC-32, packed and unpacked size."""
     name = key.encode()
     shared = (PLAIN, 0, method, 0, DOS_1980_01_01, *facts, len(name))
     local = LOCAL.pack(b"PK\3\4", *shared, len(extra)) + name + extra
     return local, CENTRAL.pack(b"PK\1\2", PLAIN, *shared, 0, 0, 0, 0, 0, offset) + name
 
 
-# An npz whose arrays lie in it as they do in memory: written without compressing, read by mapping the file.
-#
-# **Conventions.** A zip of `<key>.npy` members, stored, each array's numbers from a multiple of `ALIGNED_BYTES` on;
-# `numpy.load` reads it too. What is read is a view of the file's pages, copied only where it is written to, and keeps
-# the file's bytes alive, also when the file is replaced or deleted. For files of our own: checksums are written, not
-# checked.
-#
-# Source: PKWARE APPNOTE 6.3.10 §4.3; NEP 1 (npy 1.0).
+# An uncompressed npz that is read by mapping the file: each array's data starts at a multiple of `ALIGNED_BYTES`.
+# `mapped_npz` returns views of the file's pages, which are copied on write and stay valid if the file is replaced or
+# deleted. Checksums are written but not checked, because the platform wrote these files.
 
 
 ALIGNED_BYTES = 64
 PADDING_ID = 0xFFFF
-NPY_HEAD_BYTES = 10  # of version 1.0: magic, version, length of what follows
+NPY_HEAD_BYTES = 10  # npy 1.0: magic, version, header length
 
 
 def write_stored_npz(file: BinaryIO, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write these arrays under these keys from the beginning of `file`.
+    """Write these arrays under these keys from the start of `file`.
 
     Raises `unwritable_array` for a dtype that would need pickle, or an array of 4 GiB and more.
     """
@@ -122,7 +117,7 @@ def write_stored_npz(file: BinaryIO, arrays: Mapping[str, NDArray[Any]]) -> None
 
 
 def mapped_npz(path: Path) -> dict[str, NDArray[Any]]:
-    """The arrays of a file that `write_stored_npz` wrote, by key."""
+    """Return the arrays in a file of `write_stored_npz`, by key."""
     with path.open("rb") as file:
         view = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
     *_, count, _, at, _ = END.unpack_from(view, len(view) - END.size)
@@ -136,7 +131,7 @@ def mapped_npz(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _padding(end: int) -> bytes:
-    """An extra field that brings what follows a header of this end to a multiple of `ALIGNED_BYTES`."""
+    """Return an extra field that pads a header ending at `end` to a multiple of `ALIGNED_BYTES`."""
     size = -(end + 4) % ALIGNED_BYTES
     return struct.pack("<2H", PADDING_ID, size) + bytes(size)
 
@@ -152,6 +147,6 @@ def _array(view: mmap.mmap, local: int) -> NDArray[Any]:
 
 @lru_cache(maxsize=256)
 def _layout(header: bytes) -> tuple[np.dtype[Any], tuple[int, ...]]:
-    """Of an array in C order."""
+    """Return dtype and shape of an array in C order."""
     told = ast.literal_eval(header.decode("latin-1"))
     return np.dtype(told["descr"]), told["shape"]

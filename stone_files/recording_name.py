@@ -1,4 +1,4 @@
-"""The name of a sequence by the file of its recording."""
+"""Sequence names from recording files."""
 
 import re
 from hashlib import sha256
@@ -11,9 +11,9 @@ OTHER, DASHES, LONGEST = re.compile(r"[^A-Za-z0-9._-]"), re.compile(r"-{2,}"), 1
 
 
 def sequence_name(recording: Path) -> str:
-    """Return the name of the sequence of a recording: its file's, with a dash for what no sequence's name can have.
+    """Return the sequence name of a recording: its file name, with dashes for characters that are not allowed.
 
-    Accents are dropped. A name of which no letter or digit is left becomes `recording-` and eight digits of its hash.
+    Accents are removed. A name without a letter or digit becomes `recording-` plus eight digits of its hash.
     """
     stem = recording.stem or recording.resolve().stem
     plain = normalize("NFKD", stem).encode("ascii", "ignore").decode()

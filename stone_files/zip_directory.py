@@ -1,9 +1,9 @@
-"""The table of contents of a zip, read with every length checked before anything is read or allocated.
+"""A zip's central directory, read with every length checked before anything is read or allocated.
 
-**Conventions.** Offsets and sizes are bytes from the start of the archive. Nothing is trusted: the directory holds
-exactly the records it announces, every header says the same as the directory, members share no bytes, and no bytes lie
-between or before them but data descriptors, so that no two readers can see different files. Zip64 is understood. The
-same reader serves a submission (a file) and a frame in it (a buffer).
+**Conventions.** Offsets and sizes are bytes from the start of the archive. Nothing is trusted, so that no two readers
+can see different files: the directory has exactly the announced records, every header agrees with the directory,
+members share no bytes, and only data descriptors lie between members. Zip64 is supported. The same reader serves a
+submission (a file) and a frame in it (a buffer).
 
 Source: PKWARE APPNOTE 6.3.10, §4.3.7, 4.3.9, 4.3.12, 4.4.4, D; overlaps: Fifield, "A better zip bomb" (WOOT 2019).
 """
@@ -21,34 +21,30 @@ from stone_files.archives import CENTRAL, DEFLATED, END, END_64, LOCAL, LOCATOR,
 
 
 class ZipFaultError(StoneError):
-    """A zip has a fault of this `code`: `expected` and `actual` are parts of a sentence."""
+    """A zip has the fault `code`; the sentence contains `expected` and `actual`."""
 
     def __init__(self, code: str, expected: str, actual: str) -> None:
         self.code, self.expected, self.actual = code, expected, actual
         super().__init__(f"expected {expected}, found {actual}")
 
 
-# The end record of a zip, narrow or wide: where its directory is and how many files it announces.
-#
-# **Conventions.** Offsets and sizes are bytes from the start of the archive. The end record is the last thing in the
-# file and the directory lies right before it. Frames are archives themselves: where a zip is cut off inside of one
-# that is stored, the last end record is that frame's. Where there is a wide (zip64) record, the narrow one says the
-# same, or 0xFF….
-#
-# Source: PKWARE APPNOTE 6.3.10, §4.3.14–4.3.16, 4.4.1.4.
+# The end record of a zip, narrow or zip64: position of the directory and number of files. The end record is last in the
+# file, directly after the directory. Frames are archives too: if a zip is cut off inside a stored frame, the last end
+# record belongs to that frame. If there is a zip64 record, the narrow one has the same values or 0xFF…. Source: PKWARE
+# APPNOTE 6.3.10, §4.3.14–4.3.16, 4.4.1.4.
 
 
 MAX_COMMENT_BYTES = 2**16 - 1
 IN_EXTRA_32, IN_EXTRA_16 = 2**32 - 1, 2**16 - 1
 FIRST_FILE = b"PK\3\4"
-BEFORE_ITS_SIZE = 12  # signature and size are not counted in the size of a wide record
+BEFORE_ITS_SIZE = 12  # the size field of a zip64 record excludes signature and size
 
 ReadAt = Callable[[int, int], bytes]
 
 
 @dataclass(frozen=True)
 class End:
-    """The directory as the archive's end announces it."""
+    """The directory as the archive's end record announces it."""
 
     entries: int
     directory_bytes: int
@@ -56,7 +52,7 @@ class End:
 
 
 def read_end(read_at: ReadAt, size_bytes: int) -> End:
-    """Raises `not_zip`, `truncated`, `unsupported_zip`; reads at most 66 kB."""
+    """Return the end record, reading at most 66 kB. Raises `not_zip`, `truncated`, `unsupported_zip`."""
     tail_bytes = min(size_bytes, END.size + MAX_COMMENT_BYTES)
     tail = read_at(size_bytes - tail_bytes, tail_bytes)
     at = tail.rfind(b"PK\5\6")
@@ -84,7 +80,9 @@ def _begins_as_zip(read_at: ReadAt) -> bool:
 
 
 def _may_end_at(end: End, position: int) -> bool:
-    """Whether a record at byte `position` can be of this archive: those of archives inside tell of other places."""
+    """Return whether a record at byte `position` can belong to this archive; records of inner archives have other
+    offsets.
+    """
     if IN_EXTRA_32 in (end.directory_bytes, end.directory_offset):
         return True
     return position - end.directory_offset - end.directory_bytes in (0, END_64.size + LOCATOR.size)
@@ -97,7 +95,7 @@ def _cut_short(size_bytes: int) -> ZipFaultError:
 
 
 def _read_wide(read_at: ReadAt, locator: bytes, at: int) -> End:
-    """The wide end record named by the locator at byte `at`."""
+    """Return the zip64 end record that the locator at byte `at` refers to."""
     _, disk, position, disks = LOCATOR.unpack(locator)
     if position + END_64.size > at:
         raise ZipFaultError("truncated", f"a zip64 end record before byte {at}", f"a record at byte {position}")
@@ -114,7 +112,7 @@ def _read_wide(read_at: ReadAt, locator: bytes, at: int) -> End:
 
 
 def _checked(end: End, parts: tuple[int, ...], position: int) -> End:
-    """An end whose directory stops at byte `position`; `parts` are zeros where the archive is in one part."""
+    """Return the end with a directory that stops at byte `position`; `parts` are zeros for an archive in one part."""
     if any(parts):
         raise ZipFaultError("unsupported_zip", "an archive in one part", "an archive in several parts")
     if end.directory_offset + end.directory_bytes != position:
@@ -138,7 +136,7 @@ def _same(narrow: End, wide: End) -> End:
 
 
 MAX_NAME_BYTES, MAX_EXTRA_BYTES = 512, 1024
-# Bit 0 encrypted, 6 strongly encrypted, 13 masked headers.
+# Bit 0: encrypted; 6: strongly encrypted; 13: masked headers.
 ENCRYPTED_FLAGS = 1 << 0 | 1 << 6 | 1 << 13
 DESCRIBED_BEHIND = 1 << 3  # sizes and CRC follow the data
 IN_UTF8 = 1 << 11
@@ -149,7 +147,7 @@ MADE_BY_UNIX, MADE_BY_MACOS = 3, 19
 
 @dataclass(frozen=True)
 class ZipMember:
-    """One file of an archive, as the central directory announces it; its bytes end before `limit`."""
+    """One file of an archive, from the central directory; its bytes end before `limit`."""
 
     name: str
     method: int
@@ -161,10 +159,10 @@ class ZipMember:
 
 
 def read_directory(read_at: ReadAt, size_bytes: int, max_entries: int) -> tuple[ZipMember, ...]:
-    """The members in the order of the directory; `read_at(offset, count)` reads within [0, size_bytes).
+    """Return the members in directory order; `read_at(offset, count)` reads within [0, size_bytes).
 
-    Raises `not_zip`, `truncated`, `too_large` (more than `max_entries`), `encrypted`, `symlink`,
-    `unsupported_zip`, `overlapping_files`.
+    Raises `not_zip`, `truncated`, `too_large` (more than `max_entries`), `encrypted`, `symlink`, `unsupported_zip`,
+    `overlapping_files`.
     """
     end = checked_end(read_at, size_bytes, max_entries)
     members = list(directory_members(read_at, end))
@@ -177,7 +175,7 @@ def read_directory(read_at: ReadAt, size_bytes: int, max_entries: int) -> tuple[
 
 
 def checked_end(read_at: ReadAt, size_bytes: int, max_entries: int) -> End:
-    """The end of an archive whose directory is no larger than `max_entries` make it. Raises as `read_directory`."""
+    """Return the end record if its directory fits `max_entries`. Raises the errors of `read_directory`."""
     end = read_end(read_at, size_bytes)
     limit_bytes = max_entries * (CENTRAL.size + MAX_NAME_BYTES)
     if end.entries > max_entries:
@@ -194,7 +192,7 @@ def checked_end(read_at: ReadAt, size_bytes: int, max_entries: int) -> End:
 
 
 def payload_span(read_at: ReadAt, member: ZipMember) -> tuple[int, int]:
-    """Where the packed bytes of `member` start and stop; its local header must agree with the directory.
+    """Return start and stop of the packed bytes of `member`; its local header must agree with the directory.
 
     Raises `truncated`, `unsupported_zip`, `overlapping_files`.
     """
@@ -217,7 +215,7 @@ def payload_span(read_at: ReadAt, member: ZipMember) -> tuple[int, int]:
 
 
 def _check_sizes(member: ZipMember, unpacked_packed: tuple[int, ...], flags: int) -> None:
-    """The local header's sizes are the directory's, or 0 where they follow the data."""
+    """Check that the local header's sizes equal the directory's, or are 0 if they follow the data."""
     for said, known in zip(unpacked_packed, (member.unpacked_bytes, member.packed_bytes), strict=True):
         if said != known and not (flags & DESCRIBED_BEHIND and said == 0):
             raise ZipFaultError("unsupported_zip", f"{known} bytes of {member.name!r}, as in the directory", f"{said}")
@@ -239,7 +237,8 @@ def _bounded(member: ZipMember, start: int, descriptor_bytes: int) -> tuple[int,
 
 
 def directory_members(read_at: ReadAt, end: End) -> Iterator[ZipMember]:
-    """Every member in the order of the directory, which is read in pieces; the directory is the limit of all.
+    """Yield every member in directory order, reading the directory in pieces; each member's limit is the directory's
+    start.
 
     Raises `truncated`, `too_large`, `encrypted`, `symlink`, `unsupported_zip`.
     """
@@ -282,7 +281,7 @@ def _member(fields: tuple[int, ...], variable: bytes, limit: int) -> ZipMember:
 
 
 def _decoded(name: bytes, flags: int) -> str:
-    """In UTF-8 where that is announced, else in code page 437, which has a character for every byte."""
+    """Decode a name as UTF-8 if announced, otherwise as code page 437, which defines all bytes."""
     try:
         return name.decode("utf-8" if flags & IN_UTF8 else "cp437")
     except UnicodeDecodeError as error:
@@ -290,7 +289,7 @@ def _decoded(name: bytes, flags: int) -> str:
 
 
 def limits_of(offsets: NDArray[np.uint64], packed_bytes: NDArray[np.uint64], end: int) -> NDArray[np.int64]:
-    """The byte (N,) before which each member must end: the start of the next one, or `end`, the directory's.
+    """Return the byte (N,) before which each member must end: the start of the next, or `end`, the directory's start.
 
     Raises `overlapping_files`, `unsupported_zip`.
     """
@@ -314,21 +313,18 @@ def limits_of(offsets: NDArray[np.uint64], packed_bytes: NDArray[np.uint64], end
     return limits
 
 
-# The extra fields of a zip's headers: wide sizes, and a second name that must not be another.
-#
-# **Conventions.** Extra fields are (tag, length, value) one after another; up to three zero bytes of padding may
-# follow.
-#
-# Source: PKWARE APPNOTE 6.3.10, §4.5.1, 4.5.3 (zip64), 4.6.9 (Unicode path).
+# The extra fields of zip headers, as (tag, length, value) with up to three bytes of padding at the end: zip64 sizes,
+# and a second name that must equal the first. Source: PKWARE APPNOTE 6.3.10, §4.5.1, 4.5.3 (zip64), 4.6.9 (Unicode
+# path).
 
 
 ZIP64_TAG, UNICODE_PATH_TAG = 0x0001, 0x7075
 FIELD = struct.Struct("<2H")
-BEFORE_THE_PATH = 5  # a version and the CRC-32 of the name in the header
+BEFORE_THE_PATH = 5  # a version and the CRC-32 of the header's name
 
 
 def extra_fields(extra: bytes, name: str) -> dict[int, bytes]:
-    """The value of each tag. Raises `truncated`; `unsupported_zip` where a tag that we read is there twice."""
+    """Return the value of each tag. Raises `truncated`, or `unsupported_zip` if a known tag is repeated."""
     fields: dict[int, bytes] = {}
     at = 0
     while at + FIELD.size <= len(extra):
@@ -344,9 +340,9 @@ def extra_fields(extra: bytes, name: str) -> dict[int, bytes]:
 
 
 def wide_values(fields: dict[int, bytes], values: tuple[int, ...], name: str) -> tuple[int, ...]:
-    """`values`, those that are 0xFFFFFFFF replaced, in this order, by the 8-byte ones of the zip64 field.
+    """Return `values` with each 0xFFFFFFFF replaced, in order, by the next 8-byte value of the zip64 field.
 
-    Raises `truncated` where there are fewer.
+    Raises `truncated` if the field has too few values.
     """
     needed = sum(value == IN_EXTRA_32 for value in values)
     wide = fields.get(ZIP64_TAG, b"")
@@ -357,9 +353,9 @@ def wide_values(fields: dict[int, bytes], values: tuple[int, ...], name: str) ->
 
 
 def check_other_name(fields: dict[int, bytes], name: str) -> None:
-    """Raises `unsupported_zip` where a Unicode path names another file than the header: readers would differ.
+    """Raise `unsupported_zip` if a Unicode path names another file than the header: readers would differ.
 
-    Folders may differ: Info-ZIP writes them so, since the header has no character for some.
+    Folders may differ, because Info-ZIP writes the Unicode path if the header's encoding lacks a character.
     """
     path = fields.get(UNICODE_PATH_TAG)
     if path is not None and path[BEFORE_THE_PATH:].rpartition(b"/")[2] != name.rpartition("/")[2].encode():
