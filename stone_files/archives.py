@@ -50,9 +50,9 @@ def tar_head_bytes(name: str, size_bytes: int) -> int:
 
 def tar_head(name: str, size_bytes: int) -> bytes:
     """Return the header bytes of a file."""
-    place = ("", name) if len(name) <= NAME_BYTES else _split(name)
-    if place and size_bytes <= MOST_USTAR_BYTES:
-        return _block(place, size_bytes, b"0")
+    prefix_and_name = ("", name) if len(name) <= NAME_BYTES else _split(name)
+    if prefix_and_name and size_bytes <= MOST_USTAR_BYTES:
+        return _block(prefix_and_name, size_bytes, b"0")
     record = _pax(name, size_bytes)
     padded = record + bytes(-len(record) % BLOCK_BYTES)
     shown = ("", name[-NAME_BYTES:].lstrip("/"))
@@ -81,8 +81,8 @@ def _record(key: str, value: str) -> bytes:
     return f"{length}{rest}".encode("ascii")
 
 
-def _block(place: tuple[str, str], size_bytes: int, kind: bytes) -> bytes:
-    prefix, name = (part.encode("ascii") for part in place)
+def _block(prefix_and_name: tuple[str, str], size_bytes: int, kind: bytes) -> bytes:
+    prefix, name = (part.encode("ascii") for part in prefix_and_name)
     numbers = (b"0000644\0", b"0000000\0", b"0000000\0", b"%011o\0" % size_bytes, b"%011o\0" % MODIFIED_S)
     owner = (b"ustar\0", b"00", b"", b"", b"0000000\0", b"0000000\0")
     block = FORM.pack(name, *numbers, b" " * 8, kind, b"", *owner, prefix, b"")
@@ -140,9 +140,9 @@ def zip_central(entry: ZipEntry) -> bytes:
     sizes = (entry.size_bytes, entry.size_bytes) if entry.size_bytes >= FULL32 else ()
     far = (entry.offset_bytes,) if entry.offset_bytes >= FULL32 else ()
     extra = _extra(*sizes, *far) if sizes or far else b""
-    place = (0, 0, 0, REGULAR_0644, min(entry.offset_bytes, FULL32))
+    fields = (0, 0, 0, REGULAR_0644, min(entry.offset_bytes, FULL32))
     version = _version(extra)
-    head = CENTRAL.pack(b"PK\1\2", UNIX | version, *_described(entry, extra), *place)
+    head = CENTRAL.pack(b"PK\1\2", UNIX | version, *_described(entry, extra), *fields)
     return head + entry.name.encode("ascii") + extra
 
 
@@ -233,13 +233,13 @@ class Archive:
     def segments(self, start: int, stop: int) -> Iterator[Segment]:
         """Yield the non-empty segments of the bytes [start, stop), clipped to the archive."""
         first = int(np.searchsorted(self.starts, start, "right")) - 1
-        place, number = int(self.starts[first]), first
-        while place < min(stop, self.size_bytes):
+        position, number = int(self.starts[first]), first
+        while position < min(stop, self.size_bytes):
             for segment in self.region(number):
-                low, high = max(start - place, 0), min(stop - place, len(segment))
+                low, high = max(start - position, 0), min(stop - position, len(segment))
                 if low < high:
                     yield segment[low:high]
-                place += len(segment)
+                position += len(segment)
             number += 1
 
 
@@ -263,7 +263,7 @@ def check_names(names: Iterable[str]) -> None:
         if folded in files:
             raise bad_member(name, "another file has the same name")
         files.add(folded)
-        folders |= {folded[:place] for place, sign in enumerate(folded) if sign == "/"}
+        folders |= {folded[:index] for index, sign in enumerate(folded) if sign == "/"}
     for both in sorted(files & folders):
         raise bad_member(both, "a folder has the same name")
 
@@ -343,7 +343,7 @@ def tar_spans_of(path: Path, is_wanted: Callable[[str], bool]) -> dict[str, tupl
 
     Raises `bad_tar`.
     """
-    return {name: place for name, place in tar_members(path) if NAME.fullmatch(name) and is_wanted(name)}
+    return {name: span for name, span in tar_members(path) if NAME.fullmatch(name) and is_wanted(name)}
 
 
 def tar_members(path: Path) -> Iterator[tuple[str, tuple[int, int]]]:
@@ -353,36 +353,36 @@ def tar_members(path: Path) -> Iterator[tuple[str, tuple[int, int]]]:
 
 
 def _files(path: Path, descriptor: int) -> Iterator[tuple[str, tuple[int, int]]]:
-    size_bytes, place, said = os.fstat(descriptor).st_size, 0, dict[str, str]()
+    size_bytes, offset, extension = os.fstat(descriptor).st_size, 0, dict[str, str]()
     for _ in range(MOST_FILES):
-        block = os.pread(descriptor, BLOCK_BYTES, place)
-        if not block.strip(b"\0") and (place or len(block) == BLOCK_BYTES):
+        block = os.pread(descriptor, BLOCK_BYTES, offset)
+        if not block.strip(b"\0") and (offset or len(block) == BLOCK_BYTES):
             return
-        head = _head(path, place, block)
-        length = int(said["size"]) if head.kind in FILE and "size" in said else head.size_bytes
-        begin = place + BLOCK_BYTES
+        head = _head(path, offset, block)
+        length = int(extension["size"]) if head.kind in FILE and "size" in extension else head.size_bytes
+        begin = offset + BLOCK_BYTES
         if begin + length > size_bytes:
             raise bad_tar(
                 path, f"{head.name[:100]!r} would end at byte {begin + length}, but the file has {size_bytes} bytes"
             )
-        place = begin + length + -length % BLOCK_BYTES
+        offset = begin + length + -length % BLOCK_BYTES
         if head.kind in (PAX, LONG_NAME, PAX_OF_ALL):
-            said |= _extension(path, head, _content(path, descriptor, begin, length))
+            extension |= _extension(path, head, _content(path, descriptor, begin, length))
             continue
         if head.kind in FILE:
-            yield (said.get("path", head.name).removeprefix("./"), (begin, length))
+            yield (extension.get("path", head.name).removeprefix("./"), (begin, length))
         elif head.kind != FOLDER:
             raise bad_tar(path, f"{head.name[:100]!r} is a link or a device")
-        said = {}
+        extension = {}
     raise bad_tar(path, f"it contains more than {MOST_FILES} files")
 
 
-def _head(path: Path, place: int, block: bytes) -> _Head:
+def _head(path: Path, offset: int, block: bytes) -> _Head:
     if len(block) < BLOCK_BYTES:
-        raise bad_tar(path, f"it ends inside the header at byte {place}")
+        raise bad_tar(path, f"it ends inside the header at byte {offset}")
     blank = block[:148] + b" " * 8 + block[156:]
     if _number(path, block[148:156]) != sum(blank):
-        raise bad_tar(path, f"the checksum of the header at byte {place} is wrong")
+        raise bad_tar(path, f"the checksum of the header at byte {offset} is wrong")
     prefix = block[345:500].split(b"\0")[0] if block[257:263] == b"ustar\0" else b""
     parts = [part.decode("utf-8", "replace") for part in (prefix, block[:100].split(b"\0")[0]) if part]
     return _Head("/".join(parts), _number(path, block[124:136]), block[156:157])
@@ -408,14 +408,14 @@ def _extension(path: Path, head: _Head, content: bytes) -> dict[str, str]:
     """Return the path and size that an extension record assigns to the next file."""
     if head.kind == LONG_NAME:
         return {"path": content.rstrip(b"\0").decode("utf-8", "replace")}
-    said, place = dict[str, str](), 0
-    while head.kind == PAX and place < len(content):
-        found = RECORD.match(content, place)
-        end = place + int(found[1]) if found else 0
-        if found is None or not found.end() < end <= len(content) or content[end - 1 : end] != b"\n":
-            raise bad_tar(path, f"the record at byte {place} of {head.name[:100]!r} is malformed")
-        said[found[2].decode("utf-8", "replace")] = content[found.end() : end - 1].decode("utf-8", "replace")
-        place = end
-    if "size" in said and not re.fullmatch(r"[0-9]{1,18}", said["size"]):
-        raise bad_tar(path, f"{said['size'][:40]!r} is not a size")
-    return {key: value for key, value in said.items() if key in ("path", "size")}
+    records, offset = dict[str, str](), 0
+    while head.kind == PAX and offset < len(content):
+        match = RECORD.match(content, offset)
+        end = offset + int(match[1]) if match else 0
+        if match is None or not match.end() < end <= len(content) or content[end - 1 : end] != b"\n":
+            raise bad_tar(path, f"the record at byte {offset} of {head.name[:100]!r} is malformed")
+        records[match[2].decode("utf-8", "replace")] = content[match.end() : end - 1].decode("utf-8", "replace")
+        offset = end
+    if "size" in records and not re.fullmatch(r"[0-9]{1,18}", records["size"]):
+        raise bad_tar(path, f"{records['size'][:40]!r} is not a size")
+    return {key: value for key, value in records.items() if key in ("path", "size")}

@@ -77,9 +77,9 @@ def hashed_meanwhile(path: Path, known: str | None = None) -> Iterator[Callable[
     """
     given_up = Event()
     with ThreadPoolExecutor(1) as beside:
-        found = beside.submit(recording_inputs, path, known, given_up.is_set)
+        inputs = beside.submit(recording_inputs, path, known, given_up.is_set)
         try:
-            yield found.result
+            yield inputs.result
         finally:
             given_up.set()
 

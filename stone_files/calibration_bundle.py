@@ -58,14 +58,14 @@ def _folder(path: Path) -> Bundle:
     files = sorted(file for file in entries if file.is_file() and not file.is_symlink())
     names = [file.relative_to(path).as_posix() for file in files]
     wanted = _wanted(path.name, names)
-    found = ((name, _content(file)) for name, file in zip(names, files, strict=True) if name in wanted)
-    return _bundle(path.name, names, found)
+    contents = ((name, _content(file)) for name, file in zip(names, files, strict=True) if name in wanted)
+    return _bundle(path.name, names, contents)
 
 
-def _bundle(name: str, names: list[str], found: Iterable[tuple[str, bytes | None]]) -> Bundle:
+def _bundle(name: str, names: list[str], contents: Iterable[tuple[str, bytes | None]]) -> Bundle:
     """Return the bundle of these files. Raises `CAL-428` if they are too large in total, or none is a document."""
     documents, total_bytes = list[tuple[str, bytes]](), 0
-    for file, content in found:
+    for file, content in contents:
         if content is not None:
             documents.append((file, content))
             total_bytes += len(content)
@@ -100,7 +100,7 @@ def _zip(name: str, content: bytes) -> Bundle:
                 _check_member(name, member)
             names = [member.filename for member in members]
             wanted = _wanted(name, names)
-            return _bundle(name, names, _unpacked(archive, [one for one in members if one.filename in wanted]))
+            return _bundle(name, names, _unpacked(archive, [member for member in members if member.filename in wanted]))
     except (BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError, ValueError, zlib.error) as error:
         raise calibration_bundle(name, f"the zip is damaged ({str(error)[:80]})") from None
 

@@ -36,11 +36,11 @@ SHORT.maxlevel, SHORT.maxlist, SHORT.maxdict, SHORT.maxstring = 4, 8, 4, QUOTED
 
 def root_in_folder(path: Path) -> tuple[Path, str]:
     """Return the dataset's folder and version. Raises `DST-001`, `DST-002`."""
-    folders = [path, *(one for one in sorted(path.iterdir()) if one.is_dir() and not one.is_symlink())]
-    found = {f"{one.relative_to(path).as_posix()}/{version}" for one in folders for version in _versions(one)}
-    if not found:
-        found = {f"{one.relative_to(path).as_posix()}/" for one in folders if (one / ANNOTATIONS).is_file()}
-    root, _, version = _only(path, found).rpartition("/")
+    folders = [path, *(parent for parent in sorted(path.iterdir()) if parent.is_dir() and not parent.is_symlink())]
+    roots = {f"{parent.relative_to(path).as_posix()}/{version}" for parent in folders for version in _versions(parent)}
+    if not roots:
+        roots = {f"{parent.relative_to(path).as_posix()}/" for parent in folders if (parent / ANNOTATIONS).is_file()}
+    root, _, version = _only(path, roots).rpartition("/")
     return path / root, version
 
 
@@ -49,8 +49,8 @@ def root_in_archive(path: Path, heads: set[tuple[str, str]]) -> tuple[str, str]:
 
     Raises `DST-001`, `DST-002`.
     """
-    found = {f"{root}{version}" for root, version in heads if version} or {root for root, _ in heads}
-    root, slash, version = _only(path, found).rpartition("/")
+    roots = {f"{root}{version}" for root, version in heads if version} or {root for root, _ in heads}
+    root, slash, version = _only(path, roots).rpartition("/")
     return root + slash, version
 
 
@@ -79,12 +79,12 @@ def is_zip(path: Path) -> bool:
 
 def zip_fault(path: Path, fault: ZipFaultError) -> DatasetFaultError:
     """Return the refusal of a dataset with this zip fault."""
-    said = (DatasetPlace(path.name), str(fault))
+    arguments = (DatasetPlace(path.name), str(fault))
     if fault.code == "overlapping_files":
-        return DatasetFaultError("DST-007", *said)
+        return DatasetFaultError("DST-007", *arguments)
     if fault.code == "encrypted":
-        return DatasetFaultError("DST-008", *said)
-    return DatasetFaultError("DST-004" if fault.code == "symlink" else "DST-006", *said)
+        return DatasetFaultError("DST-008", *arguments)
+    return DatasetFaultError("DST-004" if fault.code == "symlink" else "DST-006", *arguments)
 
 
 def refuse_archive(path: Path) -> None:
@@ -163,13 +163,13 @@ def quoted(value: object) -> str:
 
 
 def _versions(folder: Path) -> Iterator[str]:
-    names = (one.name for one in folder.iterdir() if one.is_dir())
+    names = (child.name for child in folder.iterdir() if child.is_dir())
     return (name for name in names if VERSION_FOLDER.fullmatch(name))
 
 
-def _only(path: Path, found: set[str]) -> str:
-    if not found:
+def _only(path: Path, roots: set[str]) -> str:
+    if not roots:
         raise DatasetFaultError("DST-001", DatasetPlace(path.name), f"expected a folder v1.0-… or {ANNOTATIONS}")
-    if len(found) > 1:
-        raise DatasetFaultError("DST-002", DatasetPlace(path.name), f"there are {', '.join(sorted(found)[:4])}")
-    return next(iter(found))
+    if len(roots) > 1:
+        raise DatasetFaultError("DST-002", DatasetPlace(path.name), f"there are {', '.join(sorted(roots)[:4])}")
+    return next(iter(roots))

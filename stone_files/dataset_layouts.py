@@ -44,8 +44,8 @@ class DatasetLayout:
 
 
 LAYOUTS: Mapping[str, DatasetLayout] = {
-    one.name: one
-    for one in (
+    layout.name: layout
+    for layout in (
         DatasetLayout(
             "paper", PAPER, "semantics", True, False, False, "v1.0-trainval", (), "the paper; docs/formats/exports.md"
         ),
@@ -96,12 +96,12 @@ def recognised_layout(keys: Collection[str], shape: tuple[int, ...] | None, *, h
     Without labels (no keys, no shape), only the tokens decide. If no known grid has the shape, the layout keeps its own
     grid.
     """
-    of_key = [one for one in LAYOUTS.values() if one.label_key in keys] or [
-        one for one in LAYOUTS.values() if one.has_dashes == has_dashes
+    of_key = [layout for layout in LAYOUTS.values() if layout.label_key in keys] or [
+        layout for layout in LAYOUTS.values() if layout.has_dashes == has_dashes
     ]
-    found = next((one for one in of_key if one.grid.shape == shape), of_key[0])
-    grid = next((one for one in (found.grid, *GRIDS.values()) if one.shape == shape), found.grid)
-    return found.with_grid(grid)
+    layout = next((layout for layout in of_key if layout.grid.shape == shape), of_key[0])
+    grid = next((grid for grid in (layout.grid, *GRIDS.values()) if grid.shape == shape), layout.grid)
+    return layout.with_grid(grid)
 
 
 def plain_token(written: str) -> str | None:

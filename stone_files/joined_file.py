@@ -104,7 +104,7 @@ def member_path(folder: Path, member: JoinedMember) -> Path:
 
 
 def _member(folder: str, entry: Any) -> JoinedMember:
-    if not isinstance(entry, dict) or set(entry) != {one.name for one in fields(JoinedMember)}:
+    if not isinstance(entry, dict) or set(entry) != {field.name for field in fields(JoinedMember)}:
         raise JoinedFileError(folder, "a member has missing or unknown keys")
     is_text = isinstance(entry["name"], str) and isinstance(entry["sha256"], str)
     is_timed = type(entry["offset_ns"]) is int and (entry["sigma_ns"] is None or type(entry["sigma_ns"]) is int)

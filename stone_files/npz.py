@@ -148,5 +148,5 @@ def _array(view: mmap.mmap, local: int) -> NDArray[Any]:
 @lru_cache(maxsize=256)
 def _layout(header: bytes) -> tuple[np.dtype[Any], tuple[int, ...]]:
     """Return dtype and shape of an array in C order."""
-    told = ast.literal_eval(header.decode("latin-1"))
-    return np.dtype(told["descr"]), told["shape"]
+    description = ast.literal_eval(header.decode("latin-1"))
+    return np.dtype(description["descr"]), description["shape"]

@@ -129,9 +129,9 @@ def _same(narrow: End, wide: End) -> End:
         (narrow.directory_bytes, wide.directory_bytes, IN_EXTRA_32),
         (narrow.directory_offset, wide.directory_offset, IN_EXTRA_32),
     )
-    for said, meant, elsewhere in pairs:
-        if said not in (meant, elsewhere):
-            raise ZipFaultError("unsupported_zip", f"{meant} in both end records, as in the zip64 record", f"{said}")
+    for value, meant, elsewhere in pairs:
+        if value not in (meant, elsewhere):
+            raise ZipFaultError("unsupported_zip", f"{meant} in both end records, as in the zip64 record", f"{value}")
     return wide
 
 
@@ -168,7 +168,7 @@ def read_directory(read_at: ReadAt, size_bytes: int, max_entries: int) -> tuple[
     members = list(directory_members(read_at, end))
     offsets, packed = (
         np.array(values, np.uint64)
-        for values in ([one.offset for one in members], [one.packed_bytes for one in members])
+        for values in ([member.offset for member in members], [member.packed_bytes for member in members])
     )
     limits = limits_of(offsets, packed, end.directory_offset).tolist()
     return tuple(replace(member, limit=limit) for member, limit in zip(members, limits, strict=True))
@@ -216,9 +216,9 @@ def payload_span(read_at: ReadAt, member: ZipMember) -> tuple[int, int]:
 
 def _check_sizes(member: ZipMember, unpacked_packed: tuple[int, ...], flags: int) -> None:
     """Check that the local header's sizes equal the directory's, or are 0 if they follow the data."""
-    for said, known in zip(unpacked_packed, (member.unpacked_bytes, member.packed_bytes), strict=True):
-        if said != known and not (flags & DESCRIBED_BEHIND and said == 0):
-            raise ZipFaultError("unsupported_zip", f"{known} bytes of {member.name!r}, as in the directory", f"{said}")
+    for size, known in zip(unpacked_packed, (member.unpacked_bytes, member.packed_bytes), strict=True):
+        if size != known and not (flags & DESCRIBED_BEHIND and size == 0):
+            raise ZipFaultError("unsupported_zip", f"{known} bytes of {member.name!r}, as in the directory", f"{size}")
 
 
 def _bounded(member: ZipMember, start: int, descriptor_bytes: int) -> tuple[int, int]:
@@ -242,12 +242,12 @@ def directory_members(read_at: ReadAt, end: End) -> Iterator[ZipMember]:
 
     Raises `truncated`, `too_large`, `encrypted`, `symlink`, `unsupported_zip`.
     """
-    place, last = end.directory_offset, end.directory_offset + end.directory_bytes
+    offset, last = end.directory_offset, end.directory_offset + end.directory_bytes
     held, at = b"", 0
     for number in range(end.entries):
-        if len(held) - at < MOST_RECORD_BYTES and place < last:
-            piece = read_at(place, min(PIECE_BYTES, last - place))
-            held, at, place = held[at:] + piece, 0, place + len(piece)
+        if len(held) - at < MOST_RECORD_BYTES and offset < last:
+            piece = read_at(offset, min(PIECE_BYTES, last - offset))
+            held, at, offset = held[at:] + piece, 0, offset + len(piece)
         if held[at : at + 4] != b"PK\1\2" or at + CENTRAL.size > len(held):
             raise ZipFaultError("truncated", f"{end.entries} directory records", f"{number}")
         fields = CENTRAL.unpack_from(held, at)
@@ -256,7 +256,7 @@ def directory_members(read_at: ReadAt, end: End) -> Iterator[ZipMember]:
             raise ZipFaultError("truncated", f"{end.entries} directory records", f"{number} whole ones")
         yield _member(fields, held[at + CENTRAL.size : stop], end.directory_offset)
         at = stop
-    if (left := len(held) - at + last - place) > 0:
+    if (left := len(held) - at + last - offset) > 0:
         raise ZipFaultError("unsupported_zip", "only directory records", f"{left} bytes more")
 
 
@@ -348,8 +348,8 @@ def wide_values(fields: dict[int, bytes], values: tuple[int, ...], name: str) ->
     wide = fields.get(ZIP64_TAG, b"")
     if len(wide) < 8 * needed:
         raise ZipFaultError("truncated", f"{needed} zip64 values for {name!r}", f"{len(wide)} bytes")
-    found = iter(struct.unpack_from(f"<{needed}Q", wide))
-    return tuple(next(found) if value == IN_EXTRA_32 else value for value in values)
+    replacements = iter(struct.unpack_from(f"<{needed}Q", wide))
+    return tuple(next(replacements) if value == IN_EXTRA_32 else value for value in values)
 
 
 def check_other_name(fields: dict[int, bytes], name: str) -> None:
