@@ -33,10 +33,10 @@ def intrinsics_of(files: Files, row: Mapping[str, Any], size_px: tuple[int, int]
         matrix, distortion = np.zeros(0), np.zeros(0)
     is_sound = matrix.shape == (3, 3) and np.isfinite(matrix).all() and matrix[0, 0] > 0 and matrix[1, 1] > 0
     if not is_sound or model not in get_args(CameraModel) or not np.isfinite(distortion).all():
-        raise table_span(files, "calibrated_sensor").damaged("the matrix or model of a camera is not valid")
+        raise table_span(files, "calibrated_sensor").damaged("a camera has an invalid matrix or model")
     if distortion.shape != (COEFFICIENTS[model],):
         raise table_span(files, "calibrated_sensor").damaged(
-            f"a {model} camera has {distortion.size} coefficients of distortion, expected are {COEFFICIENTS[model]}"
+            f"a {model} camera has {distortion.size} distortion coefficients; expected {COEFFICIENTS[model]}"
         )
     (fx, _, cx), (_, fy, cy) = matrix[0], matrix[1]
     return CameraIntrinsics(model, *size_px, fx, fy, cx, cy, tuple(distortion.tolist()))
@@ -63,7 +63,7 @@ def _decoded(span: ExportContent, size_px: tuple[int, int] | None, wanted_px: tu
     try:
         with Image.open(BytesIO(span.read(MOST_PICTURE_BYTES)), formats=("JPEG", "PNG")) as image:
             if image.size != (size_px or image.size) or image.width * image.height > MOST_PIXELS:
-                raise span.damaged(f"it has {image.width} × {image.height} pixels, the tables say otherwise")
+                raise span.damaged(f"its size of {image.width} × {image.height} pixels contradicts the tables")
             if wanted_px is not None:
                 image.draft("RGB", wanted_px)
             return image.convert("RGB")

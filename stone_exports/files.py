@@ -24,7 +24,7 @@ class DamagedExportError(StoneError):
     code = "damaged_export"
 
     def __init__(self, path: Path, name: str, why: str) -> None:
-        super().__init__(f"{path}: {name[:200]!r} cannot be read: {why}; make the export again, or download it again")
+        super().__init__(f"{path}: {name[:200]!r} cannot be read: {why}; create the export again, or download it again")
         self.why = why
 
 
@@ -56,7 +56,7 @@ class ExportFileSpan:
     def read(self, most_bytes: int) -> bytes:
         """All of it. Raises `DamagedExportError` where it is larger than that, or ends early."""
         if self.size_bytes > most_bytes:
-            raise self.damaged(f"it has {self.size_bytes} bytes, at most {most_bytes} are expected")
+            raise self.damaged(f"it has {self.size_bytes} bytes; at most {most_bytes} are expected")
         return b"".join(self.pieces())
 
     def part(self, start: int, most_bytes: int) -> bytes:
@@ -138,8 +138,9 @@ class TarFiles:
 def frames_missing(missing: Sequence[str], sequences: Sequence[str]) -> Refused:
     return Refused(
         "frames_missing",
-        f"{len(missing)} frames of the manifest have no sweep in what was given (the first is {missing[0]}); they "
-        f"are of {', '.join(sequences[:5])}{', …' if len(sequences) > 5 else ''}: give the exports of those too",
+        f"{len(missing)} frames of the manifest have no sweep in the given exports (the first is "
+        f"{missing[0]}); also give the exports of "
+        f"{', '.join(sequences[:5])}{(', …' if len(sequences) > 5 else '')}",
     )
 
 

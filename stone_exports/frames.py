@@ -83,7 +83,7 @@ def _scenes(files: Files) -> dict[str, str]:
     names = {str(row.get("token")): str(row.get("name")) for row in table_rows(files, "scene")}
     bad = next((name for name in names.values() if NAME.fullmatch(name) is None), None)
     if bad is not None:
-        raise table_span(files, "scene").damaged(f"{bad[:80]!r} cannot be the name of a sequence")
+        raise table_span(files, "scene").damaged(f"{bad[:80]!r} is not a valid sequence name")
     return names
 
 
@@ -99,7 +99,7 @@ def _data(files: Files) -> dict[str, dict[str, ExportedDatum]]:
         span = files.span(str(row.get("filename")))
         if pose is None or span is None:
             missing = "no pose" if pose is None else "no file"
-            raise table_span(files, "sample_data").damaged(f"there is {missing} of {str(row.get('filename'))[:200]!r}")
+            raise table_span(files, "sample_data").damaged(f"{str(row.get('filename'))[:200]!r} has {missing}")
         datum = ExportedDatum(sensor, stamp_of(files, "sample_data", row), pose, span)
         found.setdefault(str(row.get("sample_token")), {})[sensor.channel] = datum
     return found

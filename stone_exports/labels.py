@@ -45,7 +45,7 @@ def observed_classes(span: ExportFileSpan, least_confidence: float = 0.0, grid: 
         classes, is_observed = arrays["semantics"], arrays["mask_lidar"]
         found = np.where((is_observed == 0) & (classes == 0), np.uint8(NOT_OBSERVED), classes)
     if classes.max() > HIGHEST_CLASS:
-        raise span.damaged(f"it has class {classes.max()}, the highest is {HIGHEST_CLASS}")
+        raise span.damaged(f"it has class {classes.max()}; the highest class is {HIGHEST_CLASS}")
     if least_confidence > 0:
         found[(classes != 0) & (arrays["confidence"] < least_level(least_confidence))] = UNSURE
     return found
@@ -66,12 +66,12 @@ def _arrays(span: ExportFileSpan, further: tuple[str, ...], grid: LabelGrid) -> 
                 raise no_confidence(span.name)
             return {key: _array((span, key), _member(span, members, f"{key}.npy"), grid) for key in keys}
     except UNREADABLE as error:
-        raise span.damaged(f"it is not an npz of {', '.join(keys)}") from error
+        raise span.damaged(f"it is not an npz with {', '.join(keys)}") from error
 
 
 def _member(span: ExportFileSpan, members: zipfile.ZipFile, name: str) -> bytes:
     if members.getinfo(name).compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise span.damaged(f"{name} is compressed by a method that npz does not use")  # and such unpacking has no bound
+        raise span.damaged(f"{name} uses a compression method that npz does not use")  # and such unpacking has no bound
     with members.open(name) as member:
         content = member.read(MOST_ARRAY_BYTES + 1)
     if len(content) > MOST_ARRAY_BYTES:
@@ -83,7 +83,7 @@ def _array(of: tuple[ExportFileSpan, str], npy: bytes, grid: LabelGrid) -> Class
     """The grid that a npy file holds; what its header says is compared before anything of that size is made."""
     (span, key), (shape, is_fortran, dtype, start) = of, npy_head(npy)
     if shape != grid.shape or dtype != np.uint8 or is_fortran:
-        raise span.damaged(f"{key} is {dtype} {str(shape)[:80]}, expected is uint8 {grid.shape}")
+        raise span.damaged(f"{key} is {dtype} {str(shape)[:80]}; expected uint8 {grid.shape}")
     return np.frombuffer(npy, np.uint8, grid.voxels, start).reshape(grid.shape)
 
 
@@ -93,7 +93,7 @@ def npy_head(npy: bytes) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
     try:
         shape, is_fortran, dtype = HEADS[np.lib.format.read_magic(file)](file)
     except TokenError as error:  # of a bracket that is not closed, which numpy lets through
-        raise ValueError(f"its header is cut short: {error}") from error
+        raise ValueError(f"its header is cut off: {error}") from error
     return shape, is_fortran, dtype, file.tell()
 
 
@@ -144,14 +144,14 @@ def scan_records(span: ExportContent) -> NDArray[np.void]:
         parts = zip(said["FIELDS"].split(), said["TYPE"].split(), said["SIZE"].split(), strict=True)
         record = np.dtype([(name, KINDS[kind, int(size)]) for name, kind, size in parts])
     except (KeyError, ValueError) as error:
-        raise span.damaged("the header of the PCD is not valid") from error
+        raise span.damaged("its PCD header is invalid") from error
     body = content[len(head) + len(mark) :]
     if counts != {"1"}:
-        raise span.damaged("a field of it has several values")
+        raise span.damaged("one of its fields has several values")
     if missing := [name for name in WANTED if name not in (record.names or ())]:
         raise span.damaged(f"it has no field {missing[0]!r}")
     if not 0 <= points <= len(body) // record.itemsize:
         raise span.damaged(
-            f"its header declares {points} detections, there are bytes for {len(body) // record.itemsize}"
+            f"its header declares {points} detections, but it has bytes for {len(body) // record.itemsize}"
         )
     return np.frombuffer(body, record, points)

@@ -40,7 +40,7 @@ class SweepFile:
         """
         content = self.span.read(MOST_SWEEP_BYTES)
         if len(content) % (COLUMNS * 4):
-            raise self.span.damaged(f"its {len(content)} bytes are not rows of {COLUMNS} float32")
+            raise self.span.damaged(f"its {len(content)} bytes are not rows of {COLUMNS} float32 values")
         rows = np.frombuffer(content, "<f4").reshape(-1, COLUMNS)
         rows = rows[(np.abs(rows[:, :3]) < FARTHEST_RETURN_M).all(axis=1)]
         returns = np.empty((len(rows), 4), np.float32)
@@ -72,7 +72,7 @@ def sweeps_in(files: Files, tokens: AbstractSet[str]) -> dict[str, PlacedSweep]:
             raise table_span(files, "sample_data").damaged(f"it names {filename[:200]!r}, which is missing")
         pose = poses.get(str(row.get("ego_pose_token")))
         if pose is None:
-            raise table_span(files, "sample_data").damaged(f"there is no pose of {filename[:200]!r}")
+            raise table_span(files, "sample_data").damaged(f"{filename[:200]!r} has no pose")
         found[str(token)] = PlacedSweep(span, mount, stamp_of(files, "sample_data", row), pose)
     return found
 

@@ -32,8 +32,8 @@ class NotExportedError(StoneError):
 
     def __init__(self, path: Path) -> None:
         super().__init__(
-            f"{path} holds no nuScenes tables: expected is a folder of `stone export --format nuscenes` or `inputs`, a "
-            "tar that was downloaded, or a folder of these"
+            f"{path} contains no nuScenes tables; expected a folder from `stone export --format nuscenes` or "
+            "`inputs`, a downloaded tar, or a folder of these"
         )
 
 
@@ -67,7 +67,7 @@ def table_rows(files: Files, name: str) -> Iterator[Mapping[str, Any]]:
         except (ValueError, RecursionError):
             row = None
         if not isinstance(row, dict):
-            raise span.damaged("a line is not a row of a table (one row a line, as exports write them)")
+            raise span.damaged("a line is not a table row (exports write one row per line)")
         yield row
 
 
@@ -85,7 +85,7 @@ def row_pose(files: Files, table: str, row: Mapping[str, Any], farthest_m: float
         wxyz, translation_m = np.zeros(0), np.zeros(0)
     is_sound = wxyz.shape == (4,) and translation_m.shape == (3,)
     if not is_sound or not abs(np.linalg.norm(wxyz) - 1) < 1e-3 or not (np.abs(translation_m) < farthest_m).all():
-        raise table_span(files, table).damaged("a row's rotation and translation are not a pose")
+        raise table_span(files, table).damaged("the rotation and translation of a row are not a pose")
     return SE3(np.concatenate([wxyz, translation_m]))
 
 
@@ -99,7 +99,7 @@ def stamp_of(files: Files, table: str, row: Mapping[str, Any]) -> int:
     """Return the row's timestamp, microseconds. Raises `DamagedExportError`."""
     stamp = row.get("timestamp")
     if type(stamp) is not int or not -(1 << 62) < stamp < 1 << 62:
-        raise table_span(files, table).damaged("a row's timestamp is not a number of microseconds")
+        raise table_span(files, table).damaged("the timestamp of a row is not a number of microseconds")
     return stamp
 
 

@@ -40,7 +40,7 @@ class ZippedFileSpan(ExportFileSpan):
         if read_bytes < self.size_bytes:
             raise self.damaged(f"it ends {self.size_bytes - read_bytes} bytes early")
         if checksum != self.member.crc32:
-            raise self.damaged("its checksum is not the one of the zip's directory")
+            raise self.damaged("its checksum differs from the zip's directory")
 
     def part(self, start: int, most_bytes: int) -> bytes:
         """Its bytes from `start` on, at most so many; fewer if it ends. Raises `DamagedExportError`."""

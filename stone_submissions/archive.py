@@ -147,7 +147,7 @@ def _explained(problems: list[ValidationProblem], found: int, names: set[str]) -
     if len(rubbish) > 1:
         first, count = next(name for name in strangers if name in rubbish), f"{len(rubbish)} files: {OF_TOOLS}"
         merged.append(
-            problem_of(SubmissionError("unexpected_file", "the frames of the manifest only", count), first, None)
+            problem_of(SubmissionError("unexpected_file", "only the frames of the manifest", count), first, None)
         )
     others = (
         problem
@@ -163,12 +163,12 @@ def _explained(problems: list[ValidationProblem], found: int, names: set[str]) -
 
 def _fault(member: ZipMember, is_ours: bool, is_second: bool, most_bytes: int) -> SubmissionError | None:
     if not is_ours:
-        return SubmissionError("unexpected_file", "the frames of the manifest only", _stranger(member.name))
+        return SubmissionError("unexpected_file", "only the frames of the manifest", _stranger(member.name))
     if is_second:
-        return SubmissionError("duplicate_frame", "each frame once", "a second file of this name")
+        return SubmissionError("duplicate_frame", "each frame once", "a second file with the same name")
     size_bytes = max(member.packed_bytes, member.unpacked_bytes)
     if size_bytes > most_bytes:
-        return SubmissionError("too_large", f"at most {most_bytes} bytes a frame", f"{size_bytes} bytes")
+        return SubmissionError("too_large", f"at most {most_bytes} bytes per frame", f"{size_bytes} bytes")
     return None
 
 

@@ -13,27 +13,27 @@ from stone_base.label_grid import LabelGrid
 from stone_submissions.other_layouts import layout_hint, resaved
 
 NUMBERS = re.compile(r"'[<>|=]?([bif])[0-9]{1,2}'")
-BITS = " (a bool is no class: was it thresholded?)"
+BITS = " (bool is not a class: was the prediction thresholded?)"
 SHAPE = re.compile(r"\((\d{1,4}), (\d{1,4}), (\d{1,4})\)")
 
 MISTAKES = {
-    "missing_frame": "a submission holds every frame of the manifest; was the prediction loop cut short?",
-    "unexpected_file": "files are named <frame_token>.npz, all in one folder or all at the top level",
-    "other_layout": "files are named <frame_token>.npz, all in one folder or all at the top level",
+    "missing_frame": "a submission contains every frame of the manifest; was the prediction loop cut short?",
+    "unexpected_file": "name files <frame_token>.npz and put all of them in one folder or at the top level",
+    "other_layout": "name files <frame_token>.npz and put all of them in one folder or at the top level",
     "duplicate_frame": "was the archive appended to instead of rewritten?",
     "not_zip": "a submission is a zip archive of .npz files; was the upload cut short?",
     "not_npz": "write frames with numpy.savez_compressed",
-    "truncated": "was the file cut short while it was written or copied?",
-    "corrupt": "the bytes changed after they were written; upload again",
-    "too_large": "a frame is one uint8 grid; was it saved as int64, or with more arrays?",
-    "extra_array": "save the prediction alone",
-    "missing_array": "name it: numpy.savez_compressed(path, semantics=grid)",
+    "truncated": "was the file cut off when it was written or copied?",
+    "corrupt": "the bytes changed after the file was written; upload it again",
+    "too_large": "a frame is one uint8 grid; was it saved as int64, or with other arrays?",
+    "extra_array": "save only the prediction",
+    "missing_array": "set the array's name: numpy.savez_compressed(path, semantics=grid)",
     "bad_shape": "axes are x, y, z, in C order",
     "bad_dtype": "cast with .astype(numpy.uint8) before saving",
-    "label_out_of_range": "0 free, 1 T, 2 P, 3 N; is 'unknown' written as 255, or another class map?",
+    "label_out_of_range": "0 free, 1 T, 2 P, 3 N; does your prediction use 255 for unknown, or another class map?",
     "encrypted": "password-protected archives are not accepted",
-    "unsupported_zip": "zip with method deflate or store, in one part, as zip or Python's zipfile do",
-    "overlapping_files": "entries of the zip overlap; write it again",
+    "unsupported_zip": "create the zip in one part with method deflate or store, as zip or Python's zipfile do",
+    "overlapping_files": "entries of the zip overlap; create the zip again",
     "symlink": "zip the files themselves, not links to them",
 }
 """The most frequent cause of each fault of a file; `hint_of` knows more of some."""
@@ -52,12 +52,12 @@ def shape_hint(expected: str, found: str) -> str:
         return MISTAKES["bad_shape"]
     x, y, z = map(int, wanted.groups())
     step = {
-        str((z, x, y)): "grid.transpose(1, 2, 0) if its axes are z, x, y; grid.transpose(2, 1, 0) if z, y, x",
-        str((x, z, y)): "grid.transpose(0, 2, 1) if its axes are x, z, y; grid.transpose(2, 0, 1) if y, z, x",
+        str((z, x, y)): "grid.transpose(1, 2, 0) if your axes are z, x, y; grid.transpose(2, 1, 0) if they are z, y, x",
+        str((x, z, y)): "grid.transpose(0, 2, 1) if your axes are x, z, y; grid.transpose(2, 0, 1) if they are y, z, x",
         str((1, x, y, z)): "grid[0]: a frame has no batch axis",
         str((x, y, z, 1)): "grid[..., 0]: a frame has no channel axis",
-        str((4, x, y, z)): "grid.argmax(0): a frame holds one class per voxel, not a score per class",
-        str((x, y, z, 4)): "grid.argmax(-1): a frame holds one class per voxel, not a score per class",
+        str((4, x, y, z)): "grid.argmax(0): a frame contains one class per voxel, not a score per class",
+        str((x, y, z, 4)): "grid.argmax(-1): a frame contains one class per voxel, not a score per class",
         "Fortran order": "numpy.ascontiguousarray(grid)",
     }.get(found)
     if step is not None:
@@ -87,7 +87,7 @@ class SubmissionError(StoneError):
 
 def bad_manifest(path: Path, fault: str) -> Refused:
     return Refused(
-        "bad_manifest", f"manifest {path}: {fault}; a manifest is written from the ground truth by this program"
+        "bad_manifest", f"manifest {path}: {fault}; create the manifest from the ground truth with this program"
     )
 
 

@@ -79,16 +79,16 @@ def find_ground_truth(
     """
     root = folder / "gts" if (folder / "gts").is_dir() else folder
     if not root.is_dir():
-        raise UnreadableInputError(folder, "there is no such folder")
+        raise UnreadableInputError(folder, "the folder does not exist")
     sequences: dict[str, list[str]] = {}
     for path in islice(sorted(root.glob("*/*/labels.npz")), MAX_FRAMES + 1):
         sequence, token = path.parts[-3:-1]
         if not (is_token(token) and SEQUENCE_NAME.fullmatch(sequence)):
-            raise GroundTruthError(path, f"{token[:40]!r} is no frame token of 32 hex digits")
+            raise GroundTruthError(path, f"{token[:40]!r} is not a frame token of 32 hex digits")
         sequences.setdefault(sequence, []).append(token)
     manifest = Manifest({name: tuple(tokens) for name, tokens in sequences.items()})
     if not 0 < len(manifest.tokens) <= MAX_FRAMES:
-        raise GroundTruthError(root, f"{len(manifest.tokens)} label files, of 1 to {MAX_FRAMES}")
+        raise GroundTruthError(root, f"it has {len(manifest.tokens)} label files; 1 to {MAX_FRAMES} are allowed")
     if len(set(manifest.tokens)) < len(manifest.tokens):
         raise GroundTruthError(root, "two sequences share a frame token")
     ordered = None if order is None else order(root, manifest.sequences)
@@ -115,8 +115,8 @@ def _grid_at(truth: GroundTruth) -> LabelGrid:
 def unknown_grid(path: Path, shape: tuple[int, ...]) -> Refused:
     return Refused(
         "unknown_grid",
-        f"{path} has labels of shape {str(shape)[:60]}, which is that of none of {', '.join(GRIDS)}; name their grid"
-        f" with --grid, or in {GRID_FILE} beside gts",
+        f"{path} has labels of shape {str(shape)[:60]}, which none of the grids {', '.join(GRIDS)} has; set "
+        f"their grid with --grid or in {GRID_FILE} next to gts",
     )
 
 
@@ -174,5 +174,5 @@ def _members(npz: bytes) -> dict[str, ZipMember]:
     members = npz_members(npz)
     extra = sorted(set(members) - KEYS)
     if extra:
-        raise KeyError(f"other than {', '.join(sorted(KEYS))}, but {extra[0]}")
+        raise KeyError(f"other than {', '.join(sorted(KEYS))} is allowed, but the file has {extra[0]}")
     return members

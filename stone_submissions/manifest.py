@@ -80,13 +80,13 @@ def _faults(record: object) -> Iterator[str]:
         return
     sequences = record.get("sequences")
     if not isinstance(sequences, dict) or not all(isinstance(tokens, list) for tokens in sequences.values()):
-        yield "expected sequences: name → list of frame tokens"
+        yield "expected sequences: an object with a list of frame tokens for each name"
         return
     yield from (f"sequence name {name[:40]!r}" for name in sequences if not SEQUENCE_NAME.fullmatch(name))
     tokens = [token for listed in sequences.values() for token in listed]
     yield from (f"frame token {str(token)[:40]!r}" for token in tokens if not is_token(token))
     if not 0 < len(tokens) <= MAX_FRAMES:
-        yield f"{len(tokens)} frames; from 1 to {MAX_FRAMES} are possible"
+        yield f"it has {len(tokens)} frames; 1 to {MAX_FRAMES} are allowed"
     if len(set(map(str, tokens))) < len(tokens):
         yield "a frame token occurs twice"
 

@@ -123,12 +123,12 @@ def parse_header(head: bytes) -> NpyHeader:
     Raises `not_npz` where it is none, or is longer than 4 KiB.
     """
     if head[:6] != b"\x93NUMPY" or len(head) < 12 or head[6] not in (1, 2, 3):
-        raise SubmissionError("not_npz", "a npy array of version 1 to 3", f"bytes {head[:8]!r}")
+        raise SubmissionError("not_npz", "an npy array of version 1 to 3", f"bytes {head[:8]!r}")
     length, at = (
         (struct.unpack_from("<H", head, 8)[0], 10) if head[6] == 1 else (*struct.unpack_from("<I", head, 8), 12)
     )
     if length > MAX_HEADER_BYTES or at + length > len(head):
-        raise SubmissionError("not_npz", f"a npy header of at most {MAX_HEADER_BYTES} bytes", f"{length} bytes")
+        raise SubmissionError("not_npz", f"an npy header of at most {MAX_HEADER_BYTES} bytes", f"{length} bytes")
     return _literal_header(head[at : at + length], at + length)
 
 
@@ -137,15 +137,15 @@ def _literal_header(text: bytes, start: int) -> NpyHeader:
     odd = NOT_IN_A_HEADER.search(text)
     if odd or sum(map(text.count, (b"(", b"[", b"{"))) > MOST_BRACKETS:
         found = repr(odd.group()) if odd else f"more than {MOST_BRACKETS} brackets"
-        raise SubmissionError("not_npz", "a npy header of plain literals", found)
+        raise SubmissionError("not_npz", "an npy header of plain literals", found)
     try:
         facts = ast.literal_eval(text.decode("latin-1").strip())
         shape, descr, is_fortran = (facts[key] for key in ("shape", "descr", "fortran_order"))
     except (ValueError, SyntaxError, TypeError, KeyError, RecursionError, MemoryError) as error:
-        raise SubmissionError("not_npz", "a npy header with descr, fortran_order and shape", "another text") from error
+        raise SubmissionError("not_npz", "an npy header with descr, fortran_order and shape", "another text") from error
     is_sound = isinstance(shape, tuple) and all(map(_is_size, shape)) and isinstance(is_fortran, bool)
     if len(facts) != 3 or not is_sound:
-        raise SubmissionError("not_npz", "a npy header with descr, fortran_order and shape", "other values")
+        raise SubmissionError("not_npz", "an npy header with descr, fortran_order and shape", "other values")
     return NpyHeader(str(descr)[:80], is_fortran, shape[:16], start)
 
 
@@ -160,7 +160,7 @@ def _npy_bytes(grid: LabelGrid) -> tuple[int, int]:
 
 def _checked(header: NpyHeader, grid: LabelGrid) -> NpyHeader:
     if header.descr not in ("|u1", "u1", "<u1", ">u1"):
-        hint = ", an object array, which only pickle could read" if "O" in header.descr else ""
+        hint = ", an object array, which requires pickle" if "O" in header.descr else ""
         raise SubmissionError("bad_dtype", "uint8 ('|u1')", f"{header.descr!r}{hint}")
     if header.shape != grid.shape:
         raise bad_shape(grid, str(header.shape))
@@ -208,7 +208,7 @@ def _inflate_refusal(packed: Buffer, size_bytes: int) -> SubmissionError:
         return SubmissionError("corrupt", f"a deflate stream of {size_bytes} bytes", "a broken one")
     if len(longer) > size_bytes:
         return SubmissionError("too_large", f"the declared {size_bytes} bytes", "a stream that continues")
-    return SubmissionError("truncated", f"a deflate stream of {size_bytes} bytes", f"its end after {len(longer)}")
+    return SubmissionError("truncated", f"a deflate stream of {size_bytes} bytes", f"an end after {len(longer)} bytes")
 
 
 def _reader(npz: Buffer) -> ReadAt:

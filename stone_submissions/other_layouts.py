@@ -32,17 +32,15 @@ def resaved(array: str, name: str = "n", ending: str = ".npz") -> str:
     )
 
 
-NUMBERED = "files with numbers instead of tokens"
-OF_TOOLS = "what macOS's Finder or Windows adds to a zip; `zip -r -X` does not"
+NUMBERED = "files numbered instead of named by token"
+OF_TOOLS = "files that macOS's Finder or Windows adds to a zip (`zip -r -X` does not)"
 # What the files are: the line that mends it. "" says that none can be known.
 LINES: Mapping[str, str] = {
-    "files in the layout of labels, gts/<scene>/<token>/labels.npz": rezipped("n.split('/')[-2] + '.npz'"),
-    "names with backslashes, as some programs of Windows write them": rezipped(
-        "n.replace(chr(92), '/').split('/')[-1]"
-    ),
-    "frames in folders of their own": rezipped("n.split('/')[-1]"),
+    "files in the label layout gts/<scene>/<token>/labels.npz": rezipped("n.split('/')[-2] + '.npz'"),
+    "names with backslashes, as written by some Windows programs": rezipped("n.replace(chr(92), '/').split('/')[-1]"),
+    "each frame in its own folder": rezipped("n.split('/')[-1]"),
     "arrays as .npy instead of .npz": resaved("f", "n[:-1] + 'z'", ".npy"),
-    "tokens in capitals or with dashes": rezipped("n.split('/')[-1].lower().replace('-', '')"),
+    "tokens in upper case or with dashes": rezipped("n.split('/')[-1].lower().replace('-', '')"),
     NUMBERED: rezipped(
         "t.pop(0) + '.npz'",
         "for n in sorted(a.namelist()) if n.endswith('.npz')",
@@ -77,7 +75,7 @@ def is_rubbish(name: str) -> bool:
 def layout_hint(found: str) -> str:
     """What makes a submission of files that are what `other_layout` found; "" if it is none of them."""
     line = next((line for what, line in LINES.items() if what in found), "")
-    return f"frames are <frame_token>.npz, all in one folder; {line}" if line else ""
+    return f"name frames <frame_token>.npz and put all of them in one folder; {line}" if line else ""
 
 
 def _stem(name: str) -> str:

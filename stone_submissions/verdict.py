@@ -52,7 +52,7 @@ class SubmissionRefusedError(StoneError):
 
     def __init__(self, validation: Validation) -> None:
         self.validation = validation
-        super().__init__(f"{validation.errors_total} problems in the submission; the first is {validation.errors[0]}")
+        super().__init__(f"the submission has {validation.errors_total} problems; the first is {validation.errors[0]}")
 
 
 def problem_of(error: SubmissionError, file: str, frame: str | None) -> ValidationProblem:
@@ -77,7 +77,7 @@ def validation_of(record: Mapping[str, Any]) -> Validation:
     errors = tuple(_problem(one) for one in record["errors"][:SHOWN])
     total = int(record["errors_total"])
     if total < len(errors) or (total > 0) != bool(errors):
-        raise ValueError(f"{len(errors)} problems are shown of {total}")
+        raise ValueError(f"{len(errors)} problems listed, but {total} counted")
     return Validation(total == 0, errors, total)
 
 

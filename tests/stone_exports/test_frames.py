@@ -239,7 +239,7 @@ def test_what_is_no_labels_is_refused(lie: str, tmp_path: Path) -> None:
     ("kind", "is_fortran", "shape"), [("|u1", True, SHAPE), ("|u1", False, (10**15,)), ("|O", False, (1,))]
 )
 def test_an_array_of_another_order_size_or_type_is_refused_by_its_header(tmp_path, kind, is_fortran, shape) -> None:
-    with pytest.raises(DamagedExportError, match="expected is uint8"):
+    with pytest.raises(DamagedExportError, match="expected uint8"):
         observed_classes(span_of(tmp_path / "labels.npz", headed(kind, is_fortran, shape)))
 
 
@@ -282,5 +282,5 @@ def test_labels_of_the_releases_key_are_of_its_grid_and_unobserved_where_they_ar
     own = replace(RELEASE, name="own", unknown=17)
     with refused_as("damaged_export", match="it has class 255"):
         observed_classes(span, grid=own)
-    with refused_as("damaged_export", match="expected is uint8"):
+    with refused_as("damaged_export", match="expected uint8"):
         observed_classes(span)

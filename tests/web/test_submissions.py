@@ -170,7 +170,7 @@ def test_what_is_wrong_inside_of_files_is_told_file_by_file(site: Site, world: W
             expect(table.get_by_role("row")).to_have_count(2)
             expect(table.get_by_role("row").last).to_contain_text(f"run/{token}.npz")
         expect(page.get_by_role("region", name="label out of range")).to_contain_text("255")
-        expect(page.get_by_text("grid.transpose(1, 2, 0) if its axes are z, x, y")).to_be_visible()
+        expect(page.get_by_text("grid.transpose(1, 2, 0) if your axes are z, x, y")).to_be_visible()
         assert page.get_by_text("does not count towards the quota").is_visible()
     [row] = sent(world)
     assert (row.state, row.kind) == ("invalid", "validation")

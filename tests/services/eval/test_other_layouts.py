@@ -47,19 +47,19 @@ def dashed(token: str) -> str:
 FRAMES = each(lambda _, token: f"{token}.npz")
 # What was written, the code, and what the problem names.
 LAYOUTS: dict[str, tuple[Files, str, str]] = {
-    "layout of labels": (each(lambda _, token: f"gts/field/{token}/labels.npz"), "other_layout", "layout of labels"),
-    "layout of labels below a folder": (
-        each(lambda n, token: f"run/gts/field-{n}/{token}/labels.npz"), "other_layout", "layout of labels"),
-    "a folder per frame": (each(lambda _, token: f"{token}/pred.npz"), "other_layout", "layout of labels"),
+    "label layout": (each(lambda _, token: f"gts/field/{token}/labels.npz"), "other_layout", "label layout"),
+    "label layout below a folder": (
+        each(lambda n, token: f"run/gts/field-{n}/{token}/labels.npz"), "other_layout", "label layout"),
+    "a folder per frame": (each(lambda _, token: f"{token}/pred.npz"), "other_layout", "label layout"),
     "backslashes": (each(lambda _, token: f"sub\\{token}.npz"), "other_layout", "names with backslashes"),
     "backslashes in folders": (each(lambda n, token: f"a\\{n}\\{token}.npz"), "other_layout", "names with backslashes"),
-    "a folder per scene": (each(lambda n, token: f"scene-{n}/{token}.npz"), "other_layout", "folders of their own"),
+    "a folder per scene": (each(lambda n, token: f"scene-{n}/{token}.npz"), "other_layout", "each frame in its own folder"),
     "npy": (each(lambda _, token: f"{token}.npy", npy()), "other_layout", ".npy instead of .npz"),
     "npy in a folder": (each(lambda _, token: f"sub/{token}.npy", npy()), "other_layout", ".npy instead of .npz"),
-    "capitals": (each(lambda _, token: f"{token.upper()}.npz"), "other_layout", "in capitals or with dashes"),
-    "UUIDs": (each(lambda _, token: f"sub/{dashed(token)}.npz"), "other_layout", "in capitals or with dashes"),
-    "numbers": (each(lambda n, _: f"{n:06}.npz"), "other_layout", "numbers instead of tokens"),
-    "named numbers": (each(lambda n, _: f"run/frame_{n:04}.npz"), "other_layout", "numbers instead of tokens"),
+    "capitals": (each(lambda _, token: f"{token.upper()}.npz"), "other_layout", "in upper case or with dashes"),
+    "UUIDs": (each(lambda _, token: f"sub/{dashed(token)}.npz"), "other_layout", "in upper case or with dashes"),
+    "numbers": (each(lambda n, _: f"{n:06}.npz"), "other_layout", "numbered instead of named by token"),
+    "named numbers": (each(lambda n, _: f"run/frame_{n:04}.npz"), "other_layout", "numbered instead of named by token"),
     "resource forks": (
         [*FRAMES, *each(lambda _, token: f"__MACOSX/._{token}.npz", b"fork")], "unexpected_file", "macOS's Finder"),
     "rubbish of two systems": (
@@ -128,6 +128,6 @@ def test_frames_that_no_layout_explains_are_missing_one_by_one(tmp_path: Path) -
 def test_a_layout_of_some_frames_says_how_many_are_right(tmp_path: Path) -> None:
     files = [*FRAMES[:1], *each(lambda _, token: f"gts/s/{token}/labels.npz")[1:]]
     (problem,) = validate(*written(tmp_path, files)).errors
-    assert problem.actual.startswith("2 files in the layout of labels")
+    assert problem.actual.startswith("2 files in the label layout")
     assert "(1 frame named right)" in problem.actual
     assert json.dumps(problem.as_record())

@@ -20,12 +20,12 @@ const BYTE_TYPES = ["|u1", "u1", "<u1", ">u1"];
 /** How to make a frame of the expected shape of one that was found, by what was found: as stone_submissions/errors.py. */
 function stepsTo([x, y, z]: Shape): Record<string, string> {
   return {
-    [`(${z}, ${x}, ${y})`]: "grid.transpose(1, 2, 0) if its axes are z, x, y; grid.transpose(2, 1, 0) if z, y, x",
-    [`(${x}, ${z}, ${y})`]: "grid.transpose(0, 2, 1) if its axes are x, z, y; grid.transpose(2, 0, 1) if y, z, x",
+    [`(${z}, ${x}, ${y})`]: "grid.transpose(1, 2, 0) if your axes are z, x, y; grid.transpose(2, 1, 0) if they are z, y, x",
+    [`(${x}, ${z}, ${y})`]: "grid.transpose(0, 2, 1) if your axes are x, z, y; grid.transpose(2, 0, 1) if they are y, z, x",
     [`(1, ${x}, ${y}, ${z})`]: "grid[0]: a frame has no batch axis",
     [`(${x}, ${y}, ${z}, 1)`]: "grid[..., 0]: a frame has no channel axis",
-    [`(4, ${x}, ${y}, ${z})`]: "grid.argmax(0): a frame holds one class per voxel, not a score per class",
-    [`(${x}, ${y}, ${z}, 4)`]: "grid.argmax(-1): a frame holds one class per voxel, not a score per class",
+    [`(4, ${x}, ${y}, ${z})`]: "grid.argmax(0): a frame contains one class per voxel, not a score per class",
+    [`(${x}, ${y}, ${z}, 4)`]: "grid.argmax(-1): a frame contains one class per voxel, not a score per class",
     "Fortran order": "numpy.ascontiguousarray(grid)",
   };
 }
@@ -96,7 +96,7 @@ async function refuseArray(npz: Blob, array: Member, size: Shape, readsValues: b
   const head = new Uint8Array(await new Blob(pieces).slice(0, HEAD_BYTES).arrayBuffer());
   const view = new DataView(head.buffer);
   const isNpy = head.length >= 12 && String.fromCharCode(...head.subarray(0, 6)) === "\x93NUMPY" && [1, 2, 3].includes(head[6] ?? 0);
-  if (!isNpy) throw new Fault("not_npz", "a npy array of version 1 to 3", "other bytes");
+  if (!isNpy) throw new Fault("not_npz", "an npy array of version 1 to 3", "other bytes");
   const [at, length] = head[6] === 1 ? [10, view.getUint16(8, true)] : [12, view.getUint32(8, true)];
   if (at + length > head.length) throw new Fault("unsaid", "", "");
   const text = String.fromCharCode(...head.subarray(at, at + length));

@@ -65,7 +65,7 @@ function matched(members: readonly Member[], { tokens, shape }: Manifest): Verdi
     if (folder.startsWith(member.name) && isFolder(member)) continue;
     const token = tokenOf(member.name, folder);
     const isOurs = tokens.has(token) && member.name === `${folder}${token}.npz`;
-    const fault = isOurs ? faultOf(member, most_bytes, frames.has(token)) : new Fault("unexpected_file", "the frames of the manifest only", stranger(member.name));
+    const fault = isOurs ? faultOf(member, most_bytes, frames.has(token)) : new Fault("unexpected_file", "only the frames of the manifest", stranger(member.name));
     if (fault) problems.push({ ...said(fault), file: plain(member.name), frame: isOurs ? token : null });
     if (isOurs && !frames.has(token)) frames.set(token, member);
   }
@@ -84,9 +84,9 @@ function tokenOf(name: string, folder: string): string {
 }
 
 function faultOf(member: Member, most_bytes: number, isSecond: boolean): Fault | null {
-  if (isSecond) return new Fault("duplicate_frame", "each frame once", "a second file of this name");
+  if (isSecond) return new Fault("duplicate_frame", "each frame once", "a second file with the same name");
   const size_bytes = Math.max(member.packed_bytes, member.unpacked_bytes);
-  if (size_bytes > most_bytes) return new Fault("too_large", `at most ${most_bytes} bytes a frame`, `${size_bytes} bytes`);
+  if (size_bytes > most_bytes) return new Fault("too_large", `at most ${most_bytes} bytes per frame`, `${size_bytes} bytes`);
   return null;
 }
 

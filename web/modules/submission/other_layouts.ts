@@ -5,16 +5,16 @@ import type { Problem } from "./frames.js";
 const NUMBER = /^[^0-9]{0,40}[0-9]{1,19}$/u;
 const UNPRINTABLE = /[\p{C}\p{Z}]/u;
 const RUBBISH = [".DS_Store", "._", "Thumbs.db", "desktop.ini"];
-const NUMBERED = "files with numbers instead of tokens";
-export const OF_TOOLS = "what macOS's Finder or Windows adds to a zip; `zip -r -X` does not";
+const NUMBERED = "files numbered instead of named by token";
+export const OF_TOOLS = "files that macOS's Finder or Windows adds to a zip (`zip -r -X` does not)";
 
 /** What files are, and the token of the frame that a name then stands for, "" if it stands for none. */
 const LAYOUTS: [string, (name: string) => string][] = [
-  ["files in the layout of labels, gts/<scene>/<token>/labels.npz", (name) => (name.endsWith(".npz") && !name.includes("\\") ? parentOf(name) : "")],
-  ["names with backslashes, as some programs of Windows write them", (name) => (name.includes("\\") && name.endsWith(".npz") ? stemOf(name) : "")],
-  ["frames in folders of their own", (name) => (name.includes("/") && name.endsWith(".npz") ? stemOf(name) : "")],
+  ["files in the label layout gts/<scene>/<token>/labels.npz", (name) => (name.endsWith(".npz") && !name.includes("\\") ? parentOf(name) : "")],
+  ["names with backslashes, as written by some Windows programs", (name) => (name.includes("\\") && name.endsWith(".npz") ? stemOf(name) : "")],
+  ["each frame in its own folder", (name) => (name.includes("/") && name.endsWith(".npz") ? stemOf(name) : "")],
   ["arrays as .npy instead of .npz", (name) => (name.endsWith(".npy") ? stemOf(name) : "")],
-  ["tokens in capitals or with dashes", (name) => (name.toLowerCase().endsWith(".npz") ? stemOf(name).toLowerCase().replaceAll("-", "") : "")],
+  ["tokens in upper case or with dashes", (name) => (name.toLowerCase().endsWith(".npz") ? stemOf(name).toLowerCase().replaceAll("-", "") : "")],
 ];
 
 /** Whether a file manager added this file to a zip, and nobody meant it. */
@@ -39,7 +39,7 @@ export function explained(problems: Problem[], found: number, names: ReadonlySet
   const right = found ? ` (${found.toLocaleString("en")} ${found === 1 ? "frame" : "frames"} named right)` : "";
   if (tokens.size) merged.push({ code: "other_layout", file: first, frame: null, expected: "<frame_token>.npz", actual: `${tokens.size} ${what}${right}` });
   const [aside = ""] = rubbish;
-  if (rubbish.size > 1) merged.push({ code: "unexpected_file", file: aside, frame: null, expected: "the frames of the manifest only", actual: `${rubbish.size} files: ${OF_TOOLS}` });
+  if (rubbish.size > 1) merged.push({ code: "unexpected_file", file: aside, frame: null, expected: "only the frames of the manifest", actual: `${rubbish.size} files: ${OF_TOOLS}` });
   const isTold = ({ code, file, frame }: Problem): boolean =>
     (code === "unexpected_file" && (tokens.has(file) || (rubbish.size > 1 && rubbish.has(file)))) || (code === "missing_frame" && there.has(frame ?? ""));
   return [...merged, ...problems.filter((one) => !isTold(one))];

@@ -58,7 +58,7 @@ async function parsed(bytes: Bytes, end: End): Promise<Member[]> {
     members.push(memberOf(record, await bytes.at(at + RECORD_BYTES, variable_bytes)));
     at += RECORD_BYTES + variable_bytes;
   }
-  if (at !== stop) throw new Fault("unsupported_zip", "directory records only", `${stop - at} bytes more`);
+  if (at !== stop) throw new Fault("unsupported_zip", "only directory records", `${stop - at} bytes more`);
   return members;
 }
 
@@ -98,7 +98,7 @@ function refuseOverlap(members: readonly Member[], directory_offset: number): vo
   let limit = directory_offset;
   for (const member of [...members].sort((one, other) => other.offset - one.offset)) {
     const stop = member.offset + LOCAL_BYTES + member.packed_bytes;
-    if (stop > limit) throw new Fault("overlapping_files", `${member.name} to end before byte ${limit}`, `its end after ${stop}`);
+    if (stop > limit) throw new Fault("overlapping_files", `${member.name} to end before byte ${limit}`, `an end after byte ${stop}`);
     limit = member.offset;
   }
   if (limit) throw new Fault("unsupported_zip", "the first file at byte 0", `${limit} bytes before it`);

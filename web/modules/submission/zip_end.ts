@@ -25,7 +25,7 @@ export async function readEnd(bytes: Bytes): Promise<End> {
   const at = lastEnd(tail);
   if (at < 0 || tail.byteLength - at < END_BYTES) {
     if (await beginsAsZip(bytes)) throw cutShort(bytes.size);
-    throw new Fault("not_zip", "a zip that ends in its directory", bytes.size ? "none" : "an empty file");
+    throw new Fault("not_zip", "a zip that ends with its directory", bytes.size ? "none" : "an empty file");
   }
   const comment_bytes = tail.getUint16(at + 20, true);
   const position = bytes.size - tail_bytes + at;
@@ -66,20 +66,20 @@ function mayEndAt({ directory_bytes, directory_offset }: End, position: number):
 }
 
 function cutShort(size_bytes: number): Fault {
-  return new Fault("truncated", "the zip's directory at its end", `none: ${size_bytes} bytes, cut off inside a file`);
+  return new Fault("truncated", "the zip's directory at its end", `none: the file is cut off after ${size_bytes} bytes`);
 }
 
 async function readWide(bytes: Bytes, locator: DataView, at: number): Promise<End> {
   const [disk, position, disks] = [locator.getUint32(4, true), wide(locator, 8), locator.getUint32(16, true)];
   if (position + WIDE_BYTES > at) {
-    throw new Fault("truncated", `a zip64 end record before byte ${at}`, `one at byte ${position}`);
+    throw new Fault("truncated", `a zip64 end record before byte ${at}`, `a record at byte ${position}`);
   }
   const record = await bytes.at(position, WIDE_BYTES);
   if (record.getUint32(0, true) !== WIDE) {
     throw new Fault("truncated", `a zip64 end record at byte ${position}`, "other bytes");
   }
   if (wide(record, 4) !== at - position - 12) {
-    throw new Fault("truncated", `a zip64 end record that ends at byte ${at}`, "one of another length");
+    throw new Fault("truncated", `a zip64 end record that ends at byte ${at}`, "a record of another length");
   }
   const isOne = !disk && disks <= 1 && !record.getUint32(16, true) && !record.getUint32(20, true);
   const [here, entries] = [wide(record, 24), wide(record, 32)];
@@ -89,10 +89,10 @@ async function readWide(bytes: Bytes, locator: DataView, at: number): Promise<En
 
 /** An end whose directory stops at byte `position`. */
 function checked(end: End, isOne: boolean, position: number): End {
-  if (!isOne) throw new Fault("unsupported_zip", "an archive in one part", "one of several");
+  if (!isOne) throw new Fault("unsupported_zip", "an archive in one part", "an archive in several parts");
   const stop = end.directory_offset + end.directory_bytes;
   if (stop !== position) {
-    throw new Fault("truncated", `the directory to end at byte ${position}`, `its end at ${stop}`);
+    throw new Fault("truncated", `the directory to end at byte ${position}`, `a directory that ends at byte ${stop}`);
   }
   return end;
 }

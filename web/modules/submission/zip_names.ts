@@ -14,7 +14,7 @@ export function decoded(name: Uint8Array, flags: number): string {
   try {
     return new TextDecoder("utf-8", { fatal: true, ignoreBOM: true }).decode(name);
   } catch {
-    throw new Fault("unsupported_zip", "a name in UTF-8, as its header says", "other bytes");
+    throw new Fault("unsupported_zip", "a name in UTF-8, as the header declares", "other bytes");
   }
 }
 
@@ -25,7 +25,7 @@ export function zip64Field(extra: DataView, name: string): DataView {
     const [tag, count] = [extra.getUint16(at, true), extra.getUint16(at + 2, true)];
     if (at + 4 + count > extra.byteLength) throw new Fault("truncated", `an extra field of ${count} bytes for ${name}`, "fewer");
     if (fields.has(tag) && (tag === ZIP64 || tag === UNICODE_PATH)) {
-      throw new Fault("unsupported_zip", `each extra field of ${name} once`, "one twice");
+      throw new Fault("unsupported_zip", `each extra field of ${name} only once`, "a repeated field");
     }
     fields.set(tag, new DataView(extra.buffer, extra.byteOffset + at + 4, count));
     at += 4 + count;
