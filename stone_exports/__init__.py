@@ -1,2 +1,3 @@
-"""Reads exports of the nuScenes layout, as folders or in place in the tars that a server gives: what models and the
-geometric baseline predict from."""
+"""Reads exports in the nuScenes layout, as folders or in place from the server's tars, for models and the geometric
+baseline.
+"""

@@ -1,7 +1,7 @@
-"""Lenses and pictures of an export: intrinsics from `calibrated_sensor`, and a picture as an ideal pinhole took it.
+"""Lenses and images of an export: intrinsics from `calibrated_sensor`, and images undistorted to an ideal pinhole.
 
-**Conventions.** Optical frame: z forward, x right, y down; pixel (0, 0) is the centre of the first one. A picture is
-undistorted onto a pinhole of the same focal length, by bilinear interpolation (`stone.sensors.projection`).
+**Conventions.** Optical frame: z forward, x right, y down; pixel (0, 0) is the centre of the first pixel. Images are
+undistorted to a pinhole with the same focal length by bilinear interpolation (`stone.sensors.projection`).
 """
 
 from collections.abc import Mapping
@@ -24,7 +24,7 @@ Pixels = NDArray[np.uint8]
 
 
 def intrinsics_of(files: Files, row: Mapping[str, Any], size_px: tuple[int, int]) -> CameraIntrinsics:
-    """The lens that a row of `calibrated_sensor` says. Raises `DamagedExportError` where it says none."""
+    """Return the lens in a row of `calibrated_sensor`. Raises `DamagedExportError` if it is invalid."""
     model = row.get("camera_model", "pinhole")
     try:
         matrix = np.array(row["camera_intrinsic"], np.float64)
@@ -43,9 +43,9 @@ def intrinsics_of(files: Files, row: Mapping[str, Any], size_px: tuple[int, int]
 
 
 def undistorted_picture(span: ExportContent, lens: CameraIntrinsics, size_px: tuple[int, int]) -> Pixels:
-    """(height, width, 3) uint8: the picture undistorted, then resized to `size_px` (width, height).
+    """Return the undistorted image, resized to `size_px` (width, height), shape (height, width, 3) uint8.
 
-    Raises `DamagedExportError` where it is no JPEG of the size that the tables say.
+    Raises `DamagedExportError` if it is not a JPEG with the tables' size.
     """
     picture = _decoded(span, (lens.width_px, lens.height_px), size_px if _is_straight(lens) else None)
     if not _is_straight(lens):
@@ -54,12 +54,12 @@ def undistorted_picture(span: ExportContent, lens: CameraIntrinsics, size_px: tu
 
 
 def recorded_picture(span: ExportContent, lens: CameraIntrinsics | None) -> Pixels:
-    """Return a picture (height, width, 3) uint8 as the camera took it. Raises `DamagedExportError` as above."""
+    """Return the original image, shape (height, width, 3) uint8. Raises `DamagedExportError` as above."""
     return np.asarray(_decoded(span, None if lens is None else (lens.width_px, lens.height_px), None))
 
 
 def _decoded(span: ExportContent, size_px: tuple[int, int] | None, wanted_px: tuple[int, int] | None) -> Image.Image:
-    """Return the picture, which is of this size; the decoder may halve it down to the `wanted_px`."""
+    """Return the decoded image, checked against its size; the decoder may halve it down to `wanted_px`."""
     try:
         with Image.open(BytesIO(span.read(MOST_PICTURE_BYTES)), formats=("JPEG", "PNG")) as image:
             if image.size != (size_px or image.size) or image.width * image.height > MOST_PIXELS:
@@ -77,7 +77,7 @@ def _is_straight(lens: CameraIntrinsics) -> bool:
 
 @lru_cache(maxsize=16)
 def _sources(lens: CameraIntrinsics) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Where each pixel of the pinhole's picture (height · width, 2) lies in the lens's, and whether it lies in it."""
+    """Return the lens position of each pinhole pixel (height · width, 2), and whether it lies in the image."""
     v, u = np.mgrid[0 : lens.height_px, 0 : lens.width_px].astype(np.float64)
     rays = np.stack([(u - lens.cx_px) / lens.fx_px, (v - lens.cy_px) / lens.fy_px, np.ones_like(u)], axis=-1)
     pixels, is_seen = project(rays.reshape(-1, 3), lens)
@@ -85,7 +85,7 @@ def _sources(lens: CameraIntrinsics) -> tuple[NDArray[np.float32], NDArray[np.bo
 
 
 def _remapped(picture: Pixels, sources: NDArray[np.float32], is_seen: NDArray[np.bool_]) -> Pixels:
-    """The picture (H, W, 3) taken at `sources` (H · W, 2), bilinear; black where nothing was seen."""
+    """Return the image (H, W, 3) sampled at `sources` (H · W, 2), bilinear; unseen pixels are black."""
     height, width, _ = picture.shape
     at = np.where(is_seen[:, None], sources, np.float32(0)).clip(0, (width - 1, height - 1))
     corner = np.minimum(np.floor(at).astype(np.int64), (max(width - 2, 0), max(height - 2, 0)))

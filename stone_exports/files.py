@@ -1,8 +1,7 @@
 """Files of an export, read from a folder or in place from a tar archive.
 
-**Conventions.** A file is a `ExportFileSpan`: bytes of some file on the disk. Names are relative paths of plain parts
-(`stone_files/archives.py`); others are not seen. Whatever is read is bounded first: an export may come from
-anywhere.
+**Conventions.** An `ExportFileSpan` is a byte range of a file on disk. Names are relative paths of plain parts
+(`stone_files/archives.py`); other names are ignored. Sizes are checked before reading, because exports are not trusted.
 """
 
 import os
@@ -29,24 +28,26 @@ class DamagedExportError(StoneError):
 
 
 class ExportContent(Protocol):
-    """The bytes of one file of an export: on the disk, or made of a recording when they are read."""
+    """The bytes of one file of an export: on disk, or created from a recording when read."""
 
     def read(self, most_bytes: int) -> bytes:
-        """All of them. Raises what `damaged` gives where they are more than that, or cannot be read."""
+        """Return all bytes. Raises the error of `damaged` if there are more than `most_bytes` or they cannot be
+        read.
+        """
         ...
 
     def damaged(self, why: str) -> StoneError:
-        """The refusal of what they hold."""
+        """Return the refusal of this content."""
         ...
 
     def identity(self) -> list[str | int]:
-        """Facts that change when the bytes do."""
+        """Return values that change when the bytes change."""
         ...
 
 
 @dataclass(frozen=True)
 class ExportFileSpan:
-    """The bytes [offset, offset + size) of the file at `path`, which are the file `name` of an export."""
+    """The bytes [offset, offset + size) of the file at `path`: the file `name` of an export."""
 
     path: Path
     name: str
@@ -54,19 +55,19 @@ class ExportFileSpan:
     size_bytes: int
 
     def read(self, most_bytes: int) -> bytes:
-        """All of it. Raises `DamagedExportError` where it is larger than that, or ends early."""
+        """Return all bytes. Raises `DamagedExportError` if there are more than `most_bytes`, or the file ends early."""
         if self.size_bytes > most_bytes:
             raise self.damaged(f"it has {self.size_bytes} bytes; at most {most_bytes} are expected")
         return b"".join(self.pieces())
 
     def part(self, start: int, most_bytes: int) -> bytes:
-        """Its bytes from `start` on, at most so many; fewer where it ends."""
+        """Return at most `most_bytes` bytes from `start`, fewer at the end of the file."""
         with self.path.open("rb") as file:
             wanted = max(min(most_bytes, self.size_bytes - start), 0)
             return os.pread(file.fileno(), wanted, self.offset_bytes + start)
 
     def lines(self) -> Iterator[bytes]:
-        """Its lines without their ends. Raises `DamagedExportError` for one longer than a row can be."""
+        """Yield the lines without line ends. Raises `DamagedExportError` for a line longer than any row."""
         held = b""
         for piece in self.pieces():
             *whole, held = (held + piece).split(b"\n")
@@ -84,7 +85,7 @@ class ExportFileSpan:
         return [self.name, self.offset_bytes, self.size_bytes, status.st_mtime_ns, status.st_size]
 
     def pieces(self) -> Iterator[bytes]:
-        """Its bytes, a piece after the other. Raises `DamagedExportError` where it ends early."""
+        """Yield the bytes in pieces. Raises `DamagedExportError` if the file ends early."""
         place, end = self.offset_bytes, self.offset_bytes + self.size_bytes
         with self.path.open("rb") as file:
             while place < end:
@@ -102,13 +103,13 @@ class Files(Protocol):
     def path(self) -> Path: ...
 
     def span(self, name: str) -> ExportFileSpan | None:
-        """The file of this name; None where there is none, or no such name can be."""
+        """Return the file with this name, or None if it does not exist or the name is invalid."""
         ...
 
 
 @dataclass(frozen=True)
 class FolderFiles:
-    """An export as a folder."""
+    """An export in a folder."""
 
     path: Path
 
@@ -121,7 +122,7 @@ class FolderFiles:
 
 @dataclass(frozen=True)
 class TarFiles:
-    """An export as a tar: where each file lies in it, by name below `root` (which ends in a slash, or is empty)."""
+    """An export in a tar: the position of each file by name, below `root` (ends in a slash, or is empty)."""
 
     path: Path
     places: dict[str, tuple[int, int]]
@@ -130,9 +131,6 @@ class TarFiles:
     def span(self, name: str) -> ExportFileSpan | None:
         place = self.places.get(self.root + name)
         return None if place is None else ExportFileSpan(self.path, name, *place)
-
-
-# What is refused of exports as a whole.
 
 
 def frames_missing(missing: Sequence[str], sequences: Sequence[str]) -> Refused:
@@ -145,7 +143,7 @@ def frames_missing(missing: Sequence[str], sequences: Sequence[str]) -> Refused:
 
 
 def refuse_missing(wanted: Mapping[str, Sequence[str]], found: Container[str]) -> None:
-    """Raises `frames_missing` where a wanted frame token, by sequence, was not found."""
+    """Raise `frames_missing` if a wanted frame token (by sequence) is not in `found`."""
     without = {name: [token for token in tokens if token not in found] for name, tokens in wanted.items()}
     missing = [token for tokens in without.values() for token in tokens]
     if missing:

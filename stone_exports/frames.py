@@ -1,9 +1,9 @@
-"""Frames of exports of the nuScenes layout with what every sensor gave: the input of models.
+"""Frames of nuScenes-layout exports with the data of every sensor: the input of models.
 
-**Conventions.** A scene is a sequence, a sample a frame, its token the frame's, without the dashes that a UUID has.
-`global_from_ego` is the robot's pose when a datum was measured; `ego_from_sensor` its mount. Frames are in the order of
-their stamps; `earlier` ones of a sequence are those that a prediction may see too. Nothing outside is trusted: rows are
-checked, sizes bounded. Files are opened when they are read, not before.
+**Conventions.** A scene is a sequence, a sample is a frame; its token is the frame token, without the dashes of a UUID.
+`global_from_ego` is the robot's pose when a datum was measured; `ego_from_sensor` is its mount. Frames are sorted by
+stamp; a prediction may use a sequence's earlier frames. Exports are not trusted: rows are checked, sizes bounded. Files
+are opened only when they are read.
 """
 
 from collections.abc import Iterator, Mapping
@@ -23,7 +23,7 @@ LIDAR_CHANNEL = "LIDAR_TOP"
 
 @dataclass(frozen=True, eq=False)
 class ExportedSensor:
-    """One sensor of the rig. `intrinsics` of a camera only."""
+    """One sensor of the rig; only cameras have `intrinsics`."""
 
     channel: str
     modality: str
@@ -33,7 +33,7 @@ class ExportedSensor:
 
 @dataclass(frozen=True, eq=False)
 class ExportedDatum:
-    """What one sensor gave for a frame."""
+    """One sensor's data of a frame."""
 
     sensor: ExportedSensor
     stamp_us: int
@@ -43,7 +43,7 @@ class ExportedDatum:
 
 @dataclass(frozen=True, eq=False)
 class ExportedFrame:
-    """One frame: its data by channel, and its labels where the export has them."""
+    """One frame: its data by channel, and its labels if the export has them."""
 
     token: str
     sequence: str
@@ -56,12 +56,12 @@ class ExportedFrame:
         return self.data[LIDAR_CHANNEL]
 
     def of_modality(self, modality: str) -> tuple[ExportedDatum, ...]:
-        """Its data of camera, radar or lidar, by channel."""
+        """Return the data of all cameras, radars or LiDARs, sorted by channel."""
         return tuple(datum for _, datum in sorted(self.data.items()) if datum.sensor.modality == modality)
 
 
 def frames_in(files: Files) -> tuple[ExportedFrame, ...]:
-    """Every frame with a sweep, by sequence and stamp. Raises `DamagedExportError`."""
+    """Return every frame with a sweep, sorted by sequence and stamp. Raises `DamagedExportError`."""
     scenes = _scenes(files)
     data = _data(files)
     frames = []
@@ -79,7 +79,7 @@ def frames_in(files: Files) -> tuple[ExportedFrame, ...]:
 
 
 def _scenes(files: Files) -> dict[str, str]:
-    """Names of sequences by token. Raises `DamagedExportError` for what could be no sequence's name."""
+    """Return the sequence names by token. Raises `DamagedExportError` for an invalid name."""
     names = {str(row.get("token")): str(row.get("name")) for row in table_rows(files, "scene")}
     bad = next((name for name in names.values() if NAME.fullmatch(name) is None), None)
     if bad is not None:
@@ -88,7 +88,7 @@ def _scenes(files: Files) -> dict[str, str]:
 
 
 def _data(files: Files) -> dict[str, dict[str, ExportedDatum]]:
-    """Key-frame data by frame token, then channel."""
+    """Return the key-frame data by frame token and channel."""
     sensors, poses = _sensors(files), poses_in(files)
     found = dict[str, dict[str, ExportedDatum]]()
     for row in table_rows(files, "sample_data"):
@@ -106,7 +106,7 @@ def _data(files: Files) -> dict[str, dict[str, ExportedDatum]]:
 
 
 def _sensors(files: Files) -> dict[str, ExportedSensor]:
-    """Calibrated sensors by token."""
+    """Return the calibrated sensors by token."""
     kinds = {
         str(row.get("token")): (str(row.get("channel")), str(row.get("modality")))
         for row in table_rows(files, "sensor")
@@ -125,7 +125,7 @@ def _sensors(files: Files) -> dict[str, ExportedSensor]:
 
 
 def _picture_sizes(files: Files) -> Iterator[tuple[str, tuple[int, int]]]:
-    """Width and height in pixels by calibrated sensor, of its first picture that says them."""
+    """Yield width and height in pixels by calibrated sensor, from its first image with a size."""
     seen = set[str]()
     for row in table_rows(files, "sample_data"):
         token, size = str(row.get("calibrated_sensor_token")), (row.get("width"), row.get("height"))

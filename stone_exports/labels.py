@@ -1,7 +1,7 @@
-"""Labels of a frame in an export or in a version of the dataset: its classes, and which voxels were observed.
+"""Labels of a frame in an export or a dataset version: its classes, and the observed voxels.
 
-**Conventions.** As docs/formats/labels.md: uint8 of the shape of their grid, axes x y z of the ego frame. A file of the
-released layout has one array, in which voxels of `grid.unknown` are unobserved.
+**Conventions.** As in docs/formats/labels.md: uint8 with the grid's shape, axes x y z of the ego frame. A file in the
+released layout has one array, where `grid.unknown` marks unobserved voxels.
 """
 
 import re
@@ -24,16 +24,17 @@ MOST_LABEL_BYTES, MOST_ARRAY_BYTES = 64 * 2**20, 16 * 2**20
 HEADS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 HIGHEST_CLASS, UNSURE, NOT_OBSERVED = 3, 254, 255
 RELEASED_KEY = LAYOUTS["release"].label_key
-# What zipfile and numpy raise for bytes that are no archive or no array; `RuntimeError` for one that is encrypted.
+# Errors of zipfile and numpy for invalid archives or arrays; `RuntimeError` for encrypted ones.
 UNREADABLE = (zipfile.BadZipFile, zlib.error, KeyError, ValueError, EOFError, OSError, RuntimeError)
 Classes = NDArray[np.uint8]
 
 
 def observed_classes(span: ExportFileSpan, least_confidence: float = 0.0, grid: LabelGrid = PAPER) -> Classes:
-    """Return classes 0–3 of the grid's shape, `NOT_OBSERVED` where neither a surface is nor a ray of the run passed.
+    """Return classes 0–3 with the grid's shape; `NOT_OBSERVED` if a voxel has no surface and no ray of the run passed
+    it.
 
-    An occupied voxel below `least_confidence` that its label is right is `UNSURE`. Raises `DamagedExportError`, and
-    `no_confidence` if one is required and the labels have none.
+    An occupied voxel with a confidence below `least_confidence` is `UNSURE`. Raises `DamagedExportError`, and
+    `no_confidence` if a confidence is required and the labels have none.
     """
     arrays = _arrays(span, ("confidence",) if least_confidence > 0 else (), grid)
     if RELEASED_KEY in arrays:
@@ -52,9 +53,9 @@ def observed_classes(span: ExportFileSpan, least_confidence: float = 0.0, grid: 
 
 
 def _arrays(span: ExportFileSpan, further: tuple[str, ...], grid: LabelGrid) -> dict[str, Classes]:
-    """Return the arrays of a labels.npz, its classes and mask and `further` ones.
+    """Return the arrays of a labels.npz: its classes, its mask and `further` arrays.
 
-    They are bounded while they are inflated: what its directory says of sizes may be a lie.
+    Sizes are checked during decompression, because the directory's sizes may be wrong.
     """
     content, keys = span.read(MOST_LABEL_BYTES), ("semantics", "mask_lidar", *further)
     try:
@@ -71,7 +72,9 @@ def _arrays(span: ExportFileSpan, further: tuple[str, ...], grid: LabelGrid) -> 
 
 def _member(span: ExportFileSpan, members: zipfile.ZipFile, name: str) -> bytes:
     if members.getinfo(name).compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise span.damaged(f"{name} uses a compression method that npz does not use")  # and such unpacking has no bound
+        raise span.damaged(
+            f"{name} uses a compression method that npz does not use"
+        )  # other methods decompress without a limit
     with members.open(name) as member:
         content = member.read(MOST_ARRAY_BYTES + 1)
     if len(content) > MOST_ARRAY_BYTES:
@@ -80,7 +83,7 @@ def _member(span: ExportFileSpan, members: zipfile.ZipFile, name: str) -> bytes:
 
 
 def _array(of: tuple[ExportFileSpan, str], npy: bytes, grid: LabelGrid) -> Classes:
-    """The grid that a npy file holds; what its header says is compared before anything of that size is made."""
+    """Return the grid in an npy file; its header is checked before any allocation."""
     (span, key), (shape, is_fortran, dtype, start) = of, npy_head(npy)
     if shape != grid.shape or dtype != np.uint8 or is_fortran:
         raise span.damaged(f"{key} is {dtype} {str(shape)[:80]}; expected uint8 {grid.shape}")
@@ -88,21 +91,21 @@ def _array(of: tuple[ExportFileSpan, str], npy: bytes, grid: LabelGrid) -> Class
 
 
 def npy_head(npy: bytes) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
-    """Shape, whether in Fortran order, dtype, and where the data begins. Raises `ValueError`, `KeyError`."""
+    """Return shape, whether the order is Fortran, dtype, and the offset of the data. Raises `ValueError`,
+    `KeyError`.
+    """
     file = BytesIO(npy)
     try:
         shape, is_fortran, dtype = HEADS[np.lib.format.read_magic(file)](file)
-    except TokenError as error:  # of a bracket that is not closed, which numpy lets through
+    except TokenError as error:  # from an unclosed bracket, which numpy does not catch
         raise ValueError(f"its header is cut off: {error}") from error
     return shape, is_fortran, dtype, file.tell()
 
 
-# Radar scans of an export: binary PCD with the fields of nuScenes, as features of models.
-#
-# **Conventions.** A detection's velocity is the rate along its ray in plan, less what the robot's own motion makes of
-# it (`vx_comp`, `vy_comp`), turned into the ego frame. A 4D radar measures elevation, so z is measured too. Fields are
-# found by name, whatever their order; a scan without a detection holds one row of NaN. Source:
-# `RadarPointCloud.from_file` of nuscenes-devkit 1.2; the fields that a 4D radar fills: docs/formats/exports.md.
+# Radar scans of an export: binary PCD with nuScenes' fields, as model features. A detection's velocity is the rate
+# along its ray in plan, compensated for the robot's motion (`vx_comp`, `vy_comp`), in the ego frame. A 4D radar
+# measures elevation, so z is measured too. Fields are found by name in any order; a scan without detections has one row
+# of NaN. Source: `RadarPointCloud.from_file` of nuscenes-devkit 1.2; 4D radar fields: docs/formats/exports.md.
 
 
 MOST_SCAN_BYTES, MOST_HEAD_BYTES = 16 * 2**20, 4096
@@ -120,7 +123,7 @@ FARTHEST_DETECTION_M = 1e4
 
 
 def detections_ego(datum: ExportedDatum) -> NDArray[np.float32]:
-    """Rows (N, 6): x y z metres, RCS in dBsm, v_x v_y in m/s over ground, in the ego frame when it measured.
+    """Return rows (N, 6): x y z in metres, RCS in dBsm, v_x v_y over ground in m/s, in the ego frame at measurement.
 
     Raises `DamagedExportError`.
     """
@@ -133,7 +136,7 @@ def detections_ego(datum: ExportedDatum) -> NDArray[np.float32]:
 
 
 def scan_records(span: ExportContent) -> NDArray[np.void]:
-    """The records of a binary PCD, with the fields that detections need. Raises `DamagedExportError`."""
+    """Return the records of a binary PCD that has the fields of detections. Raises `DamagedExportError`."""
     content = span.read(MOST_SCAN_BYTES)
     head, mark, body = content[:MOST_HEAD_BYTES].partition(b"DATA binary\n")
     if not mark:

@@ -1,6 +1,6 @@
-"""LiDAR sweeps in exports of the nuScenes layout, with labels or without: found by frame token, read one by one.
+"""LiDAR sweeps in nuScenes-layout exports, with or without labels: found by frame token, read separately.
 
-**Conventions.** `ego_from_lidar` is what `calibrated_sensor` says. Nothing outside is trusted: rows are checked, sizes
+**Conventions.** `ego_from_lidar` comes from `calibrated_sensor`. Exports are not trusted: rows are checked, sizes
 bounded.
 """
 
@@ -30,13 +30,13 @@ class SweepFile:
     ego_from_lidar: SE3
 
     def points_ego(self) -> NDArray[np.float32]:
-        """Points (N, 3) in the ego frame; what is no place near a sensor is left out. Raises `DamagedExportError`."""
+        """Return points (N, 3) in the ego frame, without implausible positions. Raises `DamagedExportError`."""
         return self.returns_ego()[:, :3]
 
     def returns_ego(self) -> NDArray[np.float32]:
-        """Rows (N, 4): x y z in the ego frame, metres, and intensity as measured, 0 where that is not finite.
+        """Return rows (N, 4): x y z in the ego frame in metres, and the measured intensity, or 0 if it is not finite.
 
-        What is no place near a sensor is left out. Raises `DamagedExportError`.
+        Implausible positions are left out. Raises `DamagedExportError`.
         """
         content = self.span.read(MOST_SWEEP_BYTES)
         if len(content) % (COLUMNS * 4):
@@ -51,14 +51,14 @@ class SweepFile:
 
 @dataclass(frozen=True, eq=False)
 class PlacedSweep(SweepFile):
-    """A sweep, its time and where the robot was then."""
+    """A sweep with its time and the robot's pose."""
 
     stamp_us: int
     global_from_ego: SE3
 
 
 def sweeps_in(files: Files, tokens: AbstractSet[str]) -> dict[str, PlacedSweep]:
-    """Return the sweeps of those frames among `tokens` that the export has. Raises `DamagedExportError`."""
+    """Return the sweeps of the frames in `tokens` that the export contains. Raises `DamagedExportError`."""
     mounts, poses = _mounts(files), poses_in(files)
     found = dict[str, PlacedSweep]()
     for row in table_rows(files, "sample_data"):
@@ -78,7 +78,7 @@ def sweeps_in(files: Files, tokens: AbstractSet[str]) -> dict[str, PlacedSweep]:
 
 
 def _mounts(files: Files) -> Mapping[str, SE3]:
-    """`ego_from_lidar` by the token of the calibrated sensor."""
+    """Return `ego_from_lidar` by calibrated sensor token."""
     sensors = {str(row.get("token")) for row in table_rows(files, "sensor") if row.get("channel") == CHANNEL}
     rows = (row for row in table_rows(files, "calibrated_sensor") if row.get("sensor_token") in sensors)
     return {str(row.get("token")): row_pose(files, "calibrated_sensor", row, FARTHEST_M) for row in rows}

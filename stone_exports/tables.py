@@ -1,7 +1,7 @@
-"""Tables of the nuScenes schema in an export: where exports are, and the rows of a table, one by one.
+"""nuScenes tables of an export: finding exports, and reading a table row by row.
 
-**Conventions.** Tables are read row by row, a row on each line, as exports write them; of a table only what is wanted
-is held. Nothing outside is trusted: rows are checked, sizes bounded.
+**Conventions.** Exports write one row per line; only wanted rows are kept. Exports are not trusted: rows are checked,
+sizes bounded.
 """
 
 import json
@@ -26,7 +26,7 @@ EXPORTED = re.compile(
 
 
 class NotExportedError(StoneError):
-    """The given path is not an export with LiDAR sweeps."""
+    """The path is not an export with LiDAR sweeps."""
 
     code = "not_an_export"
 
@@ -38,7 +38,7 @@ class NotExportedError(StoneError):
 
 
 def exports_in(path: Path) -> tuple[Files, ...]:
-    """The exports that a path names: a folder, a tar, or a folder of folders and tars.
+    """Return the exports at a path: a folder, a tar, or a folder of folders and tars.
 
     Raises `NotExportedError`, `bad_tar`.
     """
@@ -54,7 +54,7 @@ def exports_in(path: Path) -> tuple[Files, ...]:
 
 
 def table_rows(files: Files, name: str) -> Iterator[Mapping[str, Any]]:
-    """The rows of a table. Raises `DamagedExportError`."""
+    """Yield the rows of a table. Raises `DamagedExportError`."""
     span = files.span(f"{TABLES}/{name}.json")
     if span is None:
         raise table_span(files, name).damaged("it is missing")
@@ -72,12 +72,12 @@ def table_rows(files: Files, name: str) -> Iterator[Mapping[str, Any]]:
 
 
 def table_span(files: Files, name: str) -> ExportFileSpan:
-    """The file of a table; where there is none, one of no bytes, to be named in an error."""
+    """Return the file of a table; for a missing table, an empty file that errors can name."""
     return files.span(f"{TABLES}/{name}.json") or ExportFileSpan(files.path, f"{TABLES}/{name}.json", 0, 0)
 
 
 def row_pose(files: Files, table: str, row: Mapping[str, Any], farthest_m: float) -> SE3:
-    """The pose that a row's `rotation` (wxyz) and `translation` say. Raises `DamagedExportError` where it is none."""
+    """Return the pose in a row's `rotation` (wxyz) and `translation`. Raises `DamagedExportError` if it is invalid."""
     try:
         wxyz = np.array(row["rotation"], np.float64)
         translation_m = np.array(row["translation"], np.float64)
@@ -96,7 +96,7 @@ def poses_in(files: Files) -> dict[str, SE3]:
 
 
 def stamp_of(files: Files, table: str, row: Mapping[str, Any]) -> int:
-    """Return the row's timestamp, microseconds. Raises `DamagedExportError`."""
+    """Return the row's timestamp in microseconds. Raises `DamagedExportError`."""
     stamp = row.get("timestamp")
     if type(stamp) is not int or not -(1 << 62) < stamp < 1 << 62:
         raise table_span(files, table).damaged("the timestamp of a row is not a number of microseconds")
@@ -110,7 +110,7 @@ def _exports_at(child: Path) -> Iterable[Files]:
 
 
 def _exports_in_tar(path: Path) -> Iterator[Files]:
-    """Exports in the tar: every folder that has tables."""
+    """Yield the exports in a tar: every folder with tables."""
     places = tar_spans_of(path, lambda name: EXPORTED.fullmatch(name) is not None)
     for name in places:
         if name == SAMPLE_DATA or name.endswith(f"/{SAMPLE_DATA}"):

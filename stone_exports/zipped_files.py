@@ -1,7 +1,7 @@
-"""Files of a zip, read in place by ranges: inflated piece by piece, no farther than the directory says.
+"""Files of a zip, read in place by ranges and inflated in pieces, up to the size in the directory.
 
-**Conventions.** `size_bytes` is the inflated size, `offset_bytes` the place of the local header. Sizes and checksum are
-compared whenever a file is read to its end. A small member is fetched with its header in one range.
+**Conventions.** `size_bytes` is the inflated size, `offset_bytes` the offset of the local header. Size and checksum are
+checked whenever a file is read to its end. A small member and its header are fetched in one range.
 
 Source: RFC 1951; `stone_files/zip_directory.py`.
 """
@@ -23,13 +23,13 @@ INFLATING: type[Exception] = isal_zlib.error  # type: ignore[assignment]
 
 @dataclass(frozen=True)
 class ZippedFileSpan(ExportFileSpan):
-    """One member of the zip that `ranges` reads, as a file of an export."""
+    """One member of the zip in `ranges`, as a file of an export."""
 
     member: ZipMember
     ranges: ByteRanges
 
     def pieces(self) -> Iterator[bytes]:
-        """Its bytes, a piece after the other. Raises `DamagedExportError` unless they are those of the directory."""
+        """Yield the bytes in pieces. Raises `DamagedExportError` if they contradict the directory."""
         read_bytes, checksum = 0, 0
         for piece in self._inflated():
             read_bytes += len(piece)
@@ -43,7 +43,7 @@ class ZippedFileSpan(ExportFileSpan):
             raise self.damaged("its checksum differs from the zip's directory")
 
     def part(self, start: int, most_bytes: int) -> bytes:
-        """Its bytes from `start` on, at most so many; fewer if it ends. Raises `DamagedExportError`."""
+        """Return at most `most_bytes` bytes from `start`, fewer at the end. Raises `DamagedExportError`."""
         stop = min(start + most_bytes, self.size_bytes)
         if self.member.method != DEFLATED:
             first, last = self._place(self.ranges.read_at)
@@ -71,7 +71,7 @@ class ZippedFileSpan(ExportFileSpan):
                 yield packed
                 continue
             piece = packed
-            while not inflating.eof and (packed or piece):  # bytes may be left over when all input is taken
+            while not inflating.eof and (packed or piece):  # output may remain after the last input
                 try:
                     piece = inflating.decompress(packed, PIECE_BYTES)
                 except INFLATING as error:
@@ -86,7 +86,7 @@ class ZippedFileSpan(ExportFileSpan):
             raise self.damaged(str(fault)) from fault
 
     def _fetched(self) -> ReadAt:
-        """Reads of the member, which a small one answers out of one range."""
+        """Return a function that reads the member; for a small member, it uses one range."""
         first, read_at = self.member.offset, self.ranges.read_at
         if self.member.limit - first > AT_ONCE_BYTES:
             return read_at

@@ -1,1 +1,1 @@
-"""Submissions: a zip of one prediction per frame, read without trust, and the verdict on it."""
+"""Submissions: a zip with one prediction per frame, read without trust, and the verdict on it."""

@@ -1,7 +1,7 @@
 """A submission on disk: a zip of `<frame_token>.npz`, read in place, never extracted.
 
-**Conventions.** Names are those of the manifest, all behind one common folder prefix or none; the empty entries of such
-folders themselves are let pass. Reading is by `pread`, so threads share the descriptor.
+**Conventions.** Names are the manifest's tokens, optionally all below one common folder; empty entries for such folders
+are allowed. Reading uses `pread`, so threads share the descriptor.
 """
 
 import os
@@ -28,14 +28,14 @@ from stone_submissions.other_layouts import OF_TOOLS, is_rubbish, other_layout
 from stone_submissions.verdict import ValidationProblem, problem_of
 from stone_submissions.zip_directory import ZipMember, payload_span, read_directory
 
-SPARE_BYTES = 2**20  # of the file of a frame, beyond a byte for each voxel
+SPARE_BYTES = 2**20  # allowance for a frame's file beyond one byte per voxel
 SPARE_ENTRIES = 1000
 EMPTY_DEFLATED_BYTES = 2
 
 
 @dataclass(frozen=True)
 class SubmissionZip:
-    """The frames found by token, what is wrong with the archive as a whole, and the grid its frames must have."""
+    """A submission's frames by token, the problems of the archive itself, and the required grid."""
 
     name: str
     descriptor: int
@@ -44,7 +44,7 @@ class SubmissionZip:
     grid: LabelGrid = PAPER
 
     def read(self, token: str) -> bytes | bytearray:
-        """The npz file of one frame; a few hundred kB, at most `most_frame_bytes`.
+        """Return the npz file of one frame: a few hundred kB, at most `most_frame_bytes`.
 
         Raises `truncated`, `corrupt`, `too_large`, `unsupported_zip`, `overlapping_files`.
         """
@@ -64,13 +64,13 @@ class SubmissionZip:
 
 @contextmanager
 def open_submission(path: Path, tokens: Sequence[str], grid: LabelGrid = PAPER) -> Iterator[SubmissionZip]:
-    """The submission against the tokens it must hold, frames of a grid; a broken archive opens too, with its one
+    """Open a submission that must contain frames with these tokens and this grid. A broken archive also opens, with one
     problem and no frames.
 
-    Raises `UnreadableInputError` where the file cannot be opened.
+    Raises `UnreadableInputError` if the file cannot be opened.
     """
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # a pipe would keep us waiting
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # a pipe would block
     except OSError as error:
         raise UnreadableInputError(path, error.strerror or "unknown reason") from error
     try:
@@ -95,14 +95,14 @@ def _matched(path: Path, descriptor: int, tokens: Sequence[str], grid: LabelGrid
 
 
 def most_frame_bytes(grid: LabelGrid) -> int:
-    """Return how large the file of a frame may be."""
+    """Return the maximum size of a frame's file."""
     return grid.voxels + SPARE_BYTES
 
 
 def _matching(
     members: Sequence[ZipMember], tokens: frozenset[str], most_bytes: int
 ) -> tuple[dict[str, ZipMember], tuple[ValidationProblem, ...]]:
-    """The sound frames by token, and the problems."""
+    """Return the valid frames by token, and the problems."""
     prefix = _common_prefix(members, tokens)
     frames: dict[str, ZipMember] = {}
     problems: list[ValidationProblem] = []
@@ -129,9 +129,9 @@ def _matching(
 
 
 def _explained(problems: list[ValidationProblem], found: int, names: set[str]) -> list[ValidationProblem]:
-    """The problems, with one in the place of all that another layout explains, and one of all files of a file manager.
+    """Merge the problems that another layout explains into one, and the problems of a file manager's files into one.
 
-    `found` is how many frames were found, `names` are those that problems quote as they are.
+    `found` is the number of valid frames; `names` are the names that problems quote unchanged.
     """
     strangers = [problem.file for problem in problems if problem.code == "unexpected_file"]
     missing = [problem.frame or "" for problem in problems if problem.code == "missing_frame"]
@@ -173,12 +173,14 @@ def _fault(member: ZipMember, is_ours: bool, is_second: bool, most_bytes: int) -
 
 
 def _stranger(name: str) -> str:
-    """What a file is that is no frame, where that is likely to help."""
+    """Describe a file that is not a frame, if a description helps."""
     return OF_TOOLS if is_rubbish(name) else "another file"
 
 
 def _common_prefix(members: Sequence[ZipMember], tokens: frozenset[str]) -> str:
-    """The folder that most of the manifest's frames are in; it is not followed, so it may be any plain one."""
+    """Return the folder that contains most of the manifest's frames. It is never opened, so any plain path is
+    allowed.
+    """
     folders = Counter(
         folder + slash
         for folder, slash, file in (member.name.rpartition("/") for member in members)
@@ -200,14 +202,14 @@ Grid = NDArray[np.uint8]
 
 
 def write_files(path: Path, frames: Iterable[tuple[str, bytes]]) -> None:
-    """Frames (token, `frame_file`) as a submission. They are stored, not deflated again: they are deflated inside."""
+    """Write frames (token, `frame_file`) as a submission. They are stored, because each is already deflated inside."""
     with atomic_file(path) as staging, zipfile.ZipFile(staging, "w") as archive:
         for token, content in frames:
             archive.writestr(zipfile.ZipInfo(f"{token}.npz"), content)
 
 
 def frame_file(grid: Grid, label_grid: LabelGrid = PAPER) -> bytes:
-    """The file of one frame of a label grid. Raises `bad_dtype`, `bad_shape`."""
+    """Return the file of one frame of a label grid. Raises `bad_dtype`, `bad_shape`."""
     if grid.dtype != np.uint8:
         raise SubmissionError("bad_dtype", "uint8 ('|u1')", str(grid.dtype))
     if grid.shape != label_grid.shape:

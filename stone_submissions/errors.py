@@ -1,8 +1,7 @@
-"""Why a submission, a manifest or a ground truth is refused.
+"""Refusals of submissions, manifests and ground truth.
 
-**Conventions.** What is wrong with one file of a submission is a `SubmissionError`: it knows what was expected and what
-was found; whoever reads knows the file and the frame. Codes are those of the design's §9, and a few more where none of
-those fits.
+**Conventions.** A `SubmissionError` is the fault of one file: it contains the expected and the actual value, and the
+caller adds file and frame. The codes are those of the design's §9, and a few additional ones.
 """
 
 import re
@@ -36,17 +35,16 @@ MISTAKES = {
     "overlapping_files": "entries of the zip overlap; create the zip again",
     "symlink": "zip the files themselves, not links to them",
 }
-"""The most frequent cause of each fault of a file; `hint_of` knows more of some."""
+"""The most frequent cause of each file fault; `hint_of` is more specific for some codes."""
 
 
 def bad_shape(grid: LabelGrid, found: str) -> "SubmissionError":
-    """Return why an array of the shape or order `found` is no frame of the grid."""
+    """Return the refusal of an array whose shape or order is `found`."""
     return SubmissionError("bad_shape", str(grid.shape), found)
 
 
 def shape_hint(expected: str, found: str) -> str:
-    """Return what makes a frame of the shape or order `found` one of the shape expected, both as `bad_shape` quotes
-    them."""
+    """Return how to convert a frame with the shape or order `found` to the expected shape; both as in `bad_shape`."""
     wanted = SHAPE.match(expected)
     if wanted is None:
         return MISTAKES["bad_shape"]
@@ -66,7 +64,7 @@ def shape_hint(expected: str, found: str) -> str:
 
 
 def hint_of(code: str, expected: str, found: str) -> str:
-    """Return the cause of a fault and what mends it, by what was expected and found as a problem quotes them."""
+    """Return the cause of a fault and its fix, from the expected and actual value in the problem."""
     if code == "bad_shape":
         return shape_hint(expected, found)
     line = layout_hint(found) if code in ("other_layout", "unexpected_file") else ""
@@ -92,7 +90,7 @@ def bad_manifest(path: Path, fault: str) -> Refused:
 
 
 class GroundTruthError(StoneError):
-    """The ground truth folder, or a label file in it, is not as the labeler writes it."""
+    """The ground truth folder, or a label file in it, does not have the labeler's format."""
 
     code = "bad_ground_truth"
 
@@ -101,7 +99,7 @@ class GroundTruthError(StoneError):
 
 
 class UnreadableInputError(StoneError):
-    """A file that was named cannot be opened."""
+    """A given file cannot be opened."""
 
     code = "unreadable_input"
 

@@ -1,11 +1,10 @@
-"""Ground truth on disk: `gts/<sequence>/<frame_token>/labels.npz`, as the labeler writes it.
+"""Ground truth on disk: `gts/<sequence>/<frame_token>/labels.npz`, as written by the labeler.
 
-**Conventions.** `labels.npz` holds `semantics`, and may hold `mask_lidar`, `mask_camera` and `late`, uint8 of the
-grid's shape; the `distance_squared` of labels made with their confidence is not read, `confidence` only if a least one
-is required.
-The folder may be the one that holds `gts` or `gts` itself. All frames have one grid: that of `grid.json` beside `gts`,
-or the first known grid of the shape of the first frame. Evaluated voxels by mask: `all` — every voxel, as the paper's
-tables, whose 0 mixes free and unknown; `lidar`, `camera` — where that mask is not 0.
+**Conventions.** `labels.npz` contains `semantics`, and optionally `mask_lidar`, `mask_camera` and `late`, uint8 with
+the grid's shape. `confidence` is only read if a minimum confidence is required; `distance_squared` is never read. The
+folder may be `gts` itself or its parent. All frames have one grid: the grid in `grid.json` next to `gts`, or the first
+known grid with the first frame's shape. Evaluated voxels by mask: `all` is every voxel, as in the paper's tables, whose
+0 mixes free and unknown; `lidar` and `camera` are the voxels whose mask is not 0.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -32,14 +31,14 @@ Mask = Literal["all", "lidar", "camera"]
 
 @dataclass(frozen=True)
 class TimedSequence:
-    """The `tokens` of a sequence in time order, its first stamp, and the drive of which it is one of several."""
+    """A sequence's `tokens` in time order, its first stamp, and its drive if the drive has several sequences."""
 
     tokens: tuple[str, ...]
     first_stamp_ns: int
     drive: str | None = None
 
 
-# The sequences of a folder of sequences in time; None where that is not known.
+# Returns the sequences of a folder in time order, or None if the order is unknown.
 FrameOrder = Callable[[Path, Mapping[str, Sequence[str]]], Mapping[str, TimedSequence] | None]
 Grid = NDArray[np.uint8]
 CONFIDENCE, LATE = "confidence", "late"
@@ -49,9 +48,9 @@ MAX_LABELS_BYTES = 8 * 2**20
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """The label files of a folder: `paths` by frame token, and the manifest they make.
+    """The label files of a folder: `paths` by frame token, and their manifest.
 
-    Frames are in time order inside each sequence if its `timed` is known, else (None) in that of their tokens.
+    If `timed` is known, frames are in time order inside each sequence; otherwise (None) they are in token order.
     """
 
     folder: Path
@@ -70,12 +69,11 @@ class GroundTruth:
 def find_ground_truth(
     folder: Path, mask: Mask = "all", order: FrameOrder | None = None, grid: LabelGrid | None = None
 ) -> GroundTruth:
-    """The frames that have labels in this folder, sequences in the order of their names, frames in that which `order`
-    tells.
+    """Return the frames with labels in this folder: sequences sorted by name, frames in the order that `order` returns.
 
-    Without a `grid` it is found (see above). Raises `UnreadableInputError` where there is no such folder,
-    `GroundTruthError` where it holds no label file, a name that is none of ours, `unknown_grid`, `bad_grid`, and what
-    `order` raises.
+    Without a `grid`, it is determined as above. Raises `UnreadableInputError` if the folder does not exist,
+    `GroundTruthError` if it has no label file or an invalid name, `unknown_grid`, `bad_grid`, and the errors of
+    `order`.
     """
     root = folder / "gts" if (folder / "gts").is_dir() else folder
     if not root.is_dir():
@@ -98,7 +96,7 @@ def find_ground_truth(
 
 
 def _grid_at(truth: GroundTruth) -> LabelGrid:
-    """The grid of a folder's labels. Raises `unknown_grid`, `bad_grid`, `GroundTruthError`."""
+    """Return the grid of a folder's labels. Raises `unknown_grid`, `bad_grid`, `GroundTruthError`."""
     for place in (truth.folder / GRID_FILE, truth.folder.parent / GRID_FILE):
         if place.is_file():
             return read_grid_file(place)
@@ -122,8 +120,9 @@ def unknown_grid(path: Path, shape: tuple[int, ...]) -> Refused:
 
 @dataclass(frozen=True, eq=False)
 class FrameLabels:
-    """The ground truth of one frame: its classes, which voxels are evaluated, which are late (None if unknown), and how
-    many occupied voxels are left out for their confidence."""
+    """The ground truth of one frame: its classes, the evaluated voxels, the late voxels (None if unknown), and the
+    number of occupied voxels excluded for low confidence.
+    """
 
     semantics: Grid
     is_evaluated: NDArray[np.bool_]
@@ -132,10 +131,9 @@ class FrameLabels:
 
 
 def read_labels(path: Path, mask: Mask, grid: LabelGrid = PAPER, least_confidence: float = 0.0) -> FrameLabels:
-    """The labels of one frame of a grid, read as strictly as a submission is, without its occupied voxels of a lower
-    confidence.
+    """Return the labels of one frame, checked as strictly as a submission; excludes occupied voxels of low confidence.
 
-    Raises `UnreadableInputError`, `GroundTruthError` for anything but a label file of the labeler, and `no_confidence`.
+    Raises `UnreadableInputError`, `GroundTruthError` for any other file than the labeler's, and `no_confidence`.
     """
     return labels_in(read_bounded(path, MAX_LABELS_BYTES, GroundTruthError), mask, path, grid, least_confidence)
 
@@ -143,7 +141,9 @@ def read_labels(path: Path, mask: Mask, grid: LabelGrid = PAPER, least_confidenc
 def labels_in(
     npz: bytes, mask: Mask, path: Path, grid: LabelGrid = PAPER, least_confidence: float = 0.0
 ) -> FrameLabels:
-    """The labels in the bytes of a label file, which `path` only names. Raises `GroundTruthError`, `no_confidence`."""
+    """Return the labels in the bytes of a label file; `path` is used in errors. Raises `GroundTruthError`,
+    `no_confidence`.
+    """
     with _refusals(path):
         members = _members(npz)
         semantics = read_grid(npz, members["semantics"], grid)
@@ -162,7 +162,7 @@ def labels_in(
 
 @contextmanager
 def _refusals(path: Path) -> Iterator[None]:
-    """Turn what is wrong with the bytes of a label file into a `GroundTruthError`."""
+    """Convert errors in a label file's bytes to `GroundTruthError`."""
     try:
         yield
     except (SubmissionError, KeyError) as error:

@@ -1,9 +1,8 @@
-"""The manifest: which frames a submission must hold, no more and no fewer.
+"""The manifest: the exact set of frames that a submission must contain.
 
-**Conventions.** JSON: `{"stone_manifest": 1, "sequences": {"<sequence name>": ["<frame_token>", …]}}`, and `grid`, that
-of the frames (`stone_base.label_grid`), if it is not the paper's. A sequence is named as everywhere
-(`stone/sensors/sequence.py`); a frame token is 32 lower-case hex digits and occurs once. The order of tokens carries no
-meaning. Nothing in it tells a label.
+**Conventions.** JSON: `{"stone_manifest": 1, "sequences": {"<sequence name>": ["<frame_token>", …]}}`, plus `grid`
+(`stone_base.label_grid`) if it is not the paper's. Sequence names follow `stone/sensors/sequence.py`; a frame token is
+32 lower-case hex digits and occurs once. The order of tokens has no meaning. A manifest reveals no labels.
 """
 
 import json
@@ -27,7 +26,7 @@ MAX_FRAMES = 200_000
 
 @dataclass(frozen=True)
 class Manifest:
-    """Sequence name → its frame tokens; the grid of all of them."""
+    """Frame tokens by sequence name, and the grid of all frames."""
 
     sequences: Mapping[str, tuple[str, ...]]
     grid: LabelGrid = PAPER
@@ -43,9 +42,9 @@ class Manifest:
 
 
 def read_manifest(path: Path) -> Manifest:
-    """The manifest in this file.
+    """Return the manifest in this file.
 
-    Raises `UnreadableInputError` where it cannot be opened and `bad_manifest` where it is not as described above.
+    Raises `UnreadableInputError` if it cannot be opened and `bad_manifest` if it does not have the format above.
     """
     raw = read_bounded(path, MAX_MANIFEST_BYTES, bad_manifest)
     try:
@@ -59,7 +58,7 @@ def read_manifest(path: Path) -> Manifest:
 
 
 def _grid_in(path: Path, record: Mapping[str, object]) -> LabelGrid:
-    """The grid that a manifest names. Raises `bad_manifest`."""
+    """Return the grid of a manifest. Raises `bad_manifest`."""
     if "grid" not in record:
         return PAPER
     try:
@@ -69,7 +68,7 @@ def _grid_in(path: Path, record: Mapping[str, object]) -> LabelGrid:
 
 
 def write_manifest(path: Path, manifest: Manifest) -> None:
-    """Atomic: the file is whole or absent."""
+    """Write the file atomically."""
     with atomic_file(path) as staging:
         staging.write_text(json.dumps(manifest.as_record(), indent=1) + "\n", encoding="utf-8")
 
@@ -92,17 +91,14 @@ def _faults(record: object) -> Iterator[str]:
 
 
 def is_token(text: object) -> bool:
-    """Whether this is a frame token: 32 lower-case hex digits."""
+    """Return whether this is a frame token: 32 lower-case hex digits."""
     return isinstance(text, str) and TOKEN.fullmatch(text) is not None
 
 
-# Reads a small file whole, if it is as small as it must be.
-
-
 def read_bounded(path: Path, limit_bytes: int, refusal: Callable[[Path, str], StoneError]) -> bytes:
-    """The bytes of this file; nothing beyond `limit_bytes` is read.
+    """Return the bytes of a small file, reading at most `limit_bytes`.
 
-    Raises `UnreadableInputError` where it cannot be opened, and `refusal(path, fault)` where it is larger.
+    Raises `UnreadableInputError` if it cannot be opened, and `refusal(path, fault)` if it is larger.
     """
     try:
         with path.open("rb") as file:

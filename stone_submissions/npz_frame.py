@@ -1,7 +1,7 @@
-"""One label grid out of an npz file that may be hostile: bounds first, no pickle anywhere, exact sizes, CRC.
+"""Reads one label grid from a possibly hostile npz file: bounds first, no pickle, exact sizes, CRC.
 
-**Conventions.** A grid is (256, 256, 32) uint8, C order. The file is in memory whole (its reader bounds it); nothing
-but the one grid is allocated. The values 0–3 are checked by who counts them, so that they are read once only.
+**Conventions.** A grid is (256, 256, 32) uint8, C order. The file is in memory (the caller limits its size); only the
+one grid is allocated. The code that counts the values 0–3 also checks them, so that they are read once.
 
 Source: NEP 1 (npy 1.0, 2.0, 3.0); Occ3D and SurroundOcc name the array `semantics`, `numpy.savez(path, grid)` `arr_0`.
 """
@@ -28,7 +28,8 @@ PREDICTION_KEYS = ("semantics", "arr_0")
 PLAIN_NAMES = tuple(f"{key}.npy".encode() for key in PREDICTION_KEYS)
 MAX_HEADER_BYTES = 4096
 MAX_ARRAYS = 64
-# Escapes, and digits that run into letters (0xF…, 1if): what Python's parser warns of or makes large numbers from.
+# Escapes, and digits followed by letters (0xF…, 1if): Python's parser warns about them or converts them to huge
+# numbers.
 NOT_IN_A_HEADER = re.compile(rb"\\|\d[A-Za-z_]")
 MOST_BRACKETS = 64
 LEAST_HEADER_BYTES = 64
@@ -38,7 +39,7 @@ Buffer = bytes | bytearray | memoryview
 
 @dataclass(frozen=True)
 class NpyHeader:
-    """What a npy header declares; `start` is the offset of the data."""
+    """The declarations of an npy header; `start` is the offset of the data."""
 
     descr: str
     is_fortran: bool
@@ -47,9 +48,9 @@ class NpyHeader:
 
 
 def prediction_grid(npz: Buffer, grid: LabelGrid = PAPER) -> NDArray[np.uint8]:
-    """The one array of a submitted frame of a grid, under one of `PREDICTION_KEYS`.
+    """Return the one array of a submitted frame, under one of `PREDICTION_KEYS`.
 
-    Raises the `SubmissionError` leaf that names what is wrong; values are not looked at.
+    Raises the `SubmissionError` of its fault; values are not checked.
     """
     plain = plain_member(npz, PLAIN_NAMES)
     if plain is not None:
@@ -65,9 +66,9 @@ def prediction_grid(npz: Buffer, grid: LabelGrid = PAPER) -> NDArray[np.uint8]:
 
 
 def npz_members(npz: Buffer) -> dict[str, ZipMember]:
-    """The arrays of an npz by key, none of them read yet.
+    """Return the arrays of an npz by key, without reading them.
 
-    Raises `not_npz`, `extra_array` (one key twice) and what `read_directory` raises.
+    Raises `not_npz`, `extra_array` (a repeated key) and the errors of `read_directory`.
     """
     try:
         members = read_directory(_reader(npz), len(npz), MAX_ARRAYS)
@@ -84,7 +85,7 @@ def npz_members(npz: Buffer) -> dict[str, ZipMember]:
 
 
 def read_grid(npz: Buffer, member: ZipMember, grid: LabelGrid = PAPER) -> NDArray[np.uint8]:
-    """The array of a grid's shape stored as `member` of this npz.
+    """Return the array with the grid's shape that is stored as `member` of this npz.
 
     Raises `bad_dtype`, `bad_shape`, `too_large`, `truncated`, `corrupt`, `not_npz`.
     """
@@ -93,7 +94,7 @@ def read_grid(npz: Buffer, member: ZipMember, grid: LabelGrid = PAPER) -> NDArra
 
 
 def array_shape(npz: Buffer, member: ZipMember) -> tuple[int, ...]:
-    """Return the shape that the header of an array declares. Raises `not_npz`, and what finding it raises."""
+    """Return the shape in an array's header. Raises `not_npz`, and the errors of `payload_span`."""
     start, stop = payload_span(_reader(npz), member)
     packed = memoryview(npz)[start:stop]
     try:
@@ -104,7 +105,7 @@ def array_shape(npz: Buffer, member: ZipMember) -> tuple[int, ...]:
 
 
 def _grid_of(packed: memoryview, member: ZipMember, grid: LabelGrid) -> NDArray[np.uint8]:
-    """The array in the packed bytes of `member`."""
+    """Return the array in the packed bytes of `member`."""
     least, most = _npy_bytes(grid)
     if not least <= member.unpacked_bytes <= most:
         raise _size_refusal(packed, member, grid)
@@ -118,9 +119,9 @@ def _grid_of(packed: memoryview, member: ZipMember, grid: LabelGrid) -> NDArray[
 
 
 def parse_header(head: bytes) -> NpyHeader:
-    """The header of a npy file from its first bytes; nothing but literals is evaluated.
+    """Parse the header of an npy file from its first bytes; only literals are evaluated.
 
-    Raises `not_npz` where it is none, or is longer than 4 KiB.
+    Raises `not_npz` if it is not a header or longer than 4 KiB.
     """
     if head[:6] != b"\x93NUMPY" or len(head) < 12 or head[6] not in (1, 2, 3):
         raise SubmissionError("not_npz", "an npy array of version 1 to 3", f"bytes {head[:8]!r}")
@@ -154,7 +155,7 @@ def _is_size(number: object) -> bool:
 
 
 def _npy_bytes(grid: LabelGrid) -> tuple[int, int]:
-    """The fewest and the most bytes of the npy file of an array of the grid's shape."""
+    """Return the smallest and largest npy file size of an array with the grid's shape."""
     return grid.voxels + LEAST_HEADER_BYTES, grid.voxels + 12 + MAX_HEADER_BYTES
 
 
@@ -170,7 +171,7 @@ def _checked(header: NpyHeader, grid: LabelGrid) -> NpyHeader:
 
 
 def _size_refusal(packed: memoryview, member: ZipMember, grid: LabelGrid) -> SubmissionError:
-    """Why a member of this size is no grid: its own header says so best, and 4 KiB of it cost nothing."""
+    """Return the refusal of a member with this size; the header of the array (4 KiB) shows the reason."""
     raw: bytes
     least, most = _npy_bytes(grid)
     try:
@@ -190,7 +191,7 @@ def _peek(packed: memoryview) -> bytes:
 
 
 def inflate_exactly(packed: Buffer, size_bytes: int) -> bytearray:
-    """Exactly `size_bytes`, or a refusal: no stream is followed beyond what it declared."""
+    """Return exactly `size_bytes` of the stream, or raise; the stream is never read beyond its declared size."""
     try:
         npy: bytearray = deflate.deflate_decompress(packed, size_bytes)
     except deflate.DeflateError as error:
@@ -201,7 +202,7 @@ def inflate_exactly(packed: Buffer, size_bytes: int) -> bytearray:
 
 
 def _inflate_refusal(packed: Buffer, size_bytes: int) -> SubmissionError:
-    """Broken, or longer than declared (a bomb): told apart by inflating one byte more than the declared size."""
+    """Return the refusal of a stream that is broken or longer than declared (a bomb), by inflating one more byte."""
     try:
         longer = zlib.decompressobj(-15).decompress(packed, size_bytes + 1)
     except zlib.error:
@@ -221,13 +222,10 @@ def _listed(names: Iterable[str]) -> str:
     return ", ".join(shown[:4]) + (f" and {len(shown) - 4} more" if len(shown) > 4 else "") if shown else "no array"
 
 
-# A fast check for the common npz file: a zip of one array with no unusual features.
-#
-# **Conventions.** What is recognised here is read just so by `stone_files/zip_directory.py` too; whatever is in
-# any way else is left to that, which also says what is wrong. One frame takes a third of a millisecond, of which
-# reading its headers in full would be a tenth.
-#
-# Source: as in `zip_directory`; numpy writes wide sizes into the local header and narrow ones into the directory.
+# A fast path for ordinary npz files: a zip of one array without unusual features. All other files use
+# `stone_files/zip_directory.py`, which gives the same result and names faults. This path takes 0.3 ms per frame;
+# reading all headers would add a tenth. numpy writes zip64 sizes into the local header and narrow sizes into the
+# directory.
 
 
 WIDE = struct.Struct("<2H2Q")
@@ -236,7 +234,9 @@ LEAST_BYTES = LOCAL.size + CENTRAL.size + END.size
 
 
 def plain_member(npz: Buffer, names: tuple[bytes, ...]) -> tuple[ZipMember, int] | None:
-    """The one file of this zip, of one of these names, and where its bytes start; None if anything is unusual."""
+    """Return the only file of this zip, if it has one of these names, and the start of its bytes; None if anything is
+    unusual.
+    """
     end_at = len(npz) - END.size
     if len(npz) < LEAST_BYTES:
         return None
@@ -261,7 +261,7 @@ def plain_member(npz: Buffer, names: tuple[bytes, ...]) -> tuple[ZipMember, int]
 
 
 def _data_start(npz: Buffer, known: tuple[int, int, int, bytes]) -> int | None:
-    """Behind the local header, where that says what is known."""
+    """Return the offset after the local header, if the header agrees with `known`."""
     method, packed, unpacked, name = known
     mark, _, flags, own_method, _, _, _, *sizes, name_bytes, extra_bytes = LOCAL.unpack_from(npz)
     start = LOCAL.size + len(name)

@@ -1,14 +1,14 @@
-"""Layouts that predictions are often written in and that are no submission's: recognised by names, with the line that
-makes a submission of them.
+"""Common prediction layouts that are not a submission's: recognised by file names, each with a command that converts
+it.
 
-**Conventions.** A layout explains files by the tokens of their frames. It is one problem of the archive, not one for
-every file and frame. Lines read sub.zip and write fixed.zip.
+**Conventions.** A layout explains files by the tokens of their frames, as one problem of the archive instead of one
+problem per file and frame. The commands read sub.zip and write fixed.zip.
 """
 
 import re
 from collections.abc import Callable, Mapping, Sequence
 
-Explained = tuple[str, dict[str, str]]  # what the files are, and the token of each name
+Explained = tuple[str, dict[str, str]]  # description of the files, and the token of each name
 
 NUMBER = re.compile(r"[^0-9]{0,40}[0-9]{1,19}")
 RUBBISH = ("__MACOSX/", ".DS_Store", "._", "Thumbs.db", "desktop.ini")
@@ -16,7 +16,7 @@ KEPT = "for n in a.namelist() if n.endswith('{ending}')"
 
 
 def rezipped(name: str, kept: str = KEPT.format(ending=".npz"), before: str = "") -> str:
-    """The line that writes every kept file again under another name, an expression of `n`."""
+    """Return the command that writes every kept file under a new name, an expression of `n`."""
     return (
         f"python -c \"import zipfile as z; {before}a = z.ZipFile('sub.zip'); b = z.ZipFile('fixed.zip', 'w'); "
         f'[b.writestr({name}, a.read(n)) {kept}]; b.close()"'
@@ -24,7 +24,7 @@ def rezipped(name: str, kept: str = KEPT.format(ending=".npz"), before: str = ""
 
 
 def resaved(array: str, name: str = "n", ending: str = ".npz") -> str:
-    """The line that writes every frame again as the array that an expression makes of `f`, what numpy loads."""
+    """Return the command that writes every frame with a converted array, an expression of `f` (the loaded npz)."""
     return (
         "python -c \"import io, zipfile as z, numpy as np; a = z.ZipFile('sub.zip'); b = z.ZipFile('fixed.zip', 'w'); "
         f"[(f := np.load(io.BytesIO(a.read(n))), g := io.BytesIO(), np.savez_compressed(g, semantics={array}), "
@@ -34,7 +34,7 @@ def resaved(array: str, name: str = "n", ending: str = ".npz") -> str:
 
 NUMBERED = "files numbered instead of named by token"
 OF_TOOLS = "files that macOS's Finder or Windows adds to a zip (`zip -r -X` does not)"
-# What the files are: the line that mends it. "" says that none can be known.
+# The command for each kind of files; "" if there is none.
 LINES: Mapping[str, str] = {
     "files in the label layout gts/<scene>/<token>/labels.npz": rezipped("n.split('/')[-2] + '.npz'"),
     "names with backslashes, as written by some Windows programs": rezipped("n.replace(chr(92), '/').split('/')[-1]"),
@@ -52,9 +52,9 @@ LINES: Mapping[str, str] = {
 
 
 def other_layout(names: Sequence[str], missing: frozenset[str]) -> Explained | None:
-    """What the files are of which none is a frame, as many as a layout explains; None if none does.
+    """Return the description of files that are not frames, for the layout that explains most; None if no layout does.
 
-    `missing` are the tokens whose frames were not found.
+    `missing` are the tokens of missing frames.
     """
     names = [name for name in names if name.isprintable() and not {"", ".", ".."} & {*name.split("/")}]
     for what, token_of in _TOKENS.items():
@@ -68,12 +68,12 @@ def other_layout(names: Sequence[str], missing: frozenset[str]) -> Explained | N
 
 
 def is_rubbish(name: str) -> bool:
-    """Whether a file manager added this file to a zip, and nobody meant it."""
+    """Return whether a file manager added this file to a zip."""
     return name.startswith(RUBBISH[0]) or name.rpartition("/")[2].startswith(RUBBISH[1:])
 
 
 def layout_hint(found: str) -> str:
-    """What makes a submission of files that are what `other_layout` found; "" if it is none of them."""
+    """Return how to convert files that `other_layout` describes as `found`; "" for other descriptions."""
     line = next((line for what, line in LINES.items() if what in found), "")
     return f"name frames <frame_token>.npz and put all of them in one folder; {line}" if line else ""
 

@@ -1,8 +1,8 @@
-"""Whether a submission is complete and well-formed: what the server checks of it, without ground truth.
+"""Checks that a submission is complete and well-formed: the server's check, without ground truth.
 
-**Conventions.** A frame that is missing or refused has its problem; nothing stops at the first. `deflate` releases the
-interpreter, so threads share cores; at any time each thread holds one frame. Progress is called from the calling
-thread only.
+**Conventions.** Each missing or refused frame has its own problem, and the check continues after a problem. `deflate`
+releases the GIL, so threads use several cores; each thread holds one frame at a time. Progress is called only in the
+calling thread.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -29,11 +29,11 @@ HIGHEST_LABEL = 3
 
 
 def silent(stage: str, done: int, total: int) -> None:
-    """The progress that tells nobody."""
+    """Ignore progress."""
 
 
 def validate(zip_path: Path, manifest_path: Path, *, threads: int = THREADS, progress: Progress = silent) -> Validation:
-    """Everything that is wrong with a submission, short of what only the ground truth knows.
+    """Return all problems of a submission that can be found without ground truth.
 
     Raises `UnreadableInputError` for a path that cannot be opened and `bad_manifest` for a broken manifest.
     """
@@ -46,7 +46,7 @@ def validate(zip_path: Path, manifest_path: Path, *, threads: int = THREADS, pro
 def check_range(
     submission: SubmissionZip, tokens: Sequence[str], *, threads: int = THREADS, progress: Progress = silent
 ) -> Iterator[ValidationProblem]:
-    """What is wrong with these frames, one after another, short of what only the ground truth knows."""
+    """Yield the problems of these frames in order, as far as they can be found without ground truth."""
     here = [token for token in tokens if token in submission.frames]
     found = in_threads(
         lambda index: validate_frame(submission, here[index]), len(here), threads, progress=progress, stage="validate"
@@ -55,7 +55,7 @@ def check_range(
 
 
 def validate_frame(submission: SubmissionZip, token: str) -> ValidationProblem | None:
-    """What is wrong with one frame, or None."""
+    """Return the problem of one frame, or None."""
 
     def look() -> None:
         highest = int(frame_grid(submission, token).max())
@@ -66,12 +66,12 @@ def validate_frame(submission: SubmissionZip, token: str) -> ValidationProblem |
 
 
 def frame_grid(submission: SubmissionZip, token: str) -> Grid:
-    """The grid of one frame, its values not yet looked at. Raises `SubmissionError`."""
+    """Return the grid of one frame without checking its values. Raises `SubmissionError`."""
     return prediction_grid(submission.read(token), submission.grid)
 
 
 def refusal_of(submission: SubmissionZip, token: str, work: Callable[[], None]) -> ValidationProblem | None:
-    """What `work` on this frame finds wrong with it, or None."""
+    """Return the problem that `work` raises for this frame, or None."""
     try:
         work()
     except SubmissionError as error:

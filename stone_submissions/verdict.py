@@ -1,7 +1,7 @@
 """Validation problems of a submission: a code per file and frame, the first hundred and the total.
 
-**Conventions.** `ok` is true exactly when `errors_total` is 0. Texts from outside are cut to 200 characters; what
-is not printable in them (commands to a terminal, marks that turn the writing round) is escaped.
+**Conventions.** `ok` is true exactly if `errors_total` is 0. External texts are cut to 200 characters; unprintable
+characters (terminal commands, text direction marks) are escaped.
 """
 
 from collections.abc import Iterable, Mapping
@@ -17,7 +17,7 @@ LONGEST_TEXT = 200
 
 @dataclass(frozen=True)
 class ValidationProblem:
-    """One refusal: `file` as named in the archive, `frame` its token where there is one."""
+    """One problem: `file` is the name in the archive, `frame` its token, if it has one."""
 
     code: str
     file: str
@@ -34,7 +34,7 @@ class ValidationProblem:
 
 @dataclass(frozen=True)
 class Validation:
-    """The verdict on a submission: at most `SHOWN` problems, and how many there are in all."""
+    """The verdict on a submission: at most `SHOWN` problems, and the total number."""
 
     ok: bool
     errors: tuple[ValidationProblem, ...]
@@ -46,7 +46,7 @@ class Validation:
 
 
 class SubmissionRefusedError(StoneError):
-    """A submission is not scored because it is not valid; `validation` lists every problem."""
+    """A submission is invalid and not scored; `validation` lists its problems."""
 
     code = "submission_refused"
 
@@ -66,13 +66,10 @@ def verdict(problems: Iterable[ValidationProblem]) -> Validation:
     return Validation(not found, found[:SHOWN], len(found))
 
 
-# The record of a validation, read back from rows and from other processes, and added up.
-
-
 def validation_of(record: Mapping[str, Any]) -> Validation:
-    """What `Validation.as_record` wrote, cut to its bounds whoever wrote it.
+    """Return the validation in a record of `Validation.as_record`, cut to its limits because its writer is not trusted.
 
-    Raises `KeyError`, `TypeError`, `ValueError` for anything else.
+    Raises `KeyError`, `TypeError`, `ValueError` for other records.
     """
     errors = tuple(_problem(one) for one in record["errors"][:SHOWN])
     total = int(record["errors_total"])
@@ -82,7 +79,7 @@ def validation_of(record: Mapping[str, Any]) -> Validation:
 
 
 def merged(validations: Iterable[Validation]) -> Validation:
-    """The verdicts on ranges as one on them all, in their order."""
+    """Return the verdicts on consecutive ranges as one verdict."""
     given = list(validations)
     total = sum(one.errors_total for one in given)
     return Validation(total == 0, tuple(problem for one in given for problem in one.errors)[:SHOWN], total)

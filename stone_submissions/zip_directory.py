@@ -1,4 +1,6 @@
-"""The table of contents of a submission's zip: faults of `stone_files/zip_directory.py` as those of submissions."""
+"""The central directory of a submission's zip: converts faults of `stone_files/zip_directory.py` to submission
+errors.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,13 +13,13 @@ __all__ = ["IN_EXTRA_32", "ReadAt", "ZipMember", "payload_span", "read_directory
 
 
 def read_directory(read_at: ReadAt, size_bytes: int, max_entries: int) -> tuple[ZipMember, ...]:
-    """Return the members in the order of the directory. Raises a `SubmissionError` of the same code."""
+    """Return the members in directory order. Raises a `SubmissionError` with the same code."""
     with _faults_of_submissions():
         return zip_directory.read_directory(read_at, size_bytes, max_entries)
 
 
 def payload_span(read_at: ReadAt, member: ZipMember) -> tuple[int, int]:
-    """Return where the packed bytes of `member` start and stop. Raises a `SubmissionError` of the same code."""
+    """Return start and stop of the packed bytes of `member`. Raises a `SubmissionError` with the same code."""
     with _faults_of_submissions():
         return zip_directory.payload_span(read_at, member)
 
