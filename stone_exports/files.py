@@ -86,13 +86,13 @@ class ExportFileSpan:
 
     def pieces(self) -> Iterator[bytes]:
         """Yield the bytes in pieces. Raises `DamagedExportError` if the file ends early."""
-        place, end = self.offset_bytes, self.offset_bytes + self.size_bytes
+        offset, end = self.offset_bytes, self.offset_bytes + self.size_bytes
         with self.path.open("rb") as file:
-            while place < end:
-                piece = os.pread(file.fileno(), min(PIECE_BYTES, end - place), place)
+            while offset < end:
+                piece = os.pread(file.fileno(), min(PIECE_BYTES, end - offset), offset)
                 if not piece:
-                    raise self.damaged(f"it ends {end - place} bytes early")
-                place += len(piece)
+                    raise self.damaged(f"it ends {end - offset} bytes early")
+                offset += len(piece)
                 yield piece
 
 
@@ -129,8 +129,8 @@ class TarFiles:
     root: str = ""
 
     def span(self, name: str) -> ExportFileSpan | None:
-        place = self.places.get(self.root + name)
-        return None if place is None else ExportFileSpan(self.path, name, *place)
+        span = self.places.get(self.root + name)
+        return None if span is None else ExportFileSpan(self.path, name, *span)
 
 
 def frames_missing(missing: Sequence[str], sequences: Sequence[str]) -> Refused:

@@ -90,7 +90,7 @@ def _scenes(files: Files) -> dict[str, str]:
 def _data(files: Files) -> dict[str, dict[str, ExportedDatum]]:
     """Return the key-frame data by frame token and channel."""
     sensors, poses = _sensors(files), poses_in(files)
-    found = dict[str, dict[str, ExportedDatum]]()
+    data = dict[str, dict[str, ExportedDatum]]()
     for row in table_rows(files, "sample_data"):
         sensor = sensors.get(str(row.get("calibrated_sensor_token")))
         pose = poses.get(str(row.get("ego_pose_token")))
@@ -101,8 +101,8 @@ def _data(files: Files) -> dict[str, dict[str, ExportedDatum]]:
             missing = "no pose" if pose is None else "no file"
             raise table_span(files, "sample_data").damaged(f"{str(row.get('filename'))[:200]!r} has {missing}")
         datum = ExportedDatum(sensor, stamp_of(files, "sample_data", row), pose, span)
-        found.setdefault(str(row.get("sample_token")), {})[sensor.channel] = datum
-    return found
+        data.setdefault(str(row.get("sample_token")), {})[sensor.channel] = datum
+    return data
 
 
 def _sensors(files: Files) -> dict[str, ExportedSensor]:
@@ -112,7 +112,7 @@ def _sensors(files: Files) -> dict[str, ExportedSensor]:
         for row in table_rows(files, "sensor")
     }
     sizes = dict(_picture_sizes(files))
-    found = dict[str, ExportedSensor]()
+    sensors = dict[str, ExportedSensor]()
     for row in table_rows(files, "calibrated_sensor"):
         token, kind = str(row.get("token")), kinds.get(str(row.get("sensor_token")))
         if kind is None:
@@ -120,8 +120,8 @@ def _sensors(files: Files) -> dict[str, ExportedSensor]:
         mount = row_pose(files, "calibrated_sensor", row, FARTHEST_MOUNT_M)
         size = sizes.get(token)
         lens = intrinsics_of(files, row, size) if kind[1] == "camera" and size is not None else None
-        found[token] = ExportedSensor(*kind, mount, lens)
-    return found
+        sensors[token] = ExportedSensor(*kind, mount, lens)
+    return sensors
 
 
 def _picture_sizes(files: Files) -> Iterator[tuple[str, tuple[int, int]]]:

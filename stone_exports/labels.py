@@ -40,16 +40,16 @@ def observed_classes(span: ExportFileSpan, least_confidence: float = 0.0, grid: 
     if RELEASED_KEY in arrays:
         classes = arrays[RELEASED_KEY]
         is_unknown = classes == (NOT_OBSERVED if grid.unknown is None else grid.unknown)
-        found = np.where(is_unknown, np.uint8(NOT_OBSERVED), classes)
+        observed = np.where(is_unknown, np.uint8(NOT_OBSERVED), classes)
         classes = np.where(is_unknown, np.uint8(0), classes)
     else:
         classes, is_observed = arrays["semantics"], arrays["mask_lidar"]
-        found = np.where((is_observed == 0) & (classes == 0), np.uint8(NOT_OBSERVED), classes)
+        observed = np.where((is_observed == 0) & (classes == 0), np.uint8(NOT_OBSERVED), classes)
     if classes.max() > HIGHEST_CLASS:
         raise span.damaged(f"it has class {classes.max()}; the highest class is {HIGHEST_CLASS}")
     if least_confidence > 0:
-        found[(classes != 0) & (arrays["confidence"] < least_level(least_confidence))] = UNSURE
-    return found
+        observed[(classes != 0) & (arrays["confidence"] < least_level(least_confidence))] = UNSURE
+    return observed
 
 
 def _arrays(span: ExportFileSpan, further: tuple[str, ...], grid: LabelGrid) -> dict[str, Classes]:
@@ -141,10 +141,10 @@ def scan_records(span: ExportContent) -> NDArray[np.void]:
     head, mark, body = content[:MOST_HEAD_BYTES].partition(b"DATA binary\n")
     if not mark:
         raise span.damaged("it is not a binary PCD")
-    said = dict(re.findall(r"^([A-Z]+) (.*)$", head.decode("ascii", "replace"), re.MULTILINE))
+    header = dict(re.findall(r"^([A-Z]+) (.*)$", head.decode("ascii", "replace"), re.MULTILINE))
     try:
-        points, counts = int(said["POINTS"]), set(said.get("COUNT", "1").split())
-        parts = zip(said["FIELDS"].split(), said["TYPE"].split(), said["SIZE"].split(), strict=True)
+        points, counts = int(header["POINTS"]), set(header.get("COUNT", "1").split())
+        parts = zip(header["FIELDS"].split(), header["TYPE"].split(), header["SIZE"].split(), strict=True)
         record = np.dtype([(name, KINDS[kind, int(size)]) for name, kind, size in parts])
     except (KeyError, ValueError) as error:
         raise span.damaged("its PCD header is invalid") from error

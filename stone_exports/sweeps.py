@@ -60,7 +60,7 @@ class PlacedSweep(SweepFile):
 def sweeps_in(files: Files, tokens: AbstractSet[str]) -> dict[str, PlacedSweep]:
     """Return the sweeps of the frames in `tokens` that the export contains. Raises `DamagedExportError`."""
     mounts, poses = _mounts(files), poses_in(files)
-    found = dict[str, PlacedSweep]()
+    sweeps = dict[str, PlacedSweep]()
     for row in table_rows(files, "sample_data"):
         mount = mounts.get(str(row.get("calibrated_sensor_token")))
         token = plain_token(str(row.get("sample_token")))
@@ -73,8 +73,8 @@ def sweeps_in(files: Files, tokens: AbstractSet[str]) -> dict[str, PlacedSweep]:
         pose = poses.get(str(row.get("ego_pose_token")))
         if pose is None:
             raise table_span(files, "sample_data").damaged(f"{filename[:200]!r} has no pose")
-        found[str(token)] = PlacedSweep(span, mount, stamp_of(files, "sample_data", row), pose)
-    return found
+        sweeps[str(token)] = PlacedSweep(span, mount, stamp_of(files, "sample_data", row), pose)
+    return sweeps
 
 
 def _mounts(files: Files) -> Mapping[str, SE3]:

@@ -43,14 +43,14 @@ def exports_in(path: Path) -> tuple[Files, ...]:
     Raises `NotExportedError`, `bad_tar`.
     """
     if path.is_file():
-        found = tuple(_exports_in_tar(path))
+        exports = tuple(_exports_in_tar(path))
     elif (path / SAMPLE_DATA).is_file():
         return (FolderFiles(path),)
     else:
-        found = tuple(one for child in sorted(path.iterdir()) for one in _exports_at(child))
-    if not found:
+        exports = tuple(export for child in sorted(path.iterdir()) for export in _exports_at(child))
+    if not exports:
         raise NotExportedError(path)
-    return found
+    return exports
 
 
 def table_rows(files: Files, name: str) -> Iterator[Mapping[str, Any]]:

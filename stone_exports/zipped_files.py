@@ -48,13 +48,13 @@ class ZippedFileSpan(ExportFileSpan):
         if self.member.method != DEFLATED:
             first, last = self._place(self.ranges.read_at)
             return self.ranges.read_at(first + start, max(min(stop, last - first) - start, 0))
-        found, place = bytearray(), 0
+        part, offset = bytearray(), 0
         for piece in self._inflated():
-            found += piece[max(start - place, 0) : max(stop - place, 0)]
-            place += len(piece)
-            if place >= stop:
+            part += piece[max(start - offset, 0) : max(stop - offset, 0)]
+            offset += len(piece)
+            if offset >= stop:
                 break
-        return bytes(found)
+        return bytes(part)
 
     def identity(self) -> list[str | int]:
         return [self.name, self.offset_bytes, self.size_bytes, self.member.crc32, *self.ranges.identity()]
@@ -63,9 +63,9 @@ class ZippedFileSpan(ExportFileSpan):
         read_at = self._fetched()
         start, stop = self._place(read_at)
         inflating = isal_zlib.decompressobj(RAW) if self.member.method == DEFLATED else None
-        for place in range(start, stop, PIECE_BYTES):
-            packed = read_at(place, min(PIECE_BYTES, stop - place))
-            if len(packed) < min(PIECE_BYTES, stop - place):
+        for offset in range(start, stop, PIECE_BYTES):
+            packed = read_at(offset, min(PIECE_BYTES, stop - offset))
+            if len(packed) < min(PIECE_BYTES, stop - offset):
                 raise self.damaged("the zip was truncated while it was read")
             if inflating is None:
                 yield packed

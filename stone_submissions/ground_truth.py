@@ -90,16 +90,16 @@ def find_ground_truth(
     if len(set(manifest.tokens)) < len(manifest.tokens):
         raise GroundTruthError(root, "two sequences share a frame token")
     ordered = None if order is None else order(root, manifest.sequences)
-    in_time = manifest if ordered is None else Manifest({name: one.tokens for name, one in ordered.items()})
-    found = GroundTruth(root, in_time, mask, ordered)
-    return replace(found, manifest=replace(found.manifest, grid=grid or _grid_at(found)))
+    in_time = manifest if ordered is None else Manifest({name: timed.tokens for name, timed in ordered.items()})
+    truth = GroundTruth(root, in_time, mask, ordered)
+    return replace(truth, manifest=replace(truth.manifest, grid=grid or _grid_at(truth)))
 
 
 def _grid_at(truth: GroundTruth) -> LabelGrid:
     """Return the grid of a folder's labels. Raises `unknown_grid`, `bad_grid`, `GroundTruthError`."""
-    for place in (truth.folder / GRID_FILE, truth.folder.parent / GRID_FILE):
-        if place.is_file():
-            return read_grid_file(place)
+    for grid_path in (truth.folder / GRID_FILE, truth.folder.parent / GRID_FILE):
+        if grid_path.is_file():
+            return read_grid_file(grid_path)
     path = next(iter(truth.paths().values()))
     npz = read_bounded(path, MAX_LABELS_BYTES, GroundTruthError)
     with _refusals(path):

@@ -137,8 +137,8 @@ def parse_header(head: bytes) -> NpyHeader:
 def _literal_header(text: bytes, start: int) -> NpyHeader:
     odd = NOT_IN_A_HEADER.search(text)
     if odd or sum(map(text.count, (b"(", b"[", b"{"))) > MOST_BRACKETS:
-        found = repr(odd.group()) if odd else f"more than {MOST_BRACKETS} brackets"
-        raise SubmissionError("not_npz", "an npy header of plain literals", found)
+        actual = repr(odd.group()) if odd else f"more than {MOST_BRACKETS} brackets"
+        raise SubmissionError("not_npz", "an npy header of plain literals", actual)
     try:
         facts = ast.literal_eval(text.decode("latin-1").strip())
         shape, descr, is_fortran = (facts[key] for key in ("shape", "descr", "fortran_order"))

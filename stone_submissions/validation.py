@@ -39,8 +39,8 @@ def validate(zip_path: Path, manifest_path: Path, *, threads: int = THREADS, pro
     """
     manifest = read_manifest(manifest_path)
     with open_submission(zip_path, manifest.tokens, manifest.grid) as submission:
-        found = verdict(check_range(submission, manifest.tokens, threads=threads, progress=progress))
-        return merged([verdict(submission.problems), found])
+        problems = verdict(check_range(submission, manifest.tokens, threads=threads, progress=progress))
+        return merged([verdict(submission.problems), problems])
 
 
 def check_range(
@@ -48,10 +48,10 @@ def check_range(
 ) -> Iterator[ValidationProblem]:
     """Yield the problems of these frames in order, as far as they can be found without ground truth."""
     here = [token for token in tokens if token in submission.frames]
-    found = in_threads(
+    results = in_threads(
         lambda index: validate_frame(submission, here[index]), len(here), threads, progress=progress, stage="validate"
     )
-    return (problem for problem in found if problem is not None)
+    return (problem for problem in results if problem is not None)
 
 
 def validate_frame(submission: SubmissionZip, token: str) -> ValidationProblem | None:

@@ -62,8 +62,8 @@ def problem_of(error: SubmissionError, file: str, frame: str | None) -> Validati
 
 
 def verdict(problems: Iterable[ValidationProblem]) -> Validation:
-    found = tuple(problems)
-    return Validation(not found, found[:SHOWN], len(found))
+    listed = tuple(problems)
+    return Validation(not listed, listed[:SHOWN], len(listed))
 
 
 def validation_of(record: Mapping[str, Any]) -> Validation:
@@ -71,7 +71,7 @@ def validation_of(record: Mapping[str, Any]) -> Validation:
 
     Raises `KeyError`, `TypeError`, `ValueError` for other records.
     """
-    errors = tuple(_problem(one) for one in record["errors"][:SHOWN])
+    errors = tuple(_problem(problem) for problem in record["errors"][:SHOWN])
     total = int(record["errors_total"])
     if total < len(errors) or (total > 0) != bool(errors):
         raise ValueError(f"{len(errors)} problems listed, but {total} counted")
@@ -81,8 +81,10 @@ def validation_of(record: Mapping[str, Any]) -> Validation:
 def merged(validations: Iterable[Validation]) -> Validation:
     """Return the verdicts on consecutive ranges as one verdict."""
     given = list(validations)
-    total = sum(one.errors_total for one in given)
-    return Validation(total == 0, tuple(problem for one in given for problem in one.errors)[:SHOWN], total)
+    total = sum(validation.errors_total for validation in given)
+    return Validation(
+        total == 0, tuple(problem for validation in given for problem in validation.errors)[:SHOWN], total
+    )
 
 
 def _problem(record: Mapping[str, Any]) -> ValidationProblem:
