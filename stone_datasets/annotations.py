@@ -122,7 +122,7 @@ def _scenes(files: DatasetFiles, splits: dict[str, tuple[str, ...]]) -> Iterator
         else:
             for scene in stream.items():
                 if scene in names:
-                    raise DatasetFaultError("DST-031", DatasetPlace(ANNOTATIONS), f"{quoted(scene)} is there twice")
+                    raise DatasetFaultError("DST-031", DatasetPlace(ANNOTATIONS), f"{quoted(scene)} is listed twice")
                 if NAME.fullmatch(scene) is None:
                     raise DatasetFaultError(
                         "DST-019", DatasetPlace(ANNOTATIONS), f"{quoted(scene)} is not a valid name"
@@ -195,7 +195,7 @@ def _fault_of_labels(row: DatasetRow, scene: str) -> DatasetFaultError | None:
     wanted = f"{label_folder(scene)}/{row.named}/labels.npz"
     if row.values.get("gt_path", wanted) in (wanted, "", None):
         return None
-    return DatasetFaultError("DST-069", row.place, f"gt_path is {quoted(row.values['gt_path'])}, expected is {wanted}")
+    return DatasetFaultError("DST-069", row.place, f"gt_path is {quoted(row.values['gt_path'])}; expected {wanted}")
 
 
 def _add_picture(files: DatasetFiles, scene: AnnotatedScene, what: tuple[DatasetRow, int], names: NameColumn) -> None:
@@ -211,10 +211,10 @@ def _add_picture(files: DatasetFiles, scene: AnnotatedScene, what: tuple[Dataset
     row.lens((1, 1), "intrinsic")
     camera = scene.cameras.setdefault(channel, AnnotatedCamera(row))
     if camera.frames and camera.frames[-1] == len(scene.tokens):
-        raise DatasetFaultError("DST-037", row.place, f"two pictures are of {channel}")
+        raise DatasetFaultError("DST-037", row.place, f"two images have the channel {channel}")
     if any(camera.first.value(key) != row.value(key) for key in ("intrinsic", "extrinsic")):
         raise DatasetFaultError(
-            "DST-038", row.place, f"{channel} has another intrinsic or extrinsic than in earlier frames"
+            "DST-038", row.place, f"{channel} has a different intrinsic or extrinsic than in earlier frames"
         )
     camera.frames.append(len(scene.tokens))
     said = channel_and_stamp(name)

@@ -145,7 +145,7 @@ def _dangling(tables: DatasetTables, found: Mapping[str, Places]) -> Iterator[Da
     for table, rows in found.items():
         for row in np.flatnonzero(rows < 0).tolist():
             place = DatasetPlace(tables.file("sample_data"), row + 1)
-            what = f"of {quoted(tables.data.names[row])} {table}_token is not a token of {table}"
+            what = f"the {table}_token of {quoted(tables.data.names[row])} is not a token of {table}"
             yield DatasetFaultError("DST-030", place, what)
 
 
@@ -161,7 +161,9 @@ def _misnamed(placed: PlacedData) -> Iterator[DatasetFaultError]:
     if not are_sound:
         return
     for again, first in repeated(np.array([hash(names[row]) for row in range(len(names))], np.int64)):
-        yield DatasetFaultError("DST-042", placed.place(again), f"row {first + 1} names {quoted(names[again])} too")
+        yield DatasetFaultError(
+            "DST-042", placed.place(again), f"row {first + 1} also refers to {quoted(names[again])}"
+        )
 
 
 def _fault_of_name(placed: PlacedData, row: int, name: str) -> DatasetFaultError | None:
@@ -171,11 +173,11 @@ def _fault_of_name(placed: PlacedData, row: int, name: str) -> DatasetFaultError
         return path_fault("filename", name, placed.place(row), table="sample_data")
     if not base or folder not in [f"{one}/{channel}" for one in FOLDERS] or said[0] != channel:
         likely = folder_cause(name, [f"{one}/{channel}/" for one in FOLDERS])
-        what = f"filename is {quoted(name)}, the sensor {channel}"
+        what = f"filename is {quoted(name)}, but the sensor is {channel}"
         return DatasetFaultError("DST-041", placed.place(row), what, likely)
     if said[1] != placed.stamps_us[row]:
         return DatasetFaultError(
-            "DST-040", placed.place(row), f"filename is {quoted(name)}, timestamp {placed.stamps_us[row]}"
+            "DST-040", placed.place(row), f"filename is {quoted(name)}, but timestamp is {placed.stamps_us[row]}"
         )
     return None
 
@@ -193,7 +195,7 @@ def _wrong_frames(placed: PlacedData, frames: DatasetFrames) -> Iterator[Dataset
     for again, first in repeated(placed.frame[keys] * (placed.channel.max(initial=0) + 1) + placed.channel[keys]):
         row, other = int(keys[again]), int(keys[first])
         yield DatasetFaultError(
-            "DST-037", placed.place(row), f"row {other + 1} is of {placed.sensor(row).sensor.channel} too"
+            "DST-037", placed.place(row), f"row {other + 1} has the same sensor {placed.sensor(row).sensor.channel}"
         )
 
 

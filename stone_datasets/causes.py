@@ -9,26 +9,26 @@ from collections.abc import Iterable
 from stone_datasets.stamps import MICROSECONDS, SECONDS, unit_of
 
 HEX = re.compile(r"[0-9a-f]+")
-NEW_TOKEN = "uuid.uuid4().hex makes one, hashlib.md5(name.encode()).hexdigest() makes one of any name"
+NEW_TOKEN = "uuid.uuid4().hex creates a token, hashlib.md5(name.encode()).hexdigest() creates one from any name"
 
 
 def type_cause(key: str, value: object) -> str:
     """Why the value of a key is of another type."""
     if value is None:
-        return "null: it was never filled in"
+        return "null: the value was never filled in"
     if key == "timestamp" and isinstance(value, float):
         unit = unit_of(value) or SECONDS
         return f"{unit.name} as a float: {unit.mended}" + ("" if unit is MICROSECONDS else " and round")
     if isinstance(value, str):
-        return "a number written as text" if _is_number(value) else "text instead of it"
+        return "the number is written as text" if _is_number(value) else "the value is text"
     if isinstance(value, dict):
-        return "an object; the schema has a list of numbers" if key in ("rotation", "translation") else "an object"
+        return "an object; the schema requires a list of numbers" if key in ("rotation", "translation") else "an object"
     if isinstance(value, list):
         return _list_cause(value)
     if "token" in key or key in ("prev", "next"):
         return f"a number; tokens are text of 32 hex digits: {NEW_TOKEN}"
     if isinstance(value, bool):
-        return "true or false where a number is expected"
+        return "a boolean where a number is expected"
     if key == "is_key_frame":
         return "a number; JSON has true and false"
     return "a float; write int(value)" if isinstance(value, float) else ""
@@ -39,11 +39,14 @@ def token_cause(found: str) -> str:
     plain = found.replace("-", "")
     if len(plain) == 32 and HEX.fullmatch(plain.lower()):
         if plain != plain.lower():
-            return "capitals; write token.lower() in all tables and in the names of label folders"
-        return "dashes at other places than a UUID's; write token.replace('-', '') everywhere"
+            return "upper-case letters; write token.lower() in all tables and in the names of label folders"
+        return "dashes at other positions than in a UUID; write token.replace('-', '') everywhere"
     if HEX.fullmatch(found.lower()) and 28 <= len(found) <= 40:
         return f"{len(found)} hex digits instead of 32"
-    return f"a name, counter or stamp instead of 32 hex digits; {NEW_TOKEN}; the same in every table and label folder"
+    return (
+        f"a name, counter or stamp instead of 32 hex digits; {NEW_TOKEN}; use the same token in every table and "
+        "label folder"
+    )
 
 
 def folder_cause(name: str, folders: Iterable[str]) -> str:
@@ -51,9 +54,9 @@ def folder_cause(name: str, folders: Iterable[str]) -> str:
     for folder in folders:
         before, found, _ = name.partition(f"/{folder}")
         if found:
-            return f"paths begin with samples/ or sweeps/, relative to the dataset: leave out {before[:80]!r}"
+            return f"paths must start with samples/ or sweeps/, relative to the dataset: remove {before[:80]!r}"
         if name.lower().startswith(folder.lower()) and not name.startswith(folder):
-            return "its folder and the sensor differ in capitals"
+            return "its folder and the sensor differ in upper and lower case"
     return "" if "/" in name else "a file name without its folder samples/<CHANNEL>/"
 
 
@@ -63,7 +66,7 @@ def _list_cause(value: list[object]) -> str:
     if any(one is None for one in value):
         return "null in a list of numbers"
     if len(value) == 1 and isinstance(value[0], list):
-        return "a list in a list: leave out the outer brackets"
+        return "a list within a list: remove the outer brackets"
     return f"a list of {len(value)}"
 
 

@@ -70,6 +70,6 @@ def _meant(place: DatasetPlace, number: object, meaning: object) -> tuple[int, s
         raise DatasetFaultError("DST-070", place, f"{quoted(number)} is not a number from 0 to 255")
     if not isinstance(meaning, str) or meaning not in MEANINGS:
         raise DatasetFaultError(
-            "DST-070", place, f"{number} is {quoted(meaning)}, expected is one of {', '.join(MEANINGS)}"
+            "DST-070", place, f"{number} is {quoted(meaning)}; expected one of {', '.join(MEANINGS)}"
         )
     return number, meaning

@@ -26,7 +26,7 @@ def torn_drives(index: DatasetIndex) -> Iterator[DatasetFaultError]:
         counts = Counter(split_of[name] for name in drive if name in split_of)
         if len(counts) > 1:
             found = " and ".join(f"{count} in {quoted(split)}" for split, count in counts.items())
-            what = f"of the {len(drive)} scenes of the drive that begins with {quoted(drive[0])}, {found}"
+            what = f"of the {len(drive)} scenes of the drive that starts with {quoted(drive[0])}, {found}"
             yield DatasetFaultError("DST-044", DatasetPlace("splits"), what)
 
 

@@ -213,9 +213,11 @@ def _refuse(index: DatasetIndex, what: str, returns: int, shares: Mapping[str, f
     if not _is_refuted(stated, shares[best]) and stated >= LEAST_SHARE:
         return
     others = f"; {best}: {shares[best]:.2%}" if best != STATED else ""
-    said = f"{stated:.2%} of {returns} returns lie in occupied voxels of {'their' if what == 'own' else 'near'} labels"
+    said = (
+        f"{stated:.2%} of {returns} returns are in occupied voxels of {('their' if what == 'own' else 'near')} labels"
+    )
     place = DatasetPlace(label_folder(index.sequences[0].name))
-    raise DatasetFaultError("DST-073", place, f"{said} by the grid {index.grid}{others}")
+    raise DatasetFaultError("DST-073", place, f"{said} with the grid {index.grid}{others}")
 
 
 def _is_refuted(stated: float, other: float) -> bool:
@@ -236,8 +238,8 @@ def _refuse_mixed_up(index: DatasetIndex, labelled: list[DatasetSequence], class
             grid = _Frames(index, of, classes).labels(other)
             found = 0.0 if grid is None else share_in(grid, index.grid, read[1])[0] / returns
             if _is_refuted(stated, found):
-                what = f"{stated:.2%} of the {returns} returns of its sweep lie in occupied voxels of these labels"
-                better = f"{found:.2%} in those of {of.label_name(other)}"
+                what = f"{stated:.2%} of the {returns} returns of its sweep are in occupied voxels of these labels"
+                better = f"{found:.2%} are in occupied voxels of {of.label_name(other)}"
                 raise DatasetFaultError("DST-074", DatasetPlace(sequence.label_name(frame)), f"{what}, {better}")
 
 

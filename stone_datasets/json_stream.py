@@ -19,7 +19,7 @@ MOST_ROWS = 1 << 26
 SPACE = re.compile(r"[ \t\n\r]*")
 DECODER = json.JSONDecoder()
 MARK = "\ufeff"
-WITH_MARK = "it begins with a byte order mark: write it with encoding='utf-8', not 'utf-8-sig'"
+WITH_MARK = "it starts with a byte order mark: write it with encoding='utf-8', not 'utf-8-sig'"
 OF_PYTHON = ("'", "None", "True", "False", "array(")
 AS_REPR = "it is Python's repr: write it with json.dump"
 
@@ -53,7 +53,7 @@ class JsonStream:
 
     def expect(self, wanted: str) -> None:
         if not self.take(wanted):
-            raise self.malformed(f"{wanted!r} is expected where {quoted(self.peek())} is")
+            raise self.malformed(f"expected {wanted!r} instead of {quoted(self.peek())}")
 
     def value(self, row: int | None = None) -> Any:
         """The value that begins here."""
@@ -109,7 +109,7 @@ class JsonStream:
         at = getattr(error, "pos", 0)
         is_cut = self._is_whole and ("Unterminated" in str(error) or not self._text[at : at + 2].strip())
         is_repr = self._text.startswith(OF_PYTHON, at)
-        likely = AS_REPR if is_repr else "" if is_cut else "json.dump writes what every reader reads"
+        likely = AS_REPR if is_repr else "" if is_cut else "json.dump writes standard JSON"
         return self.malformed(str(error)[:80], row, likely)
 
     def _may_be_cut(self, error: ValueError) -> bool:
@@ -133,7 +133,7 @@ def json_rows(span: ExportFileSpan, stream: JsonStream | None = None) -> Iterato
         raise stream.malformed("it is empty")
     if stream.peek() != "[":
         likely = WITH_MARK if stream.peek() == MARK else ""
-        raise DatasetFaultError("DST-012", DatasetPlace(span.name), f"it begins with {quoted(stream.peek())}", likely)
+        raise DatasetFaultError("DST-012", DatasetPlace(span.name), f"it starts with {quoted(stream.peek())}", likely)
     stream.expect("[")
     row = 0
     while not stream.take("]"):
@@ -157,8 +157,8 @@ def _decoded(span: ExportFileSpan) -> Iterator[str]:
         yield decoder.decode(b"", final=True)
     except UnicodeDecodeError as error:
         is_utf16 = error.object[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-        likely = "it is UTF-16, as PowerShell's `>` writes" if is_utf16 else "it is of another encoding"
+        likely = "it is UTF-16, as PowerShell's `>` writes" if is_utf16 else "it has another encoding"
         raise DatasetFaultError("DST-011", DatasetPlace(span.name), "it is not UTF-8", likely) from error
     except DamagedExportError as error:
-        what = f"{error.why}; did another program truncate it while it was read?"
+        what = f"{error.why}; did another program truncate it during reading?"
         raise DatasetFaultError("DST-011", DatasetPlace(span.name), what) from error

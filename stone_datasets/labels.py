@@ -58,7 +58,7 @@ def read_labels(
     listed, arrays = _opened(span, layout.grid)
     members = {one.filename.removesuffix(".npy"): one for one in listed[:MOST_ARRAYS]}
     if layout.label_key not in members:
-        what = f"it has no {layout.label_key}, but {', '.join(sorted(members))[:100] or 'nothing'}"
+        what = f"it has no {layout.label_key}, only {', '.join(sorted(members))[:100] or 'no array'}"
         raise DatasetFaultError("DST-062", DatasetPlace(span.name), what)
     found = arrays.grid_of(members[layout.label_key])
     masks = [_mask(arrays, members[key], key) if key in members else None for key in (MASK_LIDAR, MASK_CAMERA)]
@@ -120,7 +120,7 @@ class _Arrays:
         except NO_NPY as error:
             raise self._damaged(member, "it is not an npy array") from error
         if shape != self.grid.shape:
-            what = f"{member.filename} has shape {str(shape)[:60]}, the grid is {self.grid}"
+            what = f"{member.filename} has shape {str(shape)[:60]}; the grid is {self.grid}"
             raise DatasetFaultError("DST-067" if is_mask else "DST-063", place, what, self._turned(shape))
         if dtype != np.uint8 or is_fortran:
             order = "Fortran" if is_fortran else "C"
@@ -136,10 +136,10 @@ class _Arrays:
         """Return the call that makes the grid of an array of this shape; "" unless only its axes are turned."""
         x, y, z = self.grid.shape
         step = {
-            (z, x, y): "grid.transpose(1, 2, 0) if its axes are z, x, y; grid.transpose(2, 1, 0) if z, y, x",
-            (x, z, y): "grid.transpose(0, 2, 1) if its axes are x, z, y; grid.transpose(2, 0, 1) if y, z, x",
-            (1, x, y, z): "grid[0]: there is no batch axis",
-            (x, y, z, 1): "grid[..., 0]: there is no channel axis",
+            (z, x, y): "grid.transpose(1, 2, 0) if your axes are z, x, y; grid.transpose(2, 1, 0) if they are z, y, x",
+            (x, z, y): "grid.transpose(0, 2, 1) if your axes are x, z, y; grid.transpose(2, 0, 1) if they are y, z, x",
+            (1, x, y, z): "grid[0]: labels have no batch axis",
+            (x, y, z, 1): "grid[..., 0]: labels have no channel axis",
         }.get(shape)
         return f"axes are x, y, z: {step}" if step else ""
 
@@ -183,9 +183,9 @@ class _Arrays:
         begin = member.header_offset
         head = self.content[begin : begin + LOCAL_BYTES]
         if member.flag_bits & 1 or member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            raise self._damaged(member, "it is encrypted, or compressed by a method that npz does not use")
+            raise self._damaged(member, "it is encrypted, or uses a compression method that npz does not use")
         if len(head) < LOCAL_BYTES or head[:4] != b"PK\3\4":
-            raise self._damaged(member, "it is not where the zip directory says")
+            raise self._damaged(member, "it is not at the offset in the zip directory")
         start = begin + LOCAL_BYTES + sum(struct.unpack("<2H", head[26:30]))
         return self.content[start : start + member.compress_size]
 
@@ -208,7 +208,7 @@ def _meant(span: ExportFileSpan, found: Grid, masks: tuple[Grid | None, Grid | N
     classes = said.meaning[found]
     if (classes == UNKNOWN).any():
         numbers = np.unique(found[classes == UNKNOWN]).tolist()
-        what = f"the labels have {', '.join(map(str, numbers[:20]))}, which {said.name!r} does not name"
+        what = f"the labels have the values {', '.join(map(str, numbers[:20]))}, which {said.name!r} does not define"
         raise DatasetFaultError("DST-066", DatasetPlace(span.name), what)
     is_unobserved = classes == UNOBSERVED
     if is_unobserved.any():

@@ -51,14 +51,14 @@ def check_scenes(tables: DatasetTables, samples: LinkedRows, faults: DatasetFaul
     scenes = list(tables.scenes.values())
     for again, first in repeated([hash(scene.name) for scene in scenes]):
         faults.add(
-            DatasetFaultError("DST-031", scenes[again].row.place, f"row {first + 1} is named {scenes[again].name} too")
+            DatasetFaultError("DST-031", scenes[again].row.place, f"row {first + 1} is also named {scenes[again].name}")
         )
     counts = np.bincount(samples.group, minlength=len(scenes))
     order = np.lexsort((samples.stamps, samples.group))
     ends = np.cumsum(counts)
     for scene, count, end in zip(scenes, counts.tolist(), ends.tolist(), strict=True):
         if scene.samples != count or not count:
-            what = f"nbr_samples is {scene.samples}, its samples are {count}"
+            what = f"nbr_samples is {scene.samples}, but it has {count} samples"
             faults.add(DatasetFaultError("DST-033", scene.row.place, what))
         if count:
             _check_ends(scene, samples, (int(order[end - count]), int(order[end - 1])), faults)
@@ -67,7 +67,7 @@ def check_scenes(tables: DatasetTables, samples: LinkedRows, faults: DatasetFaul
 def _check_ends(scene: SceneRow, samples: LinkedRows, ends: tuple[int, int], faults: DatasetFaults) -> None:
     for key, said, row in zip(("first", "last"), (scene.first, scene.last), ends, strict=True):
         if said != samples.tokens[row]:
-            what = f"{key}_sample_token is {said!r}, its {key} sample by prev and next is {samples.tokens[row]}"
+            what = f"{key}_sample_token is {said!r}, but its {key} sample along prev and next is {samples.tokens[row]}"
             faults.add(DatasetFaultError("DST-032", scene.row.place, what))
 
 
@@ -91,7 +91,7 @@ def _one_sided(rows: LinkedRows, following: Places, preceding: Places) -> Iterat
         is_returned = back[there] == here
         is_kin = rows.group[there] == rows.group
         for row in np.flatnonzero(is_linked & ~(is_returned & is_kin)).tolist():
-            other = "is of another scene or sensor" if is_returned[row] else "does not point back to it"
+            other = "belongs to another scene or sensor" if is_returned[row] else "does not link back to this row"
             yield DatasetFaultError("DST-034", rows.place(row), f"its {what}, row {there[row] + 1}, {other}")
 
 
@@ -101,7 +101,7 @@ def _cyclic(rows: LinkedRows) -> Iterator[DatasetFaultError]:
     is_begun = np.isin(groups, rows.group[rows.previous == NONE])
     for row in firsts[~is_begun].tolist():
         yield DatasetFaultError(
-            "DST-034", rows.place(row), "every row of its scene and sensor has a prev: the chain is a cycle"
+            "DST-034", rows.place(row), "every row of its scene and sensor has a prev, so the chain is a cycle"
         )
 
 
@@ -109,7 +109,7 @@ def _not_rising(rows: LinkedRows, following: Places) -> Iterator[DatasetFaultErr
     is_wrong = (following >= 0) & (rows.stamps[following] <= rows.stamps)
     for row in np.flatnonzero(is_wrong).tolist():
         after = following[row]
-        what = f"its timestamp is {rows.stamps[row]}, that of its next, row {after + 1}, is {rows.stamps[after]}"
+        what = f"its timestamp is {rows.stamps[row]}, but its next, row {after + 1}, has {rows.stamps[after]}"
         yield DatasetFaultError("DST-035", rows.place(row), what)
 
 
@@ -119,5 +119,5 @@ def _broken(rows: LinkedRows) -> Iterator[DatasetFaultError]:
     for again, first in repeated(rows.group[begins]):
         row, other = int(begins[again]), int(begins[first])
         yield DatasetFaultError(
-            "DST-034", rows.place(row), f"it has no prev, and neither has row {other + 1} of the same scene and sensor"
+            "DST-034", rows.place(row), f"it has no prev, like row {other + 1} of the same scene and sensor"
         )

@@ -189,7 +189,7 @@ def read_tables_of(where: Path | ByteRanges, stated: StatedLayout = UNSTATED) ->
     _, reading = _read(open_dataset(where), stated, faults)
     faults.raise_first()
     if reading is None:
-        raise AssertionError("an index is missing and no fault says why")
+        raise AssertionError("an index is missing without a fault that explains it")
     return reading
 
 

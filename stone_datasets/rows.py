@@ -103,7 +103,7 @@ class DatasetRow:
         if isinstance(found, str) and STAMP_TEXT.fullmatch(found):
             found = int(found)
         if type(found) is not int:
-            raise self.wrong(key, "a whole number of microseconds")
+            raise self.wrong(key, "an integer number of microseconds")
         if not -LARGEST_US <= found <= LARGEST_US:
             unit = unit_of(found)
             raise DatasetFaultError(
@@ -130,12 +130,12 @@ class DatasetRow:
             raise DatasetFaultError("DST-020", self.place, f"rotation and translation are {quoted(parts)}")
         length = math.hypot(*parts[:4])
         if abs(length - 1) > UNIT_WITHIN:
-            likely = "it was never filled in; no rotation is 1, 0, 0, 0" if not length else ""
-            what = f"rotation {quoted(parts[:4])} is of length {length:.6g}"
+            likely = "the value was never filled in; the identity rotation is 1, 0, 0, 0" if not length else ""
+            what = f"rotation {quoted(parts[:4])} has length {length:.6g}"
             raise DatasetFaultError("DST-022", self.place, what, likely)
         if max(map(abs, parts[4:])) >= farthest_m:
             raise DatasetFaultError(
-                "DST-023", self.place, f"translation {quoted(parts[4:])}, the limit is {farthest_m:g} m"
+                "DST-023", self.place, f"translation is {quoted(parts[4:])}; the limit is {farthest_m:g} m"
             )
         return parts
 
@@ -157,7 +157,7 @@ class DatasetRow:
 
     def wrong(self, key: str, wanted: str) -> DatasetFaultError:
         found = self.values.get(key)
-        what = f"{key} is {quoted(found)}, expected is {wanted}"
+        what = f"{key} is {quoted(found)}; expected {wanted}"
         return DatasetFaultError("DST-016", self.place, what, type_cause(key, found))
 
     def _matrix(self, key: str) -> list[list[float]]:

@@ -44,14 +44,15 @@ def check_sweep(span: ExportFileSpan, place: DatasetPlace, *, has_no_returns: bo
         rows = np.frombuffer(span.read(MOST_SWEEP_BYTES), "<f4").reshape(-1, COLUMNS)
     except DamagedExportError as error:
         raise DatasetFaultError(
-            "DST-051", place, f"{span.name}: {error.why}; did another program truncate it while it was read?"
+            "DST-051", place, f"{span.name}: {error.why}; did another program truncate it during reading?"
         ) from error
     is_finite = np.isfinite(rows).all(axis=1)
     if has_no_returns and is_finite.any():
         return
     if not is_finite.all():
         what = (
-            f"{span.name}: {len(rows) - int(is_finite.sum())} of {len(rows)} points, the first is {is_finite.argmin()}"
+            f"{span.name}: {len(rows) - int(is_finite.sum())} of {len(rows)} points; the first is point "
+            f"{is_finite.argmin()}"
         )
         raise DatasetFaultError("DST-052", place, what)
 
@@ -61,7 +62,7 @@ def check_picture(span: ExportFileSpan, lens: CameraIntrinsics | None, place: Da
     form, size_px = picture_of(span, place)
     end = _part(span, max(span.size_bytes - END_BYTES, 0), place)
     if lens is not None and size_px != (lens.width_px, lens.height_px):
-        what = f"{span.name} has {size_px[0]} × {size_px[1]} pixels, its row says {lens.width_px} × {lens.height_px}"
+        what = f"{span.name} has {size_px[0]} × {size_px[1]} pixels; its row says {lens.width_px} × {lens.height_px}"
         raise DatasetFaultError("DST-055", place, what)
     if ENDS[form] not in end:
         raise DatasetFaultError("DST-054", place, f"{span.name} has no end marker in its last {END_BYTES} bytes")
@@ -71,13 +72,13 @@ def picture_of(span: ExportFileSpan, place: DatasetPlace) -> tuple[str, tuple[in
     """JPEG or PNG, and its width and height. Raises `DST-053`."""
     if span.size_bytes > MOST_PICTURE_BYTES:
         raise DatasetFaultError(
-            "DST-053", place, f"{span.name} has {span.size_bytes} bytes, at most {MOST_PICTURE_BYTES} are read"
+            "DST-053", place, f"{span.name} has {span.size_bytes} bytes; the limit is {MOST_PICTURE_BYTES}"
         )
     try:
         with Image.open(BytesIO(_part(span, 0, place)), formats=tuple(ENDS)) as image:
             return str(image.format), image.size
     except UNREADABLE as error:
-        raise DatasetFaultError("DST-053", place, f"{span.name} does not begin as JPEG or PNG") from error
+        raise DatasetFaultError("DST-053", place, f"{span.name} does not start like a JPEG or PNG") from error
 
 
 def _part(span: ExportFileSpan, start: int, place: DatasetPlace) -> bytes:

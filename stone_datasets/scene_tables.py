@@ -67,7 +67,7 @@ class SceneTableFiles:
         self._left_bytes -= self._held_bytes
         if self._left_bytes < 0:
             raise DatasetFaultError(
-                "DST-048", DatasetPlace(f"{table}.json"), f"they would have {-self._left_bytes} bytes too many"
+                "DST-048", DatasetPlace(f"{table}.json"), f"they would exceed the limit by {-self._left_bytes} bytes"
             )
         for scene, lines in self._held.items():
             with self._open(table, scene) as file:

@@ -22,18 +22,18 @@ def read_splits(files: DatasetFiles) -> tuple[str, Splits]:
     """The file of the splits, and what it says; no splits where there is none. Raises a `DatasetFaultError`."""
     names = [name for name in (SPLITS, f"{files.version}/{SPLITS}") if files.span(name) is not None]
     if len(names) > 1:
-        raise DatasetFaultError("DST-045", DatasetPlace(names[0]), f"there is {names[1]} too")
+        raise DatasetFaultError("DST-045", DatasetPlace(names[0]), f"{names[1]} also exists")
     span = files.span(names[0]) if names else None
     if span is None:
         return SPLITS, {}
     stream = JsonStream(span)
     if stream.peek() != "{":
-        raise DatasetFaultError("DST-045", DatasetPlace(span.name), f"it begins with {quoted(stream.peek())}")
+        raise DatasetFaultError("DST-045", DatasetPlace(span.name), f"it starts with {quoted(stream.peek())}")
     said: dict[str, tuple[str, ...]] = {}
     for key in stream.items():
         if key in said or len(said) >= MOST_SPLITS:
             raise DatasetFaultError(
-                "DST-045", DatasetPlace(span.name), f"{quoted(key)} is there twice, or there are too many splits"
+                "DST-045", DatasetPlace(span.name), f"{quoted(key)} is listed twice, or there are too many splits"
             )
         said[key] = scenes_named(span.name, key, stream.value())
     stream.end()
@@ -56,7 +56,7 @@ def check_splits(said: tuple[str, Splits], scenes: Iterable[str], faults: Datase
             faults.add(DatasetFaultError("DST-046", DatasetPlace(file), f"{quoted(split)} names {quoted(name)}"))
     parting = [(split, name) for split, name in named if split != ALL]
     for again, first in repeated([hash(name) for _, name in parting]):
-        what = f"{quoted(parting[again][1])} is in {quoted(parting[first][0])} and in {quoted(parting[again][0])}"
+        what = f"{quoted(parting[again][1])} is in both {quoted(parting[first][0])} and {quoted(parting[again][0])}"
         faults.add(DatasetFaultError("DST-047", DatasetPlace(file), what))
 
 

@@ -85,12 +85,12 @@ def strangers(stamps: Stamps, *, has_dated: bool, has_undated: bool) -> Iterator
             yield _of_unit(at, stamp, unit)
         else:
             of = "1990 to 2100" if has_dated else "a clock that was not set"
-            yield StampFault(at, f"timestamp is {stamp}, those of frames are of {of}", "is it of another clock?")
+            yield StampFault(at, f"timestamp is {stamp}, but frames have stamps from {of}", "another clock?")
 
 
 def wrong_unit(unit: StampUnit) -> str:
     """Return the name of a stamp of this unit, and how it becomes microseconds."""
-    return f"{unit.name} instead of whole microseconds: {unit.mended}"
+    return f"{unit.name} instead of integer microseconds: {unit.mended}"
 
 
 def _of_unit(at: int, stamp: int, unit: StampUnit) -> StampFault:

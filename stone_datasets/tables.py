@@ -283,11 +283,11 @@ def _add_datum(tables: DatasetTables, row: DatasetRow) -> None:
 def _note_size(mount: CalibratedSensorRow, row: DatasetRow) -> None:
     size = (row.count("width"), row.count("height"))
     if not all(0 < side <= WIDEST_PX for side in size):
-        raise DatasetFaultError("DST-027", row.place, f"width and height are {size}, expected are 1 to {WIDEST_PX}")
+        raise DatasetFaultError("DST-027", row.place, f"width and height are {size}; expected 1 to {WIDEST_PX}")
     if mount.size_px is None:
         mount.size_px, mount.lens = size, mount.row.lens(size)
     elif mount.size_px != size:
-        raise DatasetFaultError("DST-027", row.place, f"width and height are {size}, earlier ones are {mount.size_px}")
+        raise DatasetFaultError("DST-027", row.place, f"width and height are {size}; earlier: {mount.size_px}")
 
 
 def _referred(tables: DatasetTables, row: DatasetRow, key: str, to: tuple[str, Mapping[str, Held]]) -> Held | None:

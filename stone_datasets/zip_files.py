@@ -104,14 +104,17 @@ def _opened(ranges: ByteRanges) -> DatasetZip:
     held, sorted_places = keys[order], places[order].astype(np.int64)
     if len(again := np.flatnonzero(np.diff(held) == 0)):
         name = next(islice(directory_members(ranges.read_at, end), int(order[again[0]]), None)).name
-        raise DatasetFaultError("DST-006", DatasetPlace(ranges.path.name), f"two of its files are named {quoted(name)}")
+        raise DatasetFaultError("DST-006", DatasetPlace(ranges.path.name), f"two files have the name {quoted(name)}")
     return DatasetZip(ranges, version, root, held, sorted_places, frozenset(folders))
 
 
 def _refuse_bombs(ranges: ByteRanges, sizes_bytes: NDArray[np.uint64]) -> None:
     total, most = float(sizes_bytes.astype(np.float64).sum()), MOST_GROWTH * ranges.size_bytes + ALWAYS_BYTES
     if total > most:
-        what = f"its files would have {total / 1e9:.1f} GB, at most {most / 1e9:.1f} GB are read of a zip of its size"
+        what = (
+            f"its files would have {total / 1000000000.0:.1f} GB; the limit for a zip of its size is "
+            f"{most / 1000000000.0:.1f} GB"
+        )
         raise DatasetFaultError("DST-009", DatasetPlace(ranges.path.name), what)
 
 

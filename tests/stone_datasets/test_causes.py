@@ -49,14 +49,14 @@ UNITS: dict[str, tuple[Callable[[int], Any], str, str]] = {
     "whole seconds": (
         lambda us: us // 10**6,
         "DST-028",
-        "seconds instead of whole microseconds: multiply by 1,000,000",
+        "seconds instead of integer microseconds: multiply by 1,000,000",
     ),
-    "milliseconds": (lambda us: us // 1000, "DST-028", "milliseconds instead of whole microseconds: multiply by 1,000"),
-    "nanoseconds": (lambda us: us * 1000, "DST-028", "nanoseconds instead of whole microseconds: divide by 1,000"),
+    "milliseconds": (lambda us: us // 1000, "DST-028", "milliseconds instead of integer microseconds: multiply by 1,000"),
+    "nanoseconds": (lambda us: us * 1000, "DST-028", "nanoseconds instead of integer microseconds: divide by 1,000"),
     "simulated milliseconds": (lambda us: (us - FIRST_US) // 1000, "DST-028", "milliseconds instead"),
     "simulated nanoseconds": (lambda us: (us - FIRST_US) * 1000, "DST-028", "nanoseconds instead"),
     "milliseconds since boot": (lambda us: (us - FIRST_US) // 1000 + 668_000, "DST-028", "milliseconds instead"),
-    "text of another kind": (lambda us: f"{us / 1e6}", "DST-016", "a number written as text"),
+    "text of another kind": (lambda us: f"{us / 1e6}", "DST-016", "the number is written as text"),
     "no stamps": (lambda _us: None, "DST-016", "null"),
 }
 
@@ -115,7 +115,7 @@ def test_stamps_of_annotations_have_the_same_rules(copied_annotated: Path) -> No
     reannotated(copied_annotated, changed(lambda us: us // 1000))
     fault, *_ = check_dataset(copied_annotated).faults.found
     assert (fault.code, fault.rows) == ("DST-028", 3)
-    assert "milliseconds instead of whole microseconds" in str(fault)
+    assert "milliseconds instead of integer microseconds" in str(fault)
 
 
 def all_rows(name: str, **values: Any) -> Callable[[Path], object]:
@@ -139,18 +139,18 @@ MISTAKES: dict[str, tuple[Callable[[Path], object], str, str]] = {
     "paths that begin with a dot": (in_names(lambda name: f"./{name}"), "DST-041", "leave out '.'"),
     "names without folders": (in_names(lambda name: name.rpartition("/")[2]), "DST-041", "a file name without its"),
     "folders in small letters": (
-        in_names(lambda name: name.replace("samples/LIDAR_TOP", "samples/lidar_top")), "DST-041", "differ in capitals"),
+        in_names(lambda name: name.replace("samples/LIDAR_TOP", "samples/lidar_top")), "DST-041", "differ in upper and lower case"),
     "tokens in capitals": (table("sample", lambda rows: rows[0].update(token="AB" * 16)), "DST-017", "token.lower()"),
     "tokens that are counters": (table("sample", counted), "DST-016", "a number; tokens are text of 32 hex digits"),
     "tokens that are names": (row("sample", 0, token="frame_0001"), "DST-017", "instead of 32 hex digits"),
     "tokens that are stamps": (row("sample", 0, token=f"{FIRST_US}"), "DST-017", "instead of 32 hex digits"),
     "tokens of 40 digits": (row("sample", 0, token="a" * 40), "DST-017", "40 hex digits instead of 32"),
-    "dashes at odd places": (row("sample", 0, token="a-" * 31 + "a"), "DST-017", "dashes at other places"),
+    "dashes at odd places": (row("sample", 0, token="a-" * 31 + "a"), "DST-017", "dashes at other positions"),
     "rotations that are objects": (
         all_rows("ego_pose", rotation={"w": 1, "x": 0, "y": 0, "z": 0}), "DST-016", "a list of numbers"),
     "numbers as text": (all_rows("ego_pose", translation=["1", "2.5", "0"]), "DST-016", "numbers written as text"),
     "null in a pose": (all_rows("ego_pose", translation=[1, None, 0]), "DST-016", "null in a list of numbers"),
-    "no pose": (all_rows("ego_pose", translation=None), "DST-016", "null: it was never filled in"),
+    "no pose": (all_rows("ego_pose", translation=None), "DST-016", "null: the value was never filled in"),
     "a rotation that was never filled in": (all_rows("ego_pose", rotation=[0, 0, 0, 0]), "DST-022", "never filled in"),
     "key frames as 0 and 1": (all_rows("sample_data", is_key_frame=1), "DST-016", "JSON has true and false"),
     "a lens that is NaN": (

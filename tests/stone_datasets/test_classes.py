@@ -62,7 +62,7 @@ def test_what_is_unobserved_takes_itself_out_of_the_mask(tmp_path: Path) -> None
 
 def test_unnamed_numbers_are_refused_and_arrays_that_nobody_asked_for_are_left(tmp_path: Path) -> None:
     said = read_class_map(mapped(tmp_path, "name: short\nclasses: {0: free, 1: T}\n"))
-    with refused_as("DST-066", match="the labels have 2, 3, which 'short' does not name"):
+    with refused_as("DST-066", match="the labels have the values 2, 3, which 'short' does not define"):
         read_labels(labels(tmp_path, semantics=np.resize(np.arange(4, dtype=np.uint8), PAPER.shape)), said)
     found = read_labels(labels(tmp_path, distance_squared=GRID.astype(np.float16), semantics=GRID))
     assert (found.mask_lidar, found.mask_camera) == (None, None)
@@ -91,7 +91,7 @@ def test_real_labels_of_occ3d_are_recognised_and_read_by_the_classes_that_are_st
     span = ExportFileSpan(path, "labels.npz", 0, path.stat().st_size)
     layout = layout_of_labels(span, has_dashes=False)
     assert layout == LAYOUTS["occ3d"]
-    with refused_as("DST-063", match=r"shape \(200, 200, 16\), the grid is paper"):
+    with refused_as("DST-063", match=r"shape \(200, 200, 16\); the grid is paper"):
         read_labels(span)
     with refused_as("DST-066"):
         read_labels(span, layout=layout)

@@ -123,7 +123,7 @@ WRONG = {
         stated=StatedLayout(grid=in_grid(min_m=(-20.0, -20.0, -1.0), voxel_m=0.2)),
     ),
     "another shape stated": Wrong(
-        "DST-063", r"has shape \(200, 200, 16\), the grid is paper", stated=StatedLayout(grid=PAPER)
+        "DST-063", r"has shape \(200, 200, 16\); the grid is paper", stated=StatedLayout(grid=PAPER)
     ),
     "mounts x y z w": Wrong(
         "DST-073",
@@ -155,7 +155,7 @@ WRONG = {
     ),
     "a torn drive": Wrong(
         "DST-044",
-        "of the 2 scenes of the drive that begins with 'field-0000', 1 in 'train' and 1 in 'test'",
+        "of the 2 scenes of the drive that starts with 'field-0000', 1 in 'train' and 1 in 'test'",
         change=with_splits(train=["field-0000"], test=["field-0001"]),
     ),
     "class 17": Wrong(
@@ -169,10 +169,10 @@ WRONG = {
     "Fortran order": Wrong("DST-064", r"label\.npy is uint8 in Fortran order", change=fortran),
     "x and z exchanged": Wrong(
         "DST-063",
-        r"has shape \(16, 200, 200\), the grid is release",
+        r"has shape \(16, 200, 200\); the grid is release",
         change=relabelled(lambda grid: np.ascontiguousarray(grid.T)),
     ),
-    "flat": Wrong("DST-063", r"has shape \(640000,\), the grid is release", change=relabelled(np.ravel)),
+    "flat": Wrong("DST-063", r"has shape \(640000,\); the grid is release", change=relabelled(np.ravel)),
     "another key": Wrong(
         "DST-062", "it has no label, but semantics", change=relabelled(lambda grid: grid, key="semantics")
     ),
@@ -185,7 +185,7 @@ WRONG = {
     ),
     "a file twice": Wrong(
         "DST-006",
-        rf"two of its files are named '{TWIN.root}{LABEL}'",
+        rf"two files have the name '{TWIN.root}{LABEL}'",
         change=lambda files: [*files.items(), (LABEL, files[label(1, 0)])],
     ),
 }
