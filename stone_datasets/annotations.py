@@ -3,8 +3,8 @@
     {"train_split": [scene, …], "val_split": […], "scene_infos": {scene: {frame token: {"timestamp", "prev", "next",
      "ego_pose", "gt_path", "camera_sensor": {token: {"img_path", "intrinsic", "extrinsic", "ego_pose"}}}}}}
 
-**Conventions.** `extrinsic` is ego_from_camera, of the form of poses: a quaternion wxyz and metres. A channel is the
-folder of `img_path`, which is looked for as it is, below imgs/ and below samples/. Source: README of
+**Conventions.** `extrinsic` is ego_from_camera, in the same form as poses: a quaternion wxyz and metres. A channel is
+the folder of `img_path`; the file is searched at that path, below imgs/ and below samples/. Source: README of
 CVPR2023-3D-Occupancy-Prediction, "Hierarchy".
 """
 
@@ -43,7 +43,7 @@ PICTURE_FOLDERS = ("", "imgs/", "samples/")
 
 @dataclass
 class AnnotatedCamera:
-    """One camera of a scene, frame after frame."""
+    """One camera of a scene, in frame order."""
 
     first: DatasetRow
     frames: list[int] = field(default_factory=list)
@@ -54,7 +54,7 @@ class AnnotatedCamera:
 
 @dataclass
 class AnnotatedScene:
-    """What is known of a scene while its frames come."""
+    """The state of a scene while its frames are read."""
 
     name: str
     tokens: list[str] = field(default_factory=list)
@@ -65,7 +65,7 @@ class AnnotatedScene:
 
 
 def read_annotations(files: DatasetFiles, stated: StatedLayout, faults: DatasetFaults) -> DatasetIndex | None:
-    """The index of a dataset that has nothing else; None where it cannot be made for its faults."""
+    """Return the index of a dataset without tables, or None if its faults prevent an index."""
     splits, sequences, names, seen = dict[str, tuple[str, ...]](), list[DatasetSequence](), NameColumn(), set[int]()
     try:
         for scene, rows in _scenes(files, splits):
@@ -89,7 +89,7 @@ def read_annotations(files: DatasetFiles, stated: StatedLayout, faults: DatasetF
 
 
 def compare_annotations(index: DatasetIndex, faults: DatasetFaults) -> Splits:
-    """The splits that annotations.json says; that it agrees with the tables beside it is checked."""
+    """Return the splits in annotations.json, after a check that the file agrees with the tables."""
     splits, known = dict[str, tuple[str, ...]](), {one.name: set(one.tokens) for one in index.sequences}
     try:
         for scene, rows in _scenes(index.files, splits):
@@ -109,7 +109,7 @@ def compare_annotations(index: DatasetIndex, faults: DatasetFaults) -> Splits:
 
 
 def _scenes(files: DatasetFiles, splits: dict[str, tuple[str, ...]]) -> Iterator[tuple[str, Iterator[DatasetRow]]]:
-    """Each scene with its frames, which are read before the next; the splits are put into `splits`."""
+    """Yield each scene with an iterator of its frames, which must be read before the next scene; fills `splits`."""
     span, names = files.span(ANNOTATIONS), set[str]()
     if span is None:
         raise DatasetFaultError("DST-010", DatasetPlace(ANNOTATIONS), "it is missing")
@@ -143,7 +143,7 @@ Read = tuple[str, Iterator[DatasetRow], NameColumn, set[int]]
 
 
 def _read_scene(files: DatasetFiles, read: Read, faults: DatasetFaults) -> DatasetSequence | None:
-    """One scene; None where its frames cannot be put in order."""
+    """Return one scene, or None if its frames cannot be ordered."""
     name, rows, names, seen = read
     scene, before = AnnotatedScene(name), faults.total
     for row in rows:
@@ -191,7 +191,7 @@ def _add_frame(files: DatasetFiles, scene: AnnotatedScene, what: tuple[DatasetRo
 
 
 def _fault_of_labels(row: DatasetRow, scene: str) -> DatasetFaultError | None:
-    """Test sets name no labels."""
+    """Return the fault of a frame's label path; test sets have no label paths."""
     wanted = f"{label_folder(scene)}/{row.named}/labels.npz"
     if row.values.get("gt_path", wanted) in (wanted, "", None):
         return None
@@ -248,20 +248,18 @@ def _channel(files: DatasetFiles, name: str, camera: AnnotatedCamera, of: tuple[
     return DatasetChannel(sensor, frames[order], *held, np.array(camera.rows, np.int64)[order], names)
 
 
-# Tables for a scene of Occ3D's layout, which has none: what annotations.json says of it, as the schema's rows.
-#
-# **Conventions.** Tokens are the first 32 hex digits of a sha256 over what a row is about; a frame's is its own.
-# Pictures are named `samples/<CHANNEL>/<scene>__<CHANNEL>__<µs>.<ending>`, since names of the layout may say nothing.
-# There is no LiDAR, so no row of one.
+# Creates tables for a scene in Occ3D's layout from its annotations. Tokens are the first 32 hex digits of the sha256 of
+# a row's content; a frame keeps its own. Images are named `samples/<CHANNEL>/<scene>__<CHANNEL>__<µs>.<ending>`,
+# because the layout's own names have no fixed form. The layout has no LiDAR, so the tables have no LiDAR rows.
 
 
 CLASSES = ("free", "traversable", "potentially_traversable", "non_traversable")
-MOST_BYTES = 1 << 40  # of one scene: as much as its annotations say, a few times
+MOST_BYTES = 1 << 40  # per scene: a few times the size of its annotations
 Row = Mapping[str, Any]
 
 
 def write_annotated_tables(sequence: DatasetSequence, folder: Path) -> None:
-    """The tables of the scene into its folder. Raises `DST-035` where a camera's stamps do not rise."""
+    """Write the scene's tables into its folder. Raises `DST-035` if a camera's stamps do not increase."""
     out = SceneTableFiles(1, lambda _: folder, MOST_BYTES)
     rows = _rows(sequence)
     for table in TABLES:
@@ -269,7 +267,7 @@ def write_annotated_tables(sequence: DatasetSequence, folder: Path) -> None:
 
 
 def picture_names(sequence: DatasetSequence, channel: DatasetChannel) -> tuple[str, ...]:
-    """The names of a channel's files in the release's layout. Raises `DST-035`."""
+    """Return the names of a channel's files in the release's layout. Raises `DST-035`."""
     name, stamps_us = channel.sensor.channel, channel.stamps_ns // NS_PER_US
     if (np.diff(stamps_us) <= 0).any():
         place = DatasetPlace(f"{ANNOTATIONS} scene {sequence.name}")
@@ -342,7 +340,7 @@ def _samples(sequence: DatasetSequence) -> Iterator[Row]:
 
 
 def _datum_token(sequence: DatasetSequence, channel: DatasetChannel, place: int) -> str:
-    """ "" outside of them, as the schema ends its chains."""
+    """Return the token of a datum; "" beyond the ends, as in the schema's chains."""
     if not 0 <= place < len(channel.frames):
         return ""
     return _token("sample_data", sequence.tokens[int(channel.frames[place])], channel.sensor.channel)

@@ -1,6 +1,6 @@
-"""From sound tables to the index: links compared, data put to their frames, and what a sequence needs asked for.
+"""Builds the index from valid tables: compares links, assigns data to frames, and checks the requirements of sequences.
 
-**Conventions.** As `stone_datasets/links.py`: whole columns are compared.
+**Conventions.** As in `stone_datasets/links.py`: whole columns are compared.
 """
 
 import re
@@ -27,9 +27,9 @@ DIGITS = re.compile(r"[0-9]{10,19}")
 
 @dataclass(frozen=True, eq=False)
 class PlacedData:
-    """The columns of sample_data with what they refer to found: rows of samples, of poses; scene, channel, position.
+    """The columns of sample_data with resolved references: rows of samples and poses, scene, channel and position.
 
-    `at` is the place of a row's frame within its scene, by stamp.
+    `at` is the position of a row's frame within its scene, by stamp.
     """
 
     tables: DatasetTables
@@ -55,7 +55,7 @@ class PlacedData:
 
 @dataclass(frozen=True, eq=False)
 class DatasetFrames:
-    """All samples by scene and stamp: `order` (N,) are their rows, `starts` (S + 1,) where each scene begins in it."""
+    """All samples sorted by scene and stamp: `order` (N,) are their rows, `starts` (S + 1,) the start of each scene."""
 
     order: Places
     starts: Places
@@ -63,7 +63,7 @@ class DatasetFrames:
 
 
 def frames_of(tables: DatasetTables, faults: DatasetFaults) -> DatasetFrames:
-    """The samples, their chains and scenes checked."""
+    """Return the samples after checks of their chains and scenes."""
     held = tables.samples
     previous, following = _links(held.links.array(np.int64), 2)
     stamps_us, scenes = held.stamp_us.array(np.int64), held.scene.array(np.int64)
@@ -81,7 +81,7 @@ def frames_of(tables: DatasetTables, faults: DatasetFaults) -> DatasetFrames:
 
 
 def data_of(tables: DatasetTables, frames: DatasetFrames, faults: DatasetFaults) -> PlacedData | None:
-    """The data, checked; None where a reference leads nowhere."""
+    """Return the checked data, or None if a reference cannot be resolved."""
     data, before = tables.data, faults.total
     previous, following, frame_keys, pose_keys = _links(data.links.array(np.int64), 4)
     keys = data.keys.array(np.int64)
@@ -108,7 +108,7 @@ def data_of(tables: DatasetTables, frames: DatasetFrames, faults: DatasetFaults)
 
 
 def channels_of(placed: PlacedData) -> Iterator[Mapping[str, DatasetChannel]]:
-    """Of each scene its channels by name."""
+    """Yield the channels of each scene by name."""
     poses = placed.tables.poses.poses.array(np.float64).reshape(-1, 7)
     rows = np.flatnonzero(placed.is_key)
     rows = rows[np.lexsort((placed.at[rows], placed.channel[rows], placed.scene[rows]))]
@@ -131,7 +131,7 @@ def _channel(placed: PlacedData, rows: Places, poses: NDArray[np.float64]) -> Da
 
 
 def channel_and_stamp(name: str) -> tuple[str, int] | None:
-    """Sensor and microseconds that a file's name says, `…__<CHANNEL>__<µs>.<ending>`; None where it says none."""
+    """Return sensor and microseconds from a file name `…__<CHANNEL>__<µs>.<ending>`, or None for other names."""
     parts = name.rpartition("/")[2].rsplit("__", 2)
     digits = parts[-1].partition(".")[0]
     return (parts[1], int(digits)) if len(parts) == 3 and DIGITS.fullmatch(digits) else None
@@ -150,7 +150,7 @@ def _dangling(tables: DatasetTables, found: Mapping[str, Places]) -> Iterator[Da
 
 
 def _misnamed(placed: PlacedData) -> Iterator[DatasetFaultError]:
-    """Files that lie elsewhere, are of another sensor or stamp than their rows say, or stand in two rows."""
+    """Yield files in a wrong folder, with another sensor or stamp than their row, or with two rows."""
     names = placed.tables.data.names
     are_sound = True
     for row in range(len(names)):
@@ -183,7 +183,7 @@ def _fault_of_name(placed: PlacedData, row: int, name: str) -> DatasetFaultError
 
 
 def _wrong_frames(placed: PlacedData, frames: DatasetFrames) -> Iterator[DatasetFaultError]:
-    """Key-frame data that are far from their frame, or the second of their sensor in it."""
+    """Yield key-frame data that are far from their frame, or a second datum of the same sensor in a frame."""
     stamps_us = np.empty(len(frames.order), np.int64)
     stamps_us[frames.order] = frames.stamps_ns // NS_PER_US
     away_us = placed.stamps_us - stamps_us[placed.frame]
@@ -209,7 +209,7 @@ def _without_sweep(placed: PlacedData, frames: DatasetFrames) -> Iterator[Datase
 
 
 def _changing(placed: PlacedData) -> Iterator[DatasetFaultError]:
-    """The first row of a second calibration of a scene and sensor."""
+    """Yield the first row of a second calibration of a scene and sensor."""
     chains = placed.scene * (placed.channel.max(initial=0) + 1) + placed.channel
     pairs, firsts = np.unique(np.stack([chains, placed.mount]), axis=1, return_index=True)
     for again, first in repeated(pairs[0]):

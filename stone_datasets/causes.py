@@ -1,6 +1,6 @@
-"""The mistake that a value of a table shows: what it is instead, and what makes the right value of it.
+"""The likely mistake behind an invalid value, and its fix.
 
-**Conventions.** Every function returns "" if the value shows none; then the code's own guess stands.
+**Conventions.** Every function returns "" if the value shows no mistake; then the hint of the code is used.
 """
 
 import re
@@ -13,7 +13,7 @@ NEW_TOKEN = "uuid.uuid4().hex creates a token, hashlib.md5(name.encode()).hexdig
 
 
 def type_cause(key: str, value: object) -> str:
-    """Why the value of a key is of another type."""
+    """Return why a key's value has the wrong type."""
     if value is None:
         return "null: the value was never filled in"
     if key == "timestamp" and isinstance(value, float):
@@ -35,7 +35,7 @@ def type_cause(key: str, value: object) -> str:
 
 
 def token_cause(found: str) -> str:
-    """Why this text is no frame token."""
+    """Return why this text is not a frame token."""
     plain = found.replace("-", "")
     if len(plain) == 32 and HEX.fullmatch(plain.lower()):
         if plain != plain.lower():
@@ -50,7 +50,7 @@ def token_cause(found: str) -> str:
 
 
 def folder_cause(name: str, folders: Iterable[str]) -> str:
-    """Why a file's name does not begin with one of the folders, as `samples/LIDAR_TOP/`."""
+    """Return why a file's name does not start with one of the folders, such as `samples/LIDAR_TOP/`."""
     for folder in folders:
         before, found, _ = name.partition(f"/{folder}")
         if found:

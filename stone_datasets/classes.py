@@ -1,7 +1,7 @@
-"""Which traversability class each number of a label set means: stated in a file, never guessed.
+"""The traversability class of each label value: read from a class map, never guessed.
 
-**Conventions.** A YAML or JSON object: `name` of the set, and `classes`: number → T, P, N, free or unobserved. Without
-one numbers mean what this platform's labels mean: 0 free, 1 T, 2 P, 3 N, and 255 unobserved.
+**Conventions.** A class map is a YAML or JSON object: `name` of the set, and `classes`: number → T, P, N, free or
+unobserved. Without a map, the platform's values apply: 0 free, 1 T, 2 P, 3 N, and 255 unobserved.
 """
 
 from collections.abc import Mapping
@@ -23,13 +23,13 @@ MOST_MAP_BYTES = 64 * 1024
 
 @dataclass(frozen=True, eq=False)
 class ClassMap:
-    """`meaning` (256,) uint8: class of each number, `UNOBSERVED`, or `UNKNOWN` where nothing was said."""
+    """`meaning` (256,) uint8: class of each value, `UNOBSERVED`, or `UNKNOWN` for undefined values."""
 
     name: str
     meaning: NDArray[np.uint8]
 
     def with_unobserved(self, number: int | None) -> "ClassMap":
-        """Return the map in which a number that it does not name, if there is one, is unobserved."""
+        """Return the map with `number` as unobserved, unless the map defines it or it is None."""
         if number is None or self.meaning[number] != UNKNOWN:
             return self
         meaning = self.meaning.copy()
@@ -48,7 +48,7 @@ OWN_CLASSES = class_map_of("stone", {0: "free", 1: "T", 2: "P", 3: "N", 255: "un
 
 
 def read_class_map(path: Path) -> ClassMap:
-    """The map in a file. Raises `DST-070`."""
+    """Return the map in a file. Raises `DST-070`."""
     place = DatasetPlace(path.name)
     with path.open("rb") as file:
         content = file.read(MOST_MAP_BYTES + 1)
@@ -64,7 +64,7 @@ def read_class_map(path: Path) -> ClassMap:
 
 
 def _meant(place: DatasetPlace, number: object, meaning: object) -> tuple[int, str]:
-    if isinstance(number, str) and number.isdecimal() and len(number) < 4:  # keys of JSON are text
+    if isinstance(number, str) and number.isdecimal() and len(number) < 4:  # JSON keys are text
         number = int(number)
     if type(number) is not int or not 0 <= number < 256:
         raise DatasetFaultError("DST-070", place, f"{quoted(number)} is not a number from 0 to 255")

@@ -1,7 +1,7 @@
-"""Columns of tables with many rows: numbers in arrays, not rows in dictionaries.
+"""Columns of tables with many rows: arrays of numbers instead of dictionaries.
 
-**Conventions.** Of tokens and names Python's hash is kept: 64 bits, another in every process, so that nobody can make
-two that are equal. The hash of "" is 0, which therefore says that there is none.
+**Conventions.** Tokens and names are stored as Python's hashes: 64 bits and different in every process, so that an
+attacker cannot create collisions. The hash of "" is 0 and means no token.
 """
 
 from array import array
@@ -16,7 +16,7 @@ NONE = 0
 
 
 class NumberColumn:
-    """Numbers of one kind, appended; `code` is that of `array`."""
+    """A growing column of numbers; `code` is the type code of `array`."""
 
     def __init__(self, code: str) -> None:
         self._held: array[Any] = array(code)
@@ -25,16 +25,16 @@ class NumberColumn:
         self._held.extend(values)
 
     def extend(self, values: Iterable[float]) -> None:
-        """Raises `TypeError` for what is no number, `OverflowError` for one that is too large."""
+        """Append values. Raises `TypeError` for other types, `OverflowError` for numbers that are too large."""
         self._held.extend(values)
 
     def array(self, dtype: Any) -> NDArray[Any]:
-        """All of them, not copied where they are of that dtype: nothing may be added any more."""
+        """Return all values, without a copy if the dtype matches; nothing may be appended afterwards."""
         return np.frombuffer(self._held, self._held.typecode).astype(dtype, copy=False)
 
 
 class NameColumn:
-    """Many strings, held as their bytes."""
+    """Many strings, stored as bytes."""
 
     def __init__(self) -> None:
         self._bytes, self._ends = bytearray(), array("q", [0])
@@ -52,7 +52,7 @@ class NameColumn:
 
 
 def places_of(ascending: Keys, wanted: Keys) -> NDArray[np.int64]:
-    """Where each wanted key (N,) stands among the ascending ones, of equal ones the last; −1 where it does not."""
+    """Return the position (N,) of each wanted key among ascending keys (the last of equal keys), or −1."""
     if not len(ascending):
         return np.full(len(wanted), -1, np.int64)
     at = np.searchsorted(ascending, wanted, "right") - 1
@@ -60,14 +60,14 @@ def places_of(ascending: Keys, wanted: Keys) -> NDArray[np.int64]:
 
 
 def rows_of(keys: Keys, wanted: Keys) -> NDArray[np.int64]:
-    """The index of each wanted key (N,) among `keys`, which are in no order; −1 where it is none of them."""
+    """Return the index (N,) of each wanted key in the unsorted `keys`, or −1."""
     order = np.argsort(keys, kind="stable")
     at = places_of(keys[order], wanted)
     return np.where(at >= 0, order[at] if len(order) else at, -1)
 
 
 def repeated(keys: Sequence[int] | Keys) -> list[tuple[int, int]]:
-    """Index of each key that stands before, and the index where it first stood."""
+    """Return the index of each repeated key, with the index of its first occurrence."""
     held = np.asarray(keys, np.int64)
     order = np.argsort(held, kind="stable")
     is_first = np.append(True, np.diff(held[order]) != 0)[: len(held)]

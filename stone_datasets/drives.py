@@ -1,4 +1,4 @@
-"""The drives of a published dataset by log, vehicle, stamps and poses, and the splits that tear one."""
+"""The drives of a published dataset by log, vehicle, stamps and poses, and the splits that divide a drive."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -10,7 +10,7 @@ from stone_datasets.splits import ALL
 
 
 def drives_among(sequences: Sequence[DatasetSequence]) -> tuple[tuple[str, ...], ...]:
-    """Return the names of the sequences of each drive: those that continue each other."""
+    """Return the sequence names of each drive, a series of sequences that continue each other."""
     origins = {one.name: origin_of((one.logfile, one.vehicle, one.location), one.name) for one in sequences}
     tracks = {
         one.name: driven_track(one.stamps_ns, one.map_from_ego.translation_m, origins[one.name]) for one in sequences
@@ -33,7 +33,7 @@ def torn_drives(index: DatasetIndex) -> Iterator[DatasetFaultError]:
 def origin_of(log: tuple[str, str, str], name: str) -> TrackOrigin:
     """Return the origin of a scene's track by the logfile, vehicle and location of its log.
 
-    Poses of one location are in one map, as nuScenes has it.
+    Poses of one location share a map, as in nuScenes.
     """
     logfile, vehicle, location = log
     return TrackOrigin(logfile, vehicle, f"dataset:{(location or logfile or name).casefold()}")

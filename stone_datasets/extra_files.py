@@ -1,7 +1,7 @@
-"""Files in the archive of a dataset that no table names and no schema knows: kept as they are, never opened.
+"""Files in a dataset's archive that neither tables nor schema name: kept unchanged, never opened.
 
-**Conventions.** A file is extra if it begins at none of the places at which the known files begin. Only
-files below the dataset's root with plain names count.
+**Conventions.** A file is extra if its offset differs from the offsets of all known files. Only files below the
+dataset's root with plain names count.
 """
 
 from collections.abc import Collection, Iterator
@@ -15,13 +15,13 @@ from stone_files.archives import NAME, tar_members
 from stone_files.dataset_layout import ANNOTATIONS
 from stone_files.zip_directory import checked_end, directory_members
 
-MOST_FILE_BYTES, MOST_BYTES = 64 * 2**20, 2**30  # of each that is kept, and of all
+MOST_FILE_BYTES, MOST_BYTES = 64 * 2**20, 2**30  # limit per kept file, and for all of them
 MOST_FILES, LONGEST_NAME, MOST_SHOWN = 1000, 120, 100
 
 
 @dataclass(frozen=True)
 class ExtraFiles:
-    """The files that are small enough to be kept, and of those that are not the first names with their sizes."""
+    """The files small enough to be kept, and the first names and sizes of larger ones."""
 
     kept: tuple[ExportFileSpan, ...]
     left_out: tuple[tuple[str, int], ...]
@@ -29,7 +29,7 @@ class ExtraFiles:
 
 
 def extra_files(archive: DatasetArchive, known: Collection[int]) -> ExtraFiles:
-    """The extra files of an archive; `known` is where the files of its scenes begin. Raises `bad_tar`."""
+    """Return the extra files of an archive; `known` are the offsets of its scenes' files. Raises `bad_tar`."""
     kept, left_out, total, size_bytes, seen = list[ExportFileSpan](), list[tuple[str, int]](), 0, 0, set[str]()
     for name, offset, size in _members(archive):
         if offset in known or name in seen or not NAME.fullmatch(name) or _is_known(archive.version, name):
@@ -48,7 +48,7 @@ def extra_files(archive: DatasetArchive, known: Collection[int]) -> ExtraFiles:
 
 
 def _members(archive: DatasetArchive) -> Iterator[tuple[str, int, int]]:
-    """Name below the root, place and size of every file there."""
+    """Yield name below the root, offset and size of every file."""
     root = archive.root
     if isinstance(archive, DatasetTar):
         found = ((name, *place) for name, place in tar_members(archive.path))
@@ -60,7 +60,7 @@ def _members(archive: DatasetArchive) -> Iterator[tuple[str, int, int]]:
 
 
 def _is_known(version: str, name: str) -> bool:
-    """Whether an import reads the file itself: a table, splits, or, in a layout without tables, annotations."""
+    """Return whether an import reads the file itself: a table, splits, or annotations in a layout without tables."""
     if not version:
         return name in (ANNOTATIONS, SPLITS)
     folder, _, base = name.rpartition("/")

@@ -1,8 +1,7 @@
-"""Faults of a dataset: what is wrong, and in which table, row and file; and the collection of all that were found.
+"""The collection of a dataset's faults.
 
-**Conventions.** Rows count from 1, as they stand in their table. The leaves are in `layout_faults.py`,
-`table_faults.py` and `file_faults.py`; those of the layout itself, which the client knows too, in
-`stone_files/dataset_layout.py`.
+**Conventions.** Rows are numbered from 1 within their table. `stone_files/dataset_faults.py` lists the faults;
+`stone_files/dataset_layout.py` has the layout faults that the client also detects.
 """
 
 from dataclasses import dataclass, field
@@ -16,7 +15,7 @@ MOST_SHOWN = 100
 
 @dataclass
 class DatasetFaults:
-    """Every fault is counted, the first `most` are kept; rows with one likely mistake are one fault of their file."""
+    """Counts every fault and keeps the first `most`; rows of a file with the same likely mistake are one fault."""
 
     most: int = MOST_SHOWN
     found: list[DatasetFaultError] = field(default_factory=list)
@@ -35,13 +34,13 @@ class DatasetFaults:
 
     @property
     def left_out(self) -> int:
-        """How many are counted and neither kept nor one of the rows of one that is."""
+        """The number of faults that are neither kept nor merged into a kept fault."""
         return self.total - sum(fault.rows for fault in self.found)
 
     def __len__(self) -> int:
         return self.total
 
     def raise_first(self) -> None:
-        """Raises the first fault, where there is one."""
+        """Raise the first fault, if there is one."""
         if self.found:
             raise self.found[0]

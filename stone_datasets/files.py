@@ -1,8 +1,8 @@
 """The files of a dataset, in a folder or in place in a tar or zip: found by name, as byte ranges.
 
-**Conventions.** A name is a relative path of plain parts below the dataset's root; what leads outside is refused, in an
-archive also where nothing refers to it. Of a tar 24 bytes a file are held, of a zip 56. Names are found by Python's
-hash of them, which is of 64 bits and another in every process.
+**Conventions.** A name is a relative path of plain parts below the dataset's root. Paths that lead outside are refused;
+in an archive, unused ones too. A tar uses 24 bytes of memory per file, a zip 56. Names are found by Python's hash,
+which has 64 bits and differs in every process.
 """
 
 import os
@@ -34,7 +34,7 @@ from stone_files.dataset_layout import (
 
 
 class DatasetFiles(Protocol):
-    """The files of one dataset. `version` is the folder of its tables, "" where annotations.json has all."""
+    """The files of one dataset. `version` is the folder of its tables, "" for a dataset with annotations.json only."""
 
     @property
     def path(self) -> Path: ...
@@ -43,7 +43,7 @@ class DatasetFiles(Protocol):
     def version(self) -> str: ...
 
     def span(self, name: str) -> ExportFileSpan | None:
-        """The file of this name; None where there is none. Raises `DST-004`."""
+        """Return the file called `name`, or None if the dataset has no such file. Raises `DST-004`."""
         ...
 
     def has_folder(self, name: str) -> bool: ...
@@ -51,7 +51,7 @@ class DatasetFiles(Protocol):
 
 @dataclass(frozen=True)
 class DatasetFolder:
-    """A dataset as a folder."""
+    """A dataset in a folder."""
 
     path: Path
     version: str
@@ -76,7 +76,7 @@ class DatasetFolder:
         return is_inside(name) and os.path.isdir(self._real(name))
 
     def _real(self, folder: str) -> str:
-        """The folder of this name without links, asked once. Raises where those lead outside."""
+        """Return the real path of this folder, cached. Raises `DST-004` if it leads outside."""
         if folder not in self._known:
             real = os.path.realpath(self.path / folder)
             if not is_below(real, os.path.realpath(self.path)):
@@ -87,7 +87,7 @@ class DatasetFolder:
 
 @dataclass(frozen=True, eq=False)
 class DatasetTar:
-    """A dataset in a tar, below `root` (which ends in a slash, or is empty)."""
+    """A dataset in a tar, below `root` (ends in a slash, or is empty)."""
 
     path: Path
     version: str
@@ -102,7 +102,9 @@ class DatasetTar:
         return None if at < 0 else ExportFileSpan(self.path, name, *self.places[at].tolist())
 
     def spans(self, names: Iterable[str]) -> Places:
-        """The places (N, 6) of the files of these names, as `DatasetZip.spans`: all but offset and size are −1."""
+        """Return the places (N, 6) of these files, as `DatasetZip.spans` does: only offset and size are set, the rest
+        is −1.
+        """
         keys = NumberColumn("q")
         keys.extend(hash(self.root + name) for name in names)
         at = places_of(self.keys, keys.array(np.int64))
@@ -118,7 +120,7 @@ DatasetArchive = DatasetTar | DatasetZip
 
 
 def open_dataset(where: Path | ByteRanges) -> DatasetFiles:
-    """The dataset in a folder, tar or zip, also one folder below, or in a zip that is read by ranges.
+    """Return the dataset in a folder, tar or zip, or in a folder directly below, or in a zip that is read by ranges.
 
     Raises a `DatasetFaultError`, `bad_tar`.
     """

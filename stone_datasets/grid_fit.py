@@ -1,13 +1,13 @@
-"""Do tables, sweeps and labels fit together? The share of LiDAR returns that lie in occupied voxels of their labels.
+"""Checks that tables, sweeps and labels match: the share of LiDAR returns in occupied voxels of their labels.
 
-**Conventions.** Of frames evenly sampled, every return within the grid and at least `NEAREST_M` from the ego origin in
-plan counts; it is explained if it lies in an occupied voxel, or a quarter of a voxel above or below one. The share is
-measured for the grid as stated and for each way to misread one: other voxel sizes, half a voxel off, the LiDAR's mount
-with its quaternion read x y z w. Poses are judged by returns of a frame in the labels of another one, `APART_M` away. A
-reading that explains many more returns than the stated one refutes it. So do the labels of another frame: of its
-neighbours, and of the same frame of `OTHER_SCENES`.
+**Conventions.** Frames are sampled evenly. Every return inside the grid and at least `NEAREST_M` from the ego origin in
+plan counts. It is explained if it lies in an occupied voxel, or a quarter of a voxel above or below it. The share is
+measured for the stated grid and for each way to misread it: other voxel sizes, half a voxel off, the LiDAR mount's
+quaternion read as x y z w. Poses are checked with the returns of one frame in the labels of another, `APART_M` away. A
+reading that explains many more returns than the stated one refutes it. So do the labels of another frame: of
+neighbours, and of the same frame in `OTHER_SCENES`.
 
-The limits are set by what right and wrong datasets measure (docs/formats/datasets.md, "Returns in occupied voxels").
+The limits come from measurements of right and wrong datasets (docs/formats/datasets.md, "Returns in occupied voxels").
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -27,21 +27,23 @@ from stone_exports.frames import LIDAR_CHANNEL
 from stone_exports.sweeps import SweepFile
 
 MOST_FRAMES, MOST_PAIRS, MOST_SCENES = 48, 24, 300
-OTHER_SCENES = 8  # the nearest in their table
+OTHER_SCENES = 8  # nearest in their table
 NEAREST_M = 2.0
 APART_M = (1.0, 8.0)
 NEAR_VOXELS = 0.25
-FEWEST_RETURNS = 2_000  # of fewer nothing is concluded
-# A reading is refuted by another that explains so many more returns, and leaves out less than a sixth as many …
+FEWEST_RETURNS = 2_000  # fewer allow no conclusion
+# A reading is refuted by another that explains this much more and leaves a sixth as much unexplained …
 LEAST_BETTER, LEAST_FEWER = 0.02, 6
-LEAST_SHARE = 0.05  # … and by itself, if it explains fewer than these.
+LEAST_SHARE = 0.05  # … or if it explains less than this share.
 STATED = "as stated"
 Points = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class GridFit:
-    """Shares of `returns` in occupied voxels by reading: of a frame's own labels, and of those of a frame near by."""
+    """Shares of `returns` in occupied voxels by reading: in a frame's own labels, and in the labels of a nearby
+    frame.
+    """
 
     returns: int
     own: Mapping[str, float]
@@ -55,9 +57,9 @@ class GridFit:
 
 
 def check_fit(index: DatasetIndex, classes: ClassMap = OWN_CLASSES) -> GridFit | None:
-    """The fit of a dataset whose files are sound; None if it has no labels or no sweeps.
+    """Return the fit of a dataset with valid files, or None if it has no labels or no sweeps.
 
-    Raises `DST-073`, or `DST-074` if the labels of one frame are those of another.
+    Raises `DST-073`, or `DST-074` if the labels of a frame belong to another frame.
     """
     labelled = [one for one in index.sequences if one.is_labelled and LIDAR_CHANNEL in one.channels and len(one)]
     if not labelled:
@@ -71,7 +73,7 @@ def check_fit(index: DatasetIndex, classes: ClassMap = OWN_CLASSES) -> GridFit |
 
 
 def measured_fit(index: DatasetIndex, labelled: list[DatasetSequence], classes: ClassMap) -> GridFit:
-    """The shares of these sequences."""
+    """Return the shares of these sequences."""
     grids, own, pairs = dict(readings_of(index.grid)), _Shares(), _Shares()
     for sequence, frame in _sampled(labelled, MOST_FRAMES):
         frames = _Frames(index, sequence, classes)
@@ -96,7 +98,7 @@ def measured_fit(index: DatasetIndex, labelled: list[DatasetSequence], classes: 
 
 
 def readings_of(grid: LabelGrid) -> Iterator[tuple[str, LabelGrid]]:
-    """The grid as stated, and grids of its shape for which it may be mistaken, each with its name."""
+    """Yield the stated grid, and grids with the same shape that it may be confused with, each with its name."""
     yield STATED, grid
     for voxel_m in (0.2, 0.4):
         if voxel_m != grid.voxel_m:
@@ -115,15 +117,16 @@ def readings_of(grid: LabelGrid) -> Iterator[tuple[str, LabelGrid]]:
 
 
 def swapped(pose: SE3) -> SE3:
-    """The pose whose quaternion w x y z is read as x y z w."""
+    """Return the pose with its quaternion w x y z read as x y z w."""
     x, y, z, w = pose.wxyz.tolist()
     return SE3.from_parts(np.array([w, x, y, z]), pose.translation_m)
 
 
 def share_in(occupied: Grid, grid: LabelGrid, points: Points) -> tuple[int, int]:
-    """How many points lie in occupied voxels or within `NEAR_VOXELS` above or below, and how many in the grid at all.
+    """Return the number of points in occupied voxels or within `NEAR_VOXELS` above or below, and the number inside the
+    grid.
 
-    A floor may lie on the border of two layers of voxels, so that noise puts half of its returns into the wrong one.
+    A floor may lie on the border of two voxel layers, so that noise puts half of its returns into the wrong layer.
     """
     places = (points - grid.min_m) / grid.voxel_m
     places = places[((places >= 0) & (places < grid.shape)).all(axis=1)]
@@ -136,7 +139,7 @@ def share_in(occupied: Grid, grid: LabelGrid, points: Points) -> tuple[int, int]
 
 
 class _Shares:
-    """Counts by reading; `returns` are those of the stated one."""
+    """Counts by reading; `returns` counts the stated reading."""
 
     def __init__(self) -> None:
         self._counts: dict[str, list[int]] = {}
@@ -156,15 +159,17 @@ class _Shares:
 
 @dataclass(frozen=True, eq=False)
 class _Frames:
-    """The labels and sweeps of the frames of a sequence."""
+    """The labels and sweeps of a sequence's frames."""
 
     index: DatasetIndex
     sequence: DatasetSequence
     classes: ClassMap
 
     def read(self, labelled: int, swept: int) -> tuple[Grid, Points, Points] | None:
-        """The classes of a frame, and the returns (N, 3) of another in its ego frame, by the mount as stated and read
-        x y z w. None if a file is missing or damaged, which is refused where every file is checked.
+        """Return the classes of a frame, and the returns (N, 3) of another in its ego frame, with the mount as stated
+        and read as x y z w.
+
+        Return None if a file is missing or damaged; the check of all files refuses it.
         """
         channel = self.sequence.channels[LIDAR_CHANNEL]
         classes, sweep = self.labels(labelled), self.index.file(channel, swept)
@@ -178,7 +183,7 @@ class _Frames:
         return classes, _outside(mount @ points_lidar), _outside(swapped(mount) @ points_lidar)
 
     def labels(self, frame: int) -> Grid | None:
-        """The classes of a frame; None if its file is missing or damaged."""
+        """Return the classes of a frame, or None if its file is missing or damaged."""
         span = self.index.labels(self.sequence, frame)
         try:
             return None if span is None else read_labels(span, self.classes, self.index.layout).classes
@@ -187,19 +192,19 @@ class _Frames:
 
 
 def _outside(points: Points) -> Points:
-    """The returns that are not of the robot itself, rounded as sweeps are."""
+    """Return the returns outside the robot, rounded like sweeps."""
     rounded = points.astype(np.float32)
     return rounded[np.hypot(rounded[:, 0], rounded[:, 1]) >= NEAREST_M].astype(np.float64)
 
 
 def _sampled(sequences: Iterable[DatasetSequence], most: int) -> Iterator[tuple[DatasetSequence, int]]:
-    """At most so many frames, evenly from all."""
+    """Yield at most `most` frames, evenly from all."""
     frames = [(one, frame) for one in sequences for frame in range(len(one))]
     return (frames[at] for at in np.unique(np.linspace(0, len(frames) - 1, most).round().astype(int)).tolist())
 
 
 def _near(sequence: DatasetSequence, frame: int) -> int | None:
-    """A later frame, else an earlier one, whose distance is within `APART_M`; None if there is none."""
+    """Return the next frame (or else an earlier one) at a distance within `APART_M`, or None."""
     places = sequence.map_from_ego.translation_m
     away_m = np.linalg.norm(places - places[frame], axis=1)
     near = np.flatnonzero((away_m >= APART_M[0]) & (away_m <= APART_M[1]))
@@ -207,7 +212,7 @@ def _near(sequence: DatasetSequence, frame: int) -> int | None:
 
 
 def _refuse(index: DatasetIndex, what: str, returns: int, shares: Mapping[str, float]) -> None:
-    """Raises `DST-073`."""
+    """Raise `DST-073` if the stated grid is refuted or explains too few returns."""
     stated = shares[STATED]
     best = max(shares, key=lambda name: shares[name])
     if not _is_refuted(stated, shares[best]) and stated >= LEAST_SHARE:
@@ -226,7 +231,7 @@ def _is_refuted(stated: float, other: float) -> bool:
 
 
 def _refuse_mixed_up(index: DatasetIndex, labelled: list[DatasetSequence], classes: ClassMap) -> None:
-    """Raises `DST-074`."""
+    """Raise `DST-074` if another frame's labels match the returns of a frame."""
     for sequence, frame in _sampled(labelled, max(MOST_FRAMES, min(len(labelled), MOST_SCENES))):
         if (read := _Frames(index, sequence, classes).read(frame, frame)) is None:
             continue
@@ -246,7 +251,7 @@ def _refuse_mixed_up(index: DatasetIndex, labelled: list[DatasetSequence], class
 def _others(
     labelled: list[DatasetSequence], sequence: DatasetSequence, frame: int
 ) -> Iterator[tuple[DatasetSequence, int]]:
-    """The frames whose labels may have been taken for those of a frame."""
+    """Yield the frames whose labels may have been confused with a frame's labels."""
     yield from ((sequence, other) for other in (frame - 1, frame + 1) if 0 <= other < len(sequence))
     number = labelled.index(sequence)
     nearest = sorted(range(len(labelled)), key=lambda at: abs(at - number))

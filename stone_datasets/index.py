@@ -1,9 +1,9 @@
-"""What a dataset holds: its sequences with frames, poses and calibrated sensors, and the file of every datum.
+"""The index of a dataset: its sequences with frames, poses and calibrated sensors, and the file of every datum.
 
-**Conventions.** A scene is a sequence, a sample a frame, its token the frame's: 32 hex digits, also if the dataset
-writes them as a UUID with dashes, as all or none of its sample tokens are. Frames are in the order of their
-stamps. `map_from_ego` is what `ego_pose` says, to the last bit: the map is the dataset's `global`. Times are
-nanoseconds of stamps that are whole microseconds. Arrays are by sequence; nothing is opened before it is asked for.
+**Conventions.** A scene is a sequence, a sample is a frame with the same token: 32 hex digits, also if the dataset
+writes all its sample tokens as UUIDs with dashes. Frames are sorted by stamp. `map_from_ego` equals `ego_pose` to the
+last bit: the map is the dataset's `global`. Times are nanoseconds, from stamps in integer microseconds. Arrays are per
+sequence; files are opened only when they are read.
 """
 
 from collections.abc import Mapping
@@ -23,9 +23,9 @@ from stone_files.dataset_layouts import DatasetLayout, dashed_token
 
 @dataclass(frozen=True, eq=False)
 class DatasetChannel:
-    """One sensor in a sequence: the frames (K,) it has data in, ascending, and of each its stamp and ego pose.
+    """One sensor in a sequence: its frames (K,), ascending, with the stamp and ego pose of each.
 
-    `rows` (K,) are places among `names`: those of its files.
+    `rows` (K,) are the positions of its files in `names`.
     """
 
     sensor: ExportedSensor
@@ -36,13 +36,14 @@ class DatasetChannel:
     names: NameColumn = field(repr=False)
 
     def filename(self, place: int) -> str:
-        """Of the `place`-th datum."""
+        """Return the file name of the `place`-th datum."""
         return self.names[int(self.rows[place])]
 
 
 @dataclass(frozen=True, eq=False)
 class DatasetSequence:
-    """One scene. `splits` are those that name it; `is_labelled` where its frames have labels (all, or none).
+    """One scene; `splits` are the splits that contain it, `is_labelled` is true if all its frames have labels
+    (otherwise none).
 
     With `has_dashes` the dataset writes `tokens` as UUIDs.
     """
@@ -63,13 +64,13 @@ class DatasetSequence:
         return len(self.tokens)
 
     def label_name(self, index: int) -> str:
-        """The file of a frame's labels."""
+        """Return the file name of a frame's labels."""
         return label_name(self.name, self.tokens[index], has_dashes=self.has_dashes)
 
 
 @dataclass(frozen=True, eq=False)
 class DatasetIndex:
-    """All sequences, in the order of the table `scene`; splits name them."""
+    """All sequences, in the order of the table `scene`, and the splits with their names."""
 
     files: DatasetFiles
     layout: DatasetLayout
@@ -78,15 +79,15 @@ class DatasetIndex:
 
     @property
     def grid(self) -> LabelGrid:
-        """The grid of its labels."""
+        """The grid of the labels."""
         return self.layout.grid
 
     def file(self, channel: DatasetChannel, place: int) -> ExportFileSpan | None:
-        """The file of a channel's `place`-th datum; None where it is not there. Raises `DST-004`."""
+        """Return the file of a channel's `place`-th datum, or None if it is missing. Raises `DST-004`."""
         return self.files.span(channel.filename(place))
 
     def labels(self, sequence: DatasetSequence, index: int) -> ExportFileSpan | None:
-        """The file of a frame's labels; None where it is not there."""
+        """Return the file of a frame's labels, or None if it is missing."""
         return self.files.span(sequence.label_name(index))
 
 
@@ -95,5 +96,5 @@ def label_folder(sequence: str) -> str:
 
 
 def label_name(sequence: str, token: str, *, has_dashes: bool) -> str:
-    """The file of the labels of the frame with this token."""
+    """Return the label file name of the frame with this token."""
     return f"{label_folder(sequence)}/{dashed_token(token) if has_dashes else token}/labels.npz"

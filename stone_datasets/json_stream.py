@@ -1,7 +1,7 @@
-"""A streaming reader of JSON: one value after the other out of a file of any size and formatting.
+"""A streaming JSON reader: yields the values of a file of any size and formatting one by one.
 
-**Conventions.** Never more than one value and one piece of the file are held. What encloses values (the list of rows,
-the objects of annotations.json) is walked; values themselves are decoded by `json`.
+**Conventions.** At most one value and one piece of the file are in memory. The reader steps through enclosing values
+(the list of rows, the objects of annotations.json); `json` decodes the values inside.
 """
 
 import codecs
@@ -14,7 +14,7 @@ from stone_datasets.faults import DatasetFaultError, DatasetPlace, quoted
 from stone_exports.files import DamagedExportError, ExportFileSpan
 
 LONGEST_VALUE = 2**20  # characters
-LONGEST_ATOM = 16  # -Infinity, an escape, what a number may still be followed by
+LONGEST_ATOM = 16  # -Infinity, an escape, or a possibly unfinished number
 MOST_ROWS = 1 << 26
 SPACE = re.compile(r"[ \t\n\r]*")
 DECODER = json.JSONDecoder()
@@ -25,7 +25,7 @@ AS_REPR = "it is Python's repr: write it with json.dump"
 
 
 class JsonStream:
-    """The characters of a file, walked once; `written` are those of the last value.
+    """The characters of a file, read once; `written` is the text of the last value.
 
     Every method raises a `DatasetFaultError` of the file.
     """
@@ -36,7 +36,7 @@ class JsonStream:
         self.written = ""
 
     def peek(self) -> str:
-        """The next character that is no space, "" at the end."""
+        """Return the next character that is not white space, "" at the end."""
         while True:
             self._at = SPACE.match(self._text, self._at).end()  # type: ignore[union-attr]
             if self._at < len(self._text):
@@ -46,7 +46,7 @@ class JsonStream:
             self._read_on()
 
     def take(self, wanted: str) -> bool:
-        """Whether the next character is this one, which then is behind."""
+        """Return whether the next character is `wanted`, and skip it if so."""
         is_next = self.peek() == wanted
         self._at += is_next
         return is_next
@@ -56,7 +56,7 @@ class JsonStream:
             raise self.malformed(f"expected {wanted!r} instead of {quoted(self.peek())}")
 
     def value(self, row: int | None = None) -> Any:
-        """The value that begins here."""
+        """Return the value that starts here."""
         self.peek()
         while True:
             try:
@@ -71,7 +71,7 @@ class JsonStream:
                 raise DatasetFaultError(
                     "DST-014", DatasetPlace(self.name, row), f"it has more than {LONGEST_VALUE} characters"
                 )
-            if self._is_whole or end < len(self._text):  # else it may go on in the next piece
+            if self._is_whole or end < len(self._text):  # otherwise it may continue in the next piece
                 break
             self._read_on()
         if isinstance(value, ValueError):
@@ -80,7 +80,7 @@ class JsonStream:
         return value
 
     def items(self) -> Iterator[str]:
-        """The keys of the object that begins here; who takes one reads its value before the next."""
+        """Yield the keys of the object that starts here; the caller reads each value before the next key."""
         self.expect("{")
         while not self.take("}"):
             key = self.value()
@@ -91,7 +91,7 @@ class JsonStream:
             self.next_or("}")
 
     def next_or(self, closing: str) -> None:
-        """Go behind the comma, which another value follows, unless what encloses them is closed here."""
+        """Skip the comma before another value, unless the enclosing value is closed here."""
         if self.peek() != closing:
             self.expect(",")
             if self.peek() == closing:
@@ -105,7 +105,7 @@ class JsonStream:
         return DatasetFaultError("DST-011", DatasetPlace(self.name, row), what, likely)
 
     def _malformed_at(self, error: ValueError, row: int | None) -> DatasetFaultError:
-        """Return the decoder's fault, and whether the file ends there or holds Python's repr."""
+        """Return the decoder's fault; the hint detects a cut-off file and Python's repr."""
         at = getattr(error, "pos", 0)
         is_cut = self._is_whole and ("Unterminated" in str(error) or not self._text[at : at + 2].strip())
         is_repr = self._text.startswith(OF_PYTHON, at)
@@ -113,7 +113,7 @@ class JsonStream:
         return self.malformed(str(error)[:80], row, likely)
 
     def _may_be_cut(self, error: ValueError) -> bool:
-        """Whether it is one that the end of a piece makes: a text without an end, or one of the last characters."""
+        """Return whether the end of a piece may cause this error: an unfinished text, or one of the last characters."""
         at = getattr(error, "pos", 0)
         return "Unterminated" in str(error) or at > len(self._text) - LONGEST_ATOM
 
@@ -124,9 +124,9 @@ class JsonStream:
 
 
 def json_rows(span: ExportFileSpan, stream: JsonStream | None = None) -> Iterator[tuple[int, dict[str, Any]]]:
-    """The rows of a table, numbered from 1, walked with `stream` if the caller needs them as they are `written`.
+    """Yield the rows of a table with their number from 1; pass `stream` to also use their `written` text.
 
-    Raises a `DatasetFaultError` if it is no list of objects.
+    Raises a `DatasetFaultError` if the table is not a list of objects.
     """
     stream = stream or JsonStream(span)
     if not stream.peek():
@@ -149,7 +149,7 @@ def json_rows(span: ExportFileSpan, stream: JsonStream | None = None) -> Iterato
 
 
 def _decoded(span: ExportFileSpan) -> Iterator[str]:
-    """Pieces of text. Raises a `DatasetFaultError`."""
+    """Yield pieces of text. Raises a `DatasetFaultError`."""
     decoder = codecs.getincrementaldecoder("utf-8")()
     try:
         for piece in span.pieces():

@@ -1,7 +1,7 @@
-"""Labels of a frame in a published dataset: classes of this platform, and the masks where there are some.
+"""Labels of a frame in a published dataset: the platform's classes, and masks if the file has them.
 
-**Conventions.** As docs/formats/labels.md: uint8 of the shape of the layout's grid, axes x y z of the ego frame. An
-array is inflated no farther than its header says, and its header is compared first.
+**Conventions.** As in docs/formats/labels.md: uint8 with the shape of the layout's grid, axes x y z of the ego frame.
+An array is inflated only up to the size in its header, which is checked first.
 """
 
 import struct
@@ -29,7 +29,7 @@ HEAD_BYTES, LOCAL_BYTES = 128, 30
 RAW = -15
 INFLATING: type[Exception] = isal_zlib.error  # type: ignore[assignment]
 NO_NPY = (INFLATING, ValueError, KeyError, EOFError, OSError, TypeError, SyntaxError)
-known_head = lru_cache(maxsize=256)(npy_head)  # all files of a dataset have the same
+known_head = lru_cache(maxsize=256)(npy_head)  # all files of a dataset have the same header
 SEMANTICS, MASK_LIDAR, MASK_CAMERA = "semantics", "mask_lidar", "mask_camera"
 PLAIN = tuple(f"{key}.npy" for key in (SEMANTICS, MASK_LIDAR, MASK_CAMERA))
 FURTHER = {"late.npy": np.uint8, "distance_squared.npy": np.float16, "confidence.npy": np.uint8}
@@ -38,11 +38,11 @@ Grid = NDArray[np.uint8]
 
 @dataclass(frozen=True, eq=False)
 class FrameLabels:
-    """`classes` 0–3; `mask_lidar` 1 where observed, `mask_camera` 1 where a camera sees it: None where nothing says so.
+    """`classes` 0–3; `mask_lidar` is 1 for observed voxels, `mask_camera` for voxels a camera sees; None if unknown.
 
-    What the labels call unobserved is free, and 0 in `mask_lidar`. `content` is the file if its labels are the same
-    to a reader of this platform's labels: it has the three grids, of this platform's classes, and otherwise only the
-    further arrays that such labels may have.
+    Unobserved voxels are free in `classes` and 0 in `mask_lidar`. `content` is the file if the platform's reader gives
+    the same labels: the file has the three grids with the platform's classes, and no arrays beyond the platform's
+    optional ones.
     """
 
     classes: Grid
@@ -54,7 +54,7 @@ class FrameLabels:
 def read_labels(
     span: ExportFileSpan, classes: ClassMap = OWN_CLASSES, layout: DatasetLayout = LAYOUTS["paper"]
 ) -> FrameLabels:
-    """The labels of one frame, a file of this layout. Raises a `DatasetFaultError`."""
+    """Return the labels of one frame from a file of this layout. Raises a `DatasetFaultError`."""
     listed, arrays = _opened(span, layout.grid)
     members = {one.filename.removesuffix(".npy"): one for one in listed[:MOST_ARRAYS]}
     if layout.label_key not in members:
@@ -67,7 +67,7 @@ def read_labels(
 
 
 def layout_of_labels(span: ExportFileSpan | None, *, has_dashes: bool) -> DatasetLayout:
-    """The layout that a label file and the form of tokens tell; of a file that cannot be read, tokens alone."""
+    """Return the layout of a label file and the form of tokens; if the file cannot be read, only tokens decide."""
     known = recognised_layout((), None, has_dashes=has_dashes)
     if span is None:
         return known
@@ -93,7 +93,7 @@ def _opened(span: ExportFileSpan, grid: LabelGrid) -> tuple[list[zipfile.ZipInfo
 
 
 def _are_ours(listed: Sequence[zipfile.ZipInfo], arrays: "_Arrays") -> bool:
-    """Return whether a file has the three grids, each once, and otherwise only further arrays of this platform."""
+    """Return whether a file has each of the three grids once, and otherwise only the platform's optional arrays."""
     names = [one.filename for one in listed]
     further = [one for one in listed if one.filename not in PLAIN]
     is_whole = set(names) >= set(PLAIN) and len(set(names)) == len(names)
@@ -102,18 +102,18 @@ def _are_ours(listed: Sequence[zipfile.ZipInfo], arrays: "_Arrays") -> bool:
 
 @dataclass(frozen=True)
 class _Arrays:
-    """The bytes of a npz whose arrays are of a grid."""
+    """The bytes of an npz with arrays of a grid's shape."""
 
     name: str
     content: bytes
     grid: LabelGrid
 
     def shape_of(self, member: zipfile.ZipInfo) -> tuple[int, ...]:
-        """The shape that the header of a member declares. Raises a `DatasetFaultError`, one of `NO_NPY`."""
+        """Return the shape in a member's header. Raises a `DatasetFaultError`, one of `NO_NPY`."""
         return known_head(self._begun(member, self._packed(member), HEAD_BYTES))[0]
 
     def grid_of(self, member: zipfile.ZipInfo, *, is_mask: bool = False) -> Grid:
-        """The grid of a member. Raises a `DatasetFaultError`, DST-067 if a mask has another shape or type."""
+        """Return the grid of a member. Raises a `DatasetFaultError`: DST-067 if a mask has another shape or type."""
         packed, place = self._packed(member), DatasetPlace(self.name)
         try:
             shape, is_fortran, dtype, start = known_head(self._begun(member, packed, HEAD_BYTES))
@@ -133,7 +133,7 @@ class _Arrays:
         return self._whole(member, packed, start)
 
     def _turned(self, shape: tuple[int, ...]) -> str:
-        """Return the call that makes the grid of an array of this shape; "" unless only its axes are turned."""
+        """Return the call that corrects an array of this shape, or "" if it differs in more than its axes."""
         x, y, z = self.grid.shape
         step = {
             (z, x, y): "grid.transpose(1, 2, 0) if your axes are z, x, y; grid.transpose(2, 1, 0) if they are z, y, x",
@@ -144,7 +144,7 @@ class _Arrays:
         return f"axes are x, y, z: {step}" if step else ""
 
     def is_further(self, member: zipfile.ZipInfo) -> bool:
-        """Return whether the array has one number per voxel, of the type that this platform's labels have."""
+        """Return whether the array has one number per voxel with the type of the platform's labels."""
         if member.filename not in FURTHER:
             return False
         dtype_ours = np.dtype(FURTHER[member.filename])
@@ -173,13 +173,13 @@ class _Arrays:
         return np.frombuffer(npy, np.uint8, self.grid.voxels, start).reshape(self.grid.shape)
 
     def _begun(self, member: zipfile.ZipInfo, packed: bytes, most: int) -> bytes:
-        """The first bytes of what is packed, at most so many."""
+        """Return up to `most` decompressed bytes."""
         if member.compress_type == zipfile.ZIP_STORED:
             return packed[:most]
         return bytes(isal_zlib.decompressobj(RAW).decompress(packed, most))
 
     def _packed(self, member: zipfile.ZipInfo) -> bytes:
-        """The bytes of a member as they stand in the file."""
+        """Return a member's bytes as stored in the file."""
         begin = member.header_offset
         head = self.content[begin : begin + LOCAL_BYTES]
         if member.flag_bits & 1 or member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
@@ -201,7 +201,7 @@ def _mask(arrays: _Arrays, member: zipfile.ZipInfo, key: str) -> Grid:
 
 
 def _meant(span: ExportFileSpan, found: Grid, masks: tuple[Grid | None, Grid | None], said: ClassMap) -> FrameLabels:
-    """What numbers mean by the map."""
+    """Return the labels with the map's meaning of each number."""
     mask_lidar, mask_camera = masks
     if said is OWN_CLASSES and found.max() <= 3:
         return FrameLabels(found, mask_lidar, mask_camera)

@@ -1,7 +1,7 @@
-"""How tables fit together: references, chains of prev and next, stamps, and that no file stands for two data.
+"""Consistency of tables: references, chains of prev and next, stamps, and unique files.
 
-**Conventions.** All functions add the faults that they find; they compare whole columns, so that the time that they
-take does not depend on what is in them. `group` says what belongs in one chain.
+**Conventions.** All functions add the faults that they find. They compare whole columns, so their duration does not
+depend on the content. `group` identifies the rows of one chain.
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,7 +19,7 @@ Places = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class LinkedRows:
-    """Columns of a table whose rows form chains; `tokens` where they are held."""
+    """Columns of a table whose rows form chains; `tokens` if they are kept."""
 
     file: str
     keys: Keys
@@ -34,7 +34,9 @@ class LinkedRows:
 
 
 def check_chains(rows: LinkedRows, faults: DatasetFaults) -> None:
-    """Every group is one chain through all of its rows, in the order of stamps; else the first kind of fault in it."""
+    """Check that every group is one chain through all of its rows, in stamp order; report only the first kind of
+    fault.
+    """
     before = faults.total
     following, preceding = (_linked(rows, what, keys, faults) for what, keys in _links(rows))
     if faults.total > before:
@@ -47,7 +49,7 @@ def check_chains(rows: LinkedRows, faults: DatasetFaults) -> None:
 
 
 def check_scenes(tables: DatasetTables, samples: LinkedRows, faults: DatasetFaults) -> None:
-    """Names stand once; first, last and number of samples are those of the samples, whose chains are sound."""
+    """Check that names are unique, and that first, last and number match the samples; their chains must be valid."""
     scenes = list(tables.scenes.values())
     for again, first in repeated([hash(scene.name) for scene in scenes]):
         faults.add(
@@ -76,7 +78,7 @@ def _links(rows: LinkedRows) -> tuple[tuple[str, Keys], tuple[str, Keys]]:
 
 
 def _linked(rows: LinkedRows, what: str, keys: Keys, faults: DatasetFaults) -> Places:
-    """The row that each names; −1 at an end."""
+    """Return the row that each key refers to, or −1 at an end."""
     found = rows_of(rows.keys, keys)
     for row in np.flatnonzero((found < 0) & (keys != NONE)).tolist():
         faults.add(DatasetFaultError("DST-030", rows.place(row), f"{what} is not a token of its own table"))
@@ -84,7 +86,7 @@ def _linked(rows: LinkedRows, what: str, keys: Keys, faults: DatasetFaults) -> P
 
 
 def _one_sided(rows: LinkedRows, following: Places, preceding: Places) -> Iterator[DatasetFaultError]:
-    """Rows whose next does not name them as prev, or is of another chain; and the other way round."""
+    """Yield rows whose next does not link back, or is in another chain, and the same for prev."""
     here = np.arange(len(following))
     for what, there, back in (("next", following, preceding), ("prev", preceding, following)):
         is_linked = there >= 0
@@ -96,7 +98,7 @@ def _one_sided(rows: LinkedRows, following: Places, preceding: Places) -> Iterat
 
 
 def _cyclic(rows: LinkedRows) -> Iterator[DatasetFaultError]:
-    """Groups in which every row has a prev."""
+    """Yield groups in which every row has a prev."""
     groups, firsts = np.unique(rows.group, return_index=True)
     is_begun = np.isin(groups, rows.group[rows.previous == NONE])
     for row in firsts[~is_begun].tolist():
@@ -114,7 +116,7 @@ def _not_rising(rows: LinkedRows, following: Places) -> Iterator[DatasetFaultErr
 
 
 def _broken(rows: LinkedRows) -> Iterator[DatasetFaultError]:
-    """Further beginnings of a group's chain: links are mutual and rise, so one beginning is one whole chain."""
+    """Yield further starts of a group's chain: links are mutual and increase, so one start means one complete chain."""
     begins = np.flatnonzero(rows.previous == NONE)
     for again, first in repeated(rows.group[begins]):
         row, other = int(begins[again]), int(begins[first])

@@ -1,7 +1,8 @@
-"""Frames of a published dataset as exports have them: where the file of each sensor and of the labels lies.
+"""Frames of a published dataset in the form of exports: the file of each sensor and of the labels.
 
-**Conventions.** In an archive all files are found when the frames are placed, since its index of names is of one
-process (`stone_datasets/files.py`): placed frames can be sent to another one. Nothing is opened before it is read.
+**Conventions.** In an archive, all files are located when the frames are placed, because the archive's name index is
+valid in one process only (`stone_datasets/files.py`); placed frames can be sent to other processes. Files are opened
+only when they are read.
 """
 
 from collections.abc import Iterator, Mapping
@@ -20,12 +21,12 @@ from stone_exports.frames import LIDAR_CHANNEL, ExportedDatum, ExportedFrame
 from stone_files.byte_ranges import ByteRanges, LocalRanges
 from stone_files.dataset_layouts import DatasetLayout
 
-LABELS = ""  # among the channels of a sequence
+LABELS = ""  # as a channel of a sequence
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedFrames:
-    """The frames of all sequences. `places` are those of each channel's files, by sequence; None for a folder."""
+    """The frames of all sequences. `places` are each channel's file positions, by sequence; None for a folder."""
 
     sequences: tuple[DatasetSequence, ...]
     layout: DatasetLayout
@@ -38,7 +39,7 @@ class PlacedFrames:
         return (self.frame(number, at) for number, one in enumerate(self.sequences) for at in range(len(one)))
 
     def frame(self, number: int, at: int) -> ExportedFrame:
-        """Return the frame at this place of a sequence; sensors and labels whose files are missing are left out."""
+        """Return the frame at this position of a sequence; sensors and labels with missing files are left out."""
         sequence, data = self.sequences[number], dict[str, ExportedDatum]()
         for name, channel in sequence.channels.items():
             place = int(np.searchsorted(channel.frames, at))
@@ -61,7 +62,7 @@ class PlacedFrames:
 
 
 def placed_frames(index: DatasetIndex) -> PlacedFrames:
-    """Find the files of all frames of a dataset."""
+    """Locate the files of all frames of a dataset."""
     files, said = index.files, (index.sequences, index.layout, index.splits)
     if not isinstance(files, DatasetTar | DatasetZip):
         return PlacedFrames(*said, files, None, ())

@@ -1,8 +1,8 @@
-"""Reads a published dataset: the index of all that its tables say, and the check of all that its files hold.
+"""Reads a published dataset: the index of its tables, and the check of its files.
 
-**Conventions.** Four stages: `rows` (every row by itself), `links` (how tables fit together), `files` (every file),
-`sweeps` (returns against labels, and splits against drives). A stage begins where those before found nothing wrong,
-since one fault would be told again by each that builds on it.
+**Conventions.** Four stages: `rows` (each row separately), `links` (consistency of tables), `files` (every file),
+`sweeps` (returns against labels, and splits against drives). A stage starts only if all earlier stages found no fault,
+because a fault would be repeated in every later stage.
 """
 
 from collections import Counter
@@ -31,7 +31,7 @@ from stone_exports.frames import LIDAR_CHANNEL
 from stone_files.byte_ranges import ByteRanges
 from stone_files.dataset_layout import ANNOTATIONS
 
-# What a dataset holds, counted while its files are checked.
+# The content of a dataset, counted while its files are checked.
 
 
 CLASS_NAMES = ("free", "T", "P", "N")
@@ -40,7 +40,7 @@ NS_PER_S = 1e9
 
 @dataclass
 class DatasetContents:
-    """Counts of files by channel, of voxels by class, of bytes."""
+    """Counts of files by channel and of voxels by class, and the number of bytes."""
 
     index: DatasetIndex
     class_map: str
@@ -62,7 +62,7 @@ class DatasetContents:
                 self.voxels[name] += int(np.count_nonzero(mask))
 
     def as_record(self) -> dict[str, Any]:
-        """As `--json` prints it. Shares are of the occupied voxels; null where there are none."""
+        """Return the record for `--json`. Shares are relative to occupied voxels; null if there are none."""
         occupied = sum(self.voxels[name] for name in CLASS_NAMES[1:])
         index = self.index
         return {
@@ -98,14 +98,14 @@ def _sequence_record(sequence: DatasetSequence) -> dict[str, Any]:
     }
 
 
-# Every file of a dataset read and checked: samples of all sensors, labels of all frames.
+# Reads and checks every file of a dataset: samples of all sensors, labels of all frames.
 
 
 Progress = Callable[[int, int], None]
 
 
 def check_files(index: DatasetIndex, classes: ClassMap, faults: DatasetFaults, progress: Progress) -> DatasetContents:
-    """What the files hold; `progress` is told frames done and all."""
+    """Return the content of the files; `progress` receives the number of frames done and in total."""
     contents, total, done = DatasetContents(index, classes.name), sum(map(len, index.sequences)), 0
     for sequence in index.sequences:
         for channel in sequence.channels.values():
@@ -160,7 +160,7 @@ Stage = Literal["rows", "links", "files", "sweeps"]
 
 @dataclass(frozen=True)
 class DatasetCheck:
-    """What a check found. `contents` only where there are no faults, `reached` is the last stage that was begun."""
+    """The result of a check: `contents` only if there are no faults; `reached` is the last stage started."""
 
     faults: DatasetFaults
     reached: Stage
@@ -169,22 +169,22 @@ class DatasetCheck:
 
 @dataclass(frozen=True, eq=False)
 class DatasetReading:
-    """The index of a sound dataset, and what its tables say as columns; those None where annotations.json has all."""
+    """The index of a valid dataset, and its tables as columns, or None for a dataset with annotations.json only."""
 
     index: DatasetIndex
     placed: PlacedData | None
 
 
 def read_dataset(path: Path, stated: StatedLayout = UNSTATED) -> DatasetIndex:
-    """The index of the dataset in a folder, tar or zip; of its files the first labels are opened.
+    """Return the index of the dataset in a folder, tar or zip; opens only the first label file.
 
-    Raises the first `DatasetFaultError` that is found, `bad_tar`.
+    Raises the first `DatasetFaultError`, `bad_tar`.
     """
     return read_tables_of(path, stated).index
 
 
 def read_tables_of(where: Path | ByteRanges, stated: StatedLayout = UNSTATED) -> DatasetReading:
-    """As `read_dataset`, with the columns of its tables; also of a zip that is read by ranges."""
+    """Return the index as `read_dataset` does, with the tables' columns; also for a zip that is read by ranges."""
     faults = DatasetFaults()
     _, reading = _read(open_dataset(where), stated, faults)
     faults.raise_first()
@@ -200,8 +200,9 @@ def check_dataset(
     progress: Progress = lambda _done, _of: None,
     stated: StatedLayout = UNSTATED,
 ) -> DatasetCheck:
-    """Read and check the whole dataset; `progress` gets the frames done and their total. Raises `bad_tar` if a tar has
-    no readable file, `bad_layout`.
+    """Read and check the whole dataset; `progress` receives the number of frames done and in total.
+
+    Raises `bad_tar` if a tar has no readable file, `bad_layout`.
     """
     faults = DatasetFaults(most)
     try:
@@ -240,7 +241,7 @@ def _read(files: DatasetFiles, stated: StatedLayout, faults: DatasetFaults) -> t
 def _linked(
     files: DatasetFiles, tables: DatasetTables, stated: StatedLayout, faults: DatasetFaults
 ) -> DatasetReading | None:
-    """The index of sound rows; None where they do not fit together."""
+    """Return the index of valid rows, or None if they are inconsistent."""
     try:
         has_dashes = form_of_tokens(tables.samples.tokens, DatasetPlace(tables.file("sample")))
     except DatasetFaultError as fault:

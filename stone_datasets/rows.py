@@ -1,4 +1,4 @@
-"""Values of a row, each checked: what a table may say, and what is refused of it by code.
+"""Checked values of a row: valid values, and the code of each refusal.
 
 **Conventions.** Every function raises a `DatasetFaultError` that names table, row and token. Rotations are wxyz.
 """
@@ -33,7 +33,7 @@ STAMP_TEXT = re.compile(r"-?[0-9]{1,19}")
 
 @dataclass(frozen=True)
 class DatasetRow:
-    """One row; `file` is that of its table, `number` counts from 1 (None: an object that is no row)."""
+    """One row; `file` is its table's file, `number` counts from 1 (None for an object that is not a row)."""
 
     file: str
     number: int | None
@@ -52,7 +52,7 @@ class DatasetRow:
             raise DatasetFaultError("DST-015", self.place, f"it has no {key!r}") from None
 
     def part(self, key: str) -> "DatasetRow":
-        """The object below this key."""
+        """Return the object under this key."""
         found = self.value(key)
         if not isinstance(found, dict):
             raise self.wrong(key, "an object")
@@ -77,14 +77,14 @@ class DatasetRow:
         return found
 
     def token(self, key: str = "token") -> str:
-        """A token of any table; of one that refers to nothing, where that may be, see `link`."""
+        """Return a token of any table; `link` also accepts "" for no reference."""
         found = self.text(key)
         if not 0 < len(found) <= LONGEST_TOKEN:
             raise DatasetFaultError("DST-017", self.place, f"{key} is {quoted(found)}")
         return found
 
     def frame_token(self) -> str:
-        """The token of a sample as it is written."""
+        """Return the token of a sample as written in the dataset."""
         found = self.token()
         if plain_token(found) is None:
             raise self.no_frame_token(found)
@@ -94,11 +94,11 @@ class DatasetRow:
         return DatasetFaultError("DST-017", self.place, f"{quoted(found)} is not a frame token", token_cause(found))
 
     def link(self, key: str) -> str:
-        """prev or next: "" at the ends."""
+        """Return prev or next; "" at the ends."""
         return self.text(key) and self.token(key)
 
     def stamp_us(self, key: str = "timestamp") -> int:
-        """Microseconds of any clock; also as digits, which annotations.json has. `stamps.py` compares them."""
+        """Return microseconds of any clock, also from digits as text (annotations.json); `stamps.py` compares them."""
         found = self.value(key)
         if isinstance(found, str) and STAMP_TEXT.fullmatch(found):
             found = int(found)
@@ -120,11 +120,11 @@ class DatasetRow:
         return found
 
     def pose(self, farthest_m: float) -> SE3:
-        """`rotation` and `translation` as a pose."""
+        """Return `rotation` and `translation` as a pose."""
         return SE3(np.array(self.pose_numbers(farthest_m), np.float64))
 
     def pose_numbers(self, farthest_m: float) -> list[float]:
-        """The seven numbers of it, w x y z and metres."""
+        """Return the seven numbers of the pose: w x y z and metres."""
         parts = [*self.numbers("rotation", 4), *self.numbers("translation", 3)]
         if not all(map(_is_finite, parts)):
             raise DatasetFaultError("DST-020", self.place, f"rotation and translation are {quoted(parts)}")
@@ -140,7 +140,7 @@ class DatasetRow:
         return parts
 
     def lens(self, size_px: tuple[int, int], matrix_key: str = "camera_intrinsic") -> CameraIntrinsics:
-        """What a camera's row says of it."""
+        """Return the lens in a camera's row."""
         model, distortion = self.values.get("camera_model", "pinhole"), self.values.get("camera_distortion", [])
         if not isinstance(model, str) or model not in get_args(CameraModel):
             raise DatasetFaultError("DST-026", self.place, f"camera_model is {quoted(model)}")
@@ -176,7 +176,7 @@ class DatasetRow:
 
 
 def is_matrix(value: object) -> bool:
-    """Whether it is three lists of three."""
+    """Return whether the value is three lists of three."""
     is_three = isinstance(value, list) and len(value) == 3
     return is_three and all(isinstance(row, list) and len(row) == 3 for row in value)  # type: ignore[attr-defined]
 

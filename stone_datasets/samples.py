@@ -1,6 +1,6 @@
-"""The files of sensors in a published dataset, each read and checked: sweeps, pictures, radar scans.
+"""The sensor files of a published dataset, each read and checked: sweeps, images, radar scans.
 
-**Conventions.** A sweep is read whole; of a picture head and end, not its pixels.
+**Conventions.** A sweep is read completely; only the start and end of an image are read, not its pixels.
 """
 
 from io import BytesIO
@@ -25,7 +25,7 @@ UNREADABLE = (OSError, UnidentifiedImageError, Image.DecompressionBombError, Syn
 def check_sample(
     span: ExportFileSpan, sensor: ExportedSensor, place: DatasetPlace, *, has_no_returns: bool = False
 ) -> None:
-    """Raises a `DatasetFaultError` where the file is not what its sensor gives, as `check_sweep` of a LiDAR."""
+    """Raise a `DatasetFaultError` if the file does not match its sensor; for a LiDAR, as `check_sweep`."""
     if sensor.modality == "lidar":
         check_sweep(span, place, has_no_returns=has_no_returns)
     elif sensor.modality == "camera":
@@ -35,7 +35,7 @@ def check_sample(
 
 
 def check_sweep(span: ExportFileSpan, place: DatasetPlace, *, has_no_returns: bool = False) -> None:
-    """Rows of five float32, all finite unless the layout has rows of shots without a return."""
+    """Check for rows of five float32, all finite unless the layout has rows for shots without a return."""
     if span.size_bytes % (COLUMNS * 4) or not 0 < span.size_bytes <= MOST_SWEEP_BYTES:
         raise DatasetFaultError(
             "DST-051", place, f"{span.name} has {span.size_bytes} bytes, not a multiple of {COLUMNS * 4}"
@@ -58,7 +58,7 @@ def check_sweep(span: ExportFileSpan, place: DatasetPlace, *, has_no_returns: bo
 
 
 def check_picture(span: ExportFileSpan, lens: CameraIntrinsics | None, place: DatasetPlace) -> None:
-    """A JPEG or PNG of the size that the lens is of, with an end."""
+    """Check for a JPEG or PNG with the lens's size and an end marker."""
     form, size_px = picture_of(span, place)
     end = _part(span, max(span.size_bytes - END_BYTES, 0), place)
     if lens is not None and size_px != (lens.width_px, lens.height_px):
@@ -69,7 +69,7 @@ def check_picture(span: ExportFileSpan, lens: CameraIntrinsics | None, place: Da
 
 
 def picture_of(span: ExportFileSpan, place: DatasetPlace) -> tuple[str, tuple[int, int]]:
-    """JPEG or PNG, and its width and height. Raises `DST-053`."""
+    """Return the format (JPEG or PNG), and width and height. Raises `DST-053`."""
     if span.size_bytes > MOST_PICTURE_BYTES:
         raise DatasetFaultError(
             "DST-053", place, f"{span.name} has {span.size_bytes} bytes; the limit is {MOST_PICTURE_BYTES}"
@@ -82,7 +82,7 @@ def picture_of(span: ExportFileSpan, place: DatasetPlace) -> tuple[str, tuple[in
 
 
 def _part(span: ExportFileSpan, start: int, place: DatasetPlace) -> bytes:
-    """The first bytes of a picture from `start` on. Raises `DST-054`."""
+    """Return the first bytes of an image from `start`. Raises `DST-054`."""
     try:
         return span.part(start, HEAD_BYTES)
     except DamagedExportError as error:

@@ -1,8 +1,8 @@
-"""The places of the files of each scene in the archive of a dataset, under the names that they have in exports.
+"""The positions of each scene's files in a dataset's archive, under their names in exports.
 
-**Conventions.** Key-frame data and labels are all there, or their first is refused. A file of a sweep between frames,
-or of a map, that is missing is left out, since nothing is made of it. Of a datum the row of its table is kept (from
-0), so that a fault of its file is told where it stands.
+**Conventions.** If a key-frame datum or label file is missing, the first is refused. Missing files of maps, or of
+sweeps between frames, are left out, because no result uses them. Each datum keeps its table row (from 0), so that a
+fault of its file names that row.
 """
 
 from collections.abc import Iterator, Mapping
@@ -28,9 +28,8 @@ MAPS = "maps/"
 
 @dataclass(frozen=True, eq=False)
 class SceneSpans:
-    """N files of sensors and maps: `names`, the names `held` by the archive, `places` (N, 6) in it (`PLACE`), the
-    `channels` they are of ("" of a map) and the `rows` (N,) that name them. `labels` (F, 6) are the places of the
-    labels of each frame.
+    """N files of sensors and maps: `names`, the archive's names `held`, `places` (N, 6) in it (`PLACE`), their
+    `channels` ("" for a map) and their table `rows` (N,). `labels` (F, 6) are the places of each frame's labels.
     """
 
     names: tuple[str, ...]
@@ -44,7 +43,7 @@ class SceneSpans:
 def table_spans(
     tar: DatasetArchive, placed: PlacedData, sequences: tuple[DatasetSequence, ...]
 ) -> Iterator[SceneSpans]:
-    """The spans of each scene of the release's layout. Raises a `DatasetFaultError`."""
+    """Yield the spans of each scene in the release's layout. Raises a `DatasetFaultError`."""
     names = placed.tables.data.names
     places = tar.spans(names[row] for row in range(len(names)))
     lost = np.flatnonzero((places[:, 0] < 0) & placed.is_key)
@@ -66,7 +65,7 @@ def table_spans(
 
 
 def annotated_spans(tar: DatasetArchive, sequence: DatasetSequence) -> SceneSpans:
-    """The spans of a scene of Occ3D's layout. Raises a `DatasetFaultError`."""
+    """Return the spans of a scene in Occ3D's layout. Raises a `DatasetFaultError`."""
     channels = list(sequence.channels.values())
     named = [picture_names(sequence, channel) for channel in channels]
     there = [[channel.filename(at) for at in range(len(channel.frames))] for channel in channels]
@@ -82,7 +81,7 @@ def annotated_spans(tar: DatasetArchive, sequence: DatasetSequence) -> SceneSpan
 
 
 def label_places(tar: DatasetArchive, sequence: DatasetSequence) -> NDArray[np.int64]:
-    """Those of each frame; none of a scene without labels. Raises `DST-060`."""
+    """Return the places of each frame's labels; none for a scene without labels. Raises `DST-060`."""
     if not sequence.is_labelled:
         return np.zeros((0, len(PLACE)), np.int64)
     places = tar.spans(sequence.label_name(frame) for frame in range(len(sequence)))
@@ -93,7 +92,7 @@ def label_places(tar: DatasetArchive, sequence: DatasetSequence) -> NDArray[np.i
 
 
 def _maps(tar: DatasetArchive, placed: PlacedData) -> Mapping[str, tuple[str, ...]]:
-    """The pictures of maps by token of the log: files below maps/ that are there, each once."""
+    """Return the map images by log token: each existing file below maps/ once."""
     span = tar.span(placed.tables.file("map"))
     found = dict[str, dict[str, None]]()
     for _, row in json_rows(span) if span is not None else ():

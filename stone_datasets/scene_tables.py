@@ -1,12 +1,11 @@
-"""The tables of a dataset parted by scene: the rows of each scene, in files of their own.
+"""The tables of a dataset divided by scene: the rows of each scene, in separate files.
 
     <folder of the scene>/<table>.json   for each table of the schema, and splits.json
 
-**Conventions.** A row is written as it was read, byte for byte, unless it has line ends: then as Python's json writes
-it, since exports have a row a line. Rows keep their order. A log is of the scenes that name it, a map of those of its
-logs, a calibrated sensor and an ego pose of those whose data name them, an annotation of its sample's, an instance of
-its annotations'; sensors, categories, attributes and visibilities are of all. What can be told to be of no scene is
-left out, and so are tables that the schema does not have. A table of the schema that the dataset lacks is
+**Conventions.** A row is written byte for byte; rows with line ends are written as Python's json does, because exports
+have one row per line. Rows keep their order. A scene's files contain its log, the maps of its log, the calibrated
+sensors and ego poses of its data, its samples' annotations and their instances, and all sensors, categories, attributes
+and visibilities. Rows that belong to no scene are left out, like tables outside the schema. A missing schema table is
 written empty.
 """
 
@@ -32,7 +31,7 @@ TABLES = (
 SHARED = frozenset({"attribute", "category", "sensor", "visibility"})
 SPLITS = "splits.json"
 HELD_BYTES = 8 * 2**20
-# A row may belong to many scenes, and so be written for each: no more than this becomes of all.
+# A row may be written for many scenes; these limits bound the total.
 MOST_GROWTH, ALWAYS_BYTES = 4, 256 * 2**20
 LINES_AT_ONCE = 1 << 16
 encoded = json.JSONEncoder(separators=(",", ":")).encode
@@ -42,7 +41,7 @@ FolderOf = Callable[[int], Path]
 
 
 class SceneTableFiles:
-    """Files of tables of `count` scenes; of each, little is held before it is appended. `most_bytes` are of all."""
+    """Files of tables of `count` scenes; buffers little per scene. `most_bytes` limits the total."""
 
     def __init__(self, count: int, folder_of: FolderOf, most_bytes: int) -> None:
         self._count, self._folder_of, self._left_bytes = count, folder_of, most_bytes
@@ -50,7 +49,7 @@ class SceneTableFiles:
         self._held_bytes, self._begun = 0, set[int]()
 
     def write(self, table: str, rows: Iterable[tuple[Scenes, str]]) -> None:
-        """The files of one table, of rows as their lines with the scenes of each. Raises `DST-048`."""
+        """Write the files of one table from its rows as lines, with the scenes of each. Raises `DST-048`."""
         for scenes, line in rows:
             for scene in scenes:
                 self._held.setdefault(scene, []).append(line)
@@ -81,7 +80,7 @@ class SceneTableFiles:
 
 
 def write_scene_tables(files: DatasetFiles, placed: PlacedData, folder_of: FolderOf) -> None:
-    """The tables of each scene into its folder, which is there. Raises a `DatasetFaultError`."""
+    """Write the tables of each scene into its existing folder. Raises a `DatasetFaultError`."""
     tables = placed.tables
     spans = {table: files.span(tables.file(table)) for table in TABLES}
     size_bytes = sum(span.size_bytes for span in spans.values() if span is not None)
@@ -97,17 +96,17 @@ def write_scene_tables(files: DatasetFiles, placed: PlacedData, folder_of: Folde
 
 
 def _line(row: Row, written: str) -> str:
-    """The row on one line, as it is `written` if it is."""
+    """Return the row on one line, unchanged if it is already `written` on one."""
     return encoded(row) if "\n" in written else written
 
 
 def write_splits(folder: Path, scene: str, splits: Iterable[str]) -> None:
-    """The splits that name the scene."""
+    """Write the splits that contain the scene."""
     (folder / SPLITS).write_text(json.dumps({split: [scene] for split in splits}, indent=1) + "\n", "utf-8")
 
 
 class _Owners:
-    """Tells of every row of a table of which scenes it is."""
+    """Determines the scenes of every table row."""
 
     def __init__(self, placed: PlacedData) -> None:
         self._placed, self._tables = placed, placed.tables
@@ -136,7 +135,7 @@ class _Owners:
         if table in SHARED:
             return ((self._every, row) for row in rows)
         if table in self._pairs:
-            return zip(_by_row(*self._pairs[table]), rows, strict=False)  # rows that nobody names may follow
+            return zip(_by_row(*self._pairs[table]), rows, strict=False)  # rows without references may follow
         if table == "map":
             return ((self._of_map(row), row) for row in rows)
         if table == "sample_annotation":
@@ -158,7 +157,7 @@ class _Owners:
         return (scene,)
 
     def _of_instances(self, rows: Iterator[Row]) -> Iterator[tuple[Scenes, Row]]:
-        """Annotations were asked before."""
+        """Yield instances with their scenes; annotations must have been processed before."""
         keys, scenes = self._instances.array(np.int64), self._seen_in.array(np.int64)
         pairs = np.unique(np.stack([keys, scenes]), axis=1) if len(keys) else np.zeros((2, 0), np.int64)
         for row in rows:
@@ -168,7 +167,7 @@ class _Owners:
 
 
 def _hashed(row: Row, key: str) -> int:
-    """0, which is no token's, where the row names none."""
+    """Return the hash of the row's token, or 0 if it has none."""
     token = row.get(key)
     return hash(token) if isinstance(token, str) else 0
 
@@ -178,7 +177,7 @@ def _numbered(scenes: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[n
 
 
 def _by_row(rows: NDArray[np.int64], scenes: NDArray[np.int64]) -> Iterator[Scenes]:
-    """The scenes of row 0, of row 1, …, each once, up to the last that has any."""
+    """Yield the scenes of row 0, 1, … without repeats, up to the last row with a scene."""
     order = np.lexsort((scenes, rows))
     rows, scenes = rows[order], scenes[order]
     is_first = np.append(True, (np.diff(rows) != 0) | (np.diff(scenes) != 0))[: len(rows)]

@@ -1,7 +1,7 @@
-"""Splits of a dataset: `splits.json` beside the tables or in the root, or those of annotations.json.
+"""Splits of a dataset: `splits.json` next to the tables or in the root, or the splits in annotations.json.
 
-**Conventions.** As the devkit's custom splits: {split: [scene, …]}. Our exports, and others, name one of all scenes
-"all"; it parts nothing, so a scene may stand in it and in another.
+**Conventions.** As the devkit's custom splits: {split: [scene, …]}. Our exports, and others, have a split "all" with
+every scene; a scene may be in it and in one other split.
 """
 
 from collections.abc import Iterable, Mapping
@@ -19,7 +19,7 @@ Splits = Mapping[str, tuple[str, ...]]
 
 
 def read_splits(files: DatasetFiles) -> tuple[str, Splits]:
-    """The file of the splits, and what it says; no splits where there is none. Raises a `DatasetFaultError`."""
+    """Return the file of the splits and its content, or no splits if there is none. Raises a `DatasetFaultError`."""
     names = [name for name in (SPLITS, f"{files.version}/{SPLITS}") if files.span(name) is not None]
     if len(names) > 1:
         raise DatasetFaultError("DST-045", DatasetPlace(names[0]), f"{names[1]} also exists")
@@ -41,14 +41,14 @@ def read_splits(files: DatasetFiles) -> tuple[str, Splits]:
 
 
 def scenes_named(file: str, split: str, names: Any) -> tuple[str, ...]:
-    """The list of a split. Raises `DST-045`."""
+    """Return the list of a split. Raises `DST-045`."""
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise DatasetFaultError("DST-045", DatasetPlace(file), f"{quoted(split)} is {quoted(names)}")
     return tuple(names)
 
 
 def check_splits(said: tuple[str, Splits], scenes: Iterable[str], faults: DatasetFaults) -> None:
-    """Every scene that a split names is there, and in no other."""
+    """Check that every scene of a split exists and is in no other split."""
     (file, splits), known = said, set(scenes)
     named = [(split, name) for split, names in splits.items() for name in names]
     for split, name in named:
@@ -61,7 +61,7 @@ def check_splits(said: tuple[str, Splits], scenes: Iterable[str], faults: Datase
 
 
 def splits_of(splits: Splits) -> Mapping[str, tuple[str, ...]]:
-    """The splits that each scene is in, by its name."""
+    """Return the splits of each scene by its name."""
     found: dict[str, tuple[str, ...]] = {}
     for split, names in splits.items():
         for name in names:

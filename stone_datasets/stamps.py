@@ -1,8 +1,8 @@
-"""Stamps of frames: microseconds of a clock that was set, of a clock that was not, or of another unit.
+"""Stamps of frames: microseconds of a set clock, of a clock that was never set, or stamps in another unit.
 
-**Conventions.** A set clock gives 1990 to 2100. Simulated time and time since boot lie outside; their unit is decided
-by the steps between frames, which are 10 ms to 10 s: in seconds below 10, in milliseconds below 10,000 and so on. A
-scene of one frame has no step; there the date of its log decides, if it is the date of the stamp in another unit.
+**Conventions.** A set clock gives 1990 to 2100. Simulated time and time since boot are outside; the steps between
+frames, 10 ms to 10 s, decide their unit: below 10 in seconds, below 10,000 in milliseconds and so on. A scene with one
+frame has no step; if its log's date is the stamp's date in another unit, that unit is used.
 """
 
 from collections.abc import Iterator
@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from stone_base.newer_python import UTC
 
 FIRST_US, LAST_US = 631_152_000_000_000, 4_102_444_800_000_000
-LARGEST_US = (2**63 - 1) // 1000  # in nanoseconds they are still int64
+LARGEST_US = (2**63 - 1) // 1000  # in nanoseconds they still fit int64
 LEAST_STEP_US, MOST_STEP_US = 10_000, 10_000_000
 
 Stamps = NDArray[np.int64]
 
 
 class StampUnit(NamedTuple):
-    """A unit that stamps may be in, how many microseconds one has, and what makes microseconds of it."""
+    """A possible unit of stamps, its microseconds, and the conversion to microseconds."""
 
     name: str
     microseconds: float
@@ -37,7 +37,7 @@ UNITS = (SECONDS, MILLISECONDS, MICROSECONDS, NANOSECONDS)
 
 
 class StampFault(NamedTuple):
-    """The index of a stamp, what is wrong with it, and the mistake that usually causes it."""
+    """The index of a stamp, its fault, and the mistake that usually causes it."""
 
     at: int
     what: str
@@ -45,24 +45,24 @@ class StampFault(NamedTuple):
 
 
 def is_dated(stamps_us: Stamps) -> NDArray[np.bool_]:
-    """Whether the clock of each stamp was set."""
+    """Return whether the clock of each stamp was set."""
     return (stamps_us >= FIRST_US) & (stamps_us < LAST_US)
 
 
 def are_dated(stamps_us: Stamps) -> bool:
-    """Whether the clock of most of these stamps was set; there is at least one."""
+    """Return whether the clock of most of these stamps (at least one) was set."""
     return FIRST_US <= float(np.median(stamps_us)) < LAST_US
 
 
 def unit_of(stamp: float) -> StampUnit | None:
-    """The unit in which a number is a date of 1990 to 2100; None if there is none."""
+    """Return the unit in which a number is a date from 1990 to 2100, or None."""
     return next((unit for unit in UNITS if FIRST_US <= stamp * unit.microseconds < LAST_US), None)
 
 
 def clock_faults(stamps: Stamps, date: str = "") -> Iterator[StampFault]:
-    """The stamps of one scene's frames (N,), in any order, that are no microseconds of the clock of all others.
+    """Yield the stamps of one scene's frames (N,), in any order, that are not microseconds of the other frames' clock.
 
-    `date` is that on which its log was captured, as ISO 8601; "" if it is not known.
+    `date` is the log's capture date in ISO 8601, or "" if unknown.
     """
     if not len(stamps):
         return
@@ -76,7 +76,7 @@ def clock_faults(stamps: Stamps, date: str = "") -> Iterator[StampFault]:
 
 
 def strangers(stamps: Stamps, *, has_dated: bool, has_undated: bool) -> Iterator[StampFault]:
-    """The stamps (N,) that are of no clock that the frames have."""
+    """Yield the stamps (N,) of a clock that no frame uses."""
     dated = is_dated(stamps)
     for at in np.flatnonzero(dated & (not has_dated) | ~dated & (not has_undated)).tolist():
         stamp = int(stamps[at])
@@ -89,7 +89,7 @@ def strangers(stamps: Stamps, *, has_dated: bool, has_undated: bool) -> Iterator
 
 
 def wrong_unit(unit: StampUnit) -> str:
-    """Return the name of a stamp of this unit, and how it becomes microseconds."""
+    """Return the name of a stamp in this unit, and its conversion to microseconds."""
     return f"{unit.name} instead of integer microseconds: {unit.mended}"
 
 
@@ -98,7 +98,7 @@ def _of_unit(at: int, stamp: int, unit: StampUnit) -> StampFault:
 
 
 def _unit_of_undated(ascending: Stamps, date: str) -> StampUnit:
-    """The unit of stamps that are no date in microseconds."""
+    """Return the unit of stamps that are not a date in microseconds."""
     if len(ascending) == 1:
         unit = unit_of(float(ascending[0]))
         return unit if unit is not None and date and date == _date(ascending[0] * unit.microseconds) else MICROSECONDS

@@ -1,6 +1,6 @@
-"""The layout and grid that the user states of a dataset, and the layout that it therefore has.
+"""The layout and grid that the user states for a dataset, and the resulting layout.
 
-**Conventions.** What is stated goes before what is recognised.
+**Conventions.** Stated values take precedence over recognised ones.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,13 +19,13 @@ MOST_TRIED = 8
 
 @dataclass(frozen=True)
 class StatedLayout:
-    """The name of a layout of `LAYOUTS`, and a grid; None where nothing is stated."""
+    """The name of a layout of `LAYOUTS`, and a grid; None if not stated."""
 
     layout: str | None = None
     grid: LabelGrid | None = None
 
     def of(self, files: DatasetFiles, sequences: Sequence[DatasetSequence]) -> DatasetLayout:
-        """Return the layout of these sequences: as stated, else as their first label file and tokens tell.
+        """Return the layout of these sequences: as stated, otherwise from their first label file and their tokens.
 
         Raises `bad_layout`.
         """
@@ -33,13 +33,13 @@ class StatedLayout:
         return found if self.grid is None else found.with_grid(self.grid)
 
     def as_record(self) -> dict[str, Any] | None:
-        """Return what is stated as JSON, None if nothing is."""
+        """Return the stated values as JSON, or None if there are none."""
         grid = None if self.grid is None else self.grid.as_record()
         return None if self == UNSTATED else {"layout": self.layout, "grid": grid}
 
     @classmethod
     def of_record(cls, record: Mapping[str, Any] | None) -> "StatedLayout":
-        """Return what `as_record` wrote. Raises `bad_grid`."""
+        """Return the stated layout in a record of `as_record`. Raises `bad_grid`."""
         if record is None:
             return cls()
         return cls(record["layout"], None if record["grid"] is None else grid_of(record["grid"]))
@@ -49,7 +49,7 @@ UNSTATED = StatedLayout()
 
 
 def form_of_tokens(written: Sequence[str], place: DatasetPlace) -> bool:
-    """Return whether these frame tokens are UUIDs with dashes. Raises `DST-043` if some are and others not."""
+    """Return whether these frame tokens are UUIDs with dashes. Raises `DST-043` if only some have dashes."""
     is_dashed = [DASHED_TOKEN.fullmatch(token) is not None for token in written]
     if len(set(is_dashed)) > 1:
         first = written[is_dashed.index(not is_dashed[0])]

@@ -1,7 +1,7 @@
-"""The tables of the nuScenes schema as columns: every row read and checked by itself.
+"""The tables of the nuScenes schema as columns: every row is read and checked separately.
 
-**Conventions.** What has few rows is held by token, what grows with the data in columns. Row numbers are indices + 1,
-which holds as long as no row was faulty: what compares tables (`links.py`) is not asked before.
+**Conventions.** Small tables are stored by token, large ones in columns. Row numbers are indices + 1, which is only
+valid without faulty rows; the comparison of tables (`links.py`) therefore runs only if there are none.
 """
 
 from collections.abc import Callable, Container, Iterator, Mapping
@@ -21,9 +21,9 @@ from stone_datasets.rows import FARTHEST_MOUNT_M, FARTHEST_POSE_M, DatasetRow
 from stone_datasets.stamps import are_dated, clock_faults, strangers
 
 MODALITIES = ("camera", "lidar", "radar")
-# Nothing that is in them is needed; if they are there, their tokens are compared. Boxes and their like are not opened.
+# Unused tables: if they exist, only their tokens are compared. Boxes and similar tables are not opened.
 OTHERS = ("category", "map")
-# Rows that are looked for while those that name them are read.
+# Referenced rows, looked up while the rows with references are read.
 REFERRED = {"calibrated_sensor": "sensor", "scene": "log", "sample": "scene", "sample_data": "calibrated_sensor"}
 WIDEST_PX = 1 << 15
 Held = TypeVar("Held")
@@ -37,7 +37,7 @@ class DatasetSensorRow:
 
 @dataclass
 class CalibratedSensorRow:
-    """`ego_from_sensor`, and of a camera its lens when the size of its pictures is known."""
+    """`ego_from_sensor`, and a camera's lens once its image size is known."""
 
     place: int
     row: DatasetRow
@@ -68,7 +68,7 @@ class SceneRow:
 
 @dataclass
 class SampleColumns:
-    """`scene` is the place of the scene among the scenes; links are hashes of tokens."""
+    """`scene` is the scene's position among the scenes; links are hashes of tokens."""
 
     tokens: list[str] = field(default_factory=list)
     keys: NumberColumn = field(default_factory=lambda: NumberColumn("q"))
@@ -79,7 +79,7 @@ class SampleColumns:
 
 @dataclass
 class PoseColumns:
-    """`poses`: seven numbers a row."""
+    """`poses`: seven numbers per row."""
 
     keys: NumberColumn = field(default_factory=lambda: NumberColumn("q"))
     stamp_us: NumberColumn = field(default_factory=lambda: NumberColumn("q"))
@@ -88,7 +88,7 @@ class PoseColumns:
 
 @dataclass
 class DatumColumns:
-    """`links`: prev, next, frame, pose of a row, as hashes of tokens. `mount`: place among the calibrated sensors."""
+    """`links`: prev, next, frame and pose of a row, as token hashes. `mount`: position among the calibrated sensors."""
 
     keys: NumberColumn = field(default_factory=lambda: NumberColumn("q"))
     links: NumberColumn = field(default_factory=lambda: NumberColumn("q"))
@@ -100,9 +100,10 @@ class DatumColumns:
 
 @dataclass
 class DatasetTables:
-    """All rows. `mounts` and `scenes` are by token, in the order of their tables, where each has its `place`.
+    """All rows. `mounts` and `scenes` are by token, in table order, which each row's `place` contains.
 
-    `faulty` are the tables with faults, and those that refer to them: what is not in them is not told again.
+    `faulty` are tables with faults and the tables that refer to them; missing references to them are not reported
+    again.
     """
 
     version: str
@@ -123,7 +124,7 @@ Add = Callable[[DatasetTables, DatasetRow], None]
 
 
 def read_tables(files: DatasetFiles, faults: DatasetFaults) -> DatasetTables:
-    """Every table; faults are added, and the rows that have them left out."""
+    """Return every table; faults are added, and rows with faults are left out."""
     tables = DatasetTables(files.version)
     for table, add in READERS.items():
         _read_table(files, tables, (table, add), faults)
@@ -153,7 +154,7 @@ def _read_table(files: DatasetFiles, tables: DatasetTables, what: tuple[str, Add
 
 
 def _check_clocks(tables: DatasetTables, faults: DatasetFaults) -> None:
-    """Check the stamps of each scene's frames, then those of all data and poses against them."""
+    """Check the stamps of each scene's frames, then all data and poses against them."""
     samples, has = tables.samples, dict[bool, bool]()
     stamps_us, scenes = samples.stamp_us.array(np.int64), samples.scene.array(np.int64)
     order = np.argsort(scenes, kind="stable")
@@ -182,7 +183,7 @@ def _rows(files: DatasetFiles, name: str) -> Iterator[DatasetRow]:
 
 
 def _repeated_tokens(tables: DatasetTables, table: str) -> Iterator[DatasetFaultError]:
-    """Of the tables of many rows, whose tokens are looked at together."""
+    """Yield repeated tokens of the large tables, which are compared at the end."""
     columns = {"sample": tables.samples.keys, "ego_pose": tables.poses.keys, "sample_data": tables.data.keys}
     for again, first in repeated(columns[table].array("q")) if table in columns else ():
         token = tables.samples.tokens[again] if table == "sample" else ""
@@ -192,7 +193,7 @@ def _repeated_tokens(tables: DatasetTables, table: str) -> Iterator[DatasetFault
 
 
 def _unique() -> Add:
-    """Of a table of which only that is asked."""
+    """Return a check for tables of which only the tokens must be unique."""
     seen = set[str]()
 
     def add(_tables: DatasetTables, row: DatasetRow) -> None:
@@ -222,7 +223,7 @@ def _add_mount(tables: DatasetTables, row: DatasetRow) -> None:
     if sensor is None:
         return
     if sensor.modality == "camera":
-        row.lens((1, 1))  # every camera's matrix is looked at, also of one without pictures
+        row.lens((1, 1))  # check every camera's matrix, even without images
     tables.mounts[token] = CalibratedSensorRow(len(tables.mounts), row, sensor, row.pose(FARTHEST_MOUNT_M))
 
 
@@ -291,7 +292,7 @@ def _note_size(mount: CalibratedSensorRow, row: DatasetRow) -> None:
 
 
 def _referred(tables: DatasetTables, row: DatasetRow, key: str, to: tuple[str, Mapping[str, Held]]) -> Held | None:
-    """What the row names; None where the other table is faulty itself. Raises `DST-030`."""
+    """Return the referenced row, or None if the other table is faulty. Raises `DST-030`."""
     (table, held), token = to, row.token(key)
     if token not in held and table not in tables.faulty:
         raise DatasetFaultError("DST-030", row.place, f"{key} {quoted(token)} is not a token of {table}")

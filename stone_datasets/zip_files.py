@@ -1,8 +1,8 @@
-"""A dataset in a zip, read where it lies by ranges: its index of 56 bytes a file, and the file of a name.
+"""A dataset in a zip, read in place by ranges: an index with 56 bytes per file, and files by name.
 
-**Conventions.** As `stone_datasets/files.py`: files are found by Python's hash of their names. The whole directory is
-read once, in pieces; nothing is unpacked. A zip in which two readers could see different files is refused, and so is
-one whose members would inflate to implausibly many bytes.
+**Conventions.** As in `stone_datasets/files.py`, files are found by Python's hash of their names. The whole directory
+is read once, in pieces; nothing is unpacked. Zips in which two readers could see different files, and zips whose
+members would inflate to implausibly many bytes, are refused.
 """
 
 from collections.abc import Iterable
@@ -23,16 +23,17 @@ from stone_files.dataset_layout import head_of, quoted, refuse_outside, root_in_
 from stone_files.zip_directory import ZipFaultError, ZipMember, checked_end, directory_members, limits_of
 
 MOST_FILES = 1 << 22
-# Label grids inflate 50 times, pictures and sweeps hardly: what a whole dataset may, and any may that is small.
+# Label grids inflate 50 times, images and sweeps hardly: the limit for a whole dataset, and the size that is always
+# allowed.
 MOST_GROWTH, ALWAYS_BYTES = 20, 2**30
 Places = NDArray[np.int64]
 PLACE = ("offset", "size", "packed", "limit", "crc32", "method")
-NOT_ZIPPED = -1  # as packed, limit, crc32 and method of a file that lies in its archive as it is
+NOT_ZIPPED = -1  # packed size, limit, crc32 and method of an uncompressed file in an archive
 
 
 @dataclass(frozen=True, eq=False)
 class DatasetZip:
-    """A dataset in a zip, below `root` (which ends in a slash, or is empty); `places` are (N, 6), as `PLACE` says."""
+    """A dataset in a zip, below `root` (ends in a slash, or is empty); `places` are (N, 6), columns as in `PLACE`."""
 
     ranges: ByteRanges
     version: str
@@ -51,7 +52,9 @@ class DatasetZip:
         return None if at < 0 else placed_span(self.ranges, (name, self.root + name), self.places[at])
 
     def spans(self, names: Iterable[str]) -> Places:
-        """The places (N, 6) of the files of these names, none of which leads outside; rows of −1 if there is none."""
+        """Return the places (N, 6) of these files, whose names stay inside the dataset; rows of −1 for missing
+        files.
+        """
         keys = NumberColumn("q")
         keys.extend(hash(self.root + name) for name in names)
         at = places_of(self.keys, keys.array(np.int64))
@@ -64,7 +67,7 @@ class DatasetZip:
 
 
 def placed_span(ranges: ByteRanges, names: tuple[str, str], place: Iterable[int]) -> ExportFileSpan:
-    """The file at a place of a tar or zip; `names` are its name in the dataset and the one in the archive."""
+    """Return the file at a place of a tar or zip; `names` are its names in the dataset and in the archive."""
     offset, size, packed, limit, crc32, method = (int(number) for number in place)
     if method == NOT_ZIPPED:
         return ExportFileSpan(ranges.path, names[0], offset, size)
@@ -73,7 +76,7 @@ def placed_span(ranges: ByteRanges, names: tuple[str, str], place: Iterable[int]
 
 
 def open_zip(where: Path | ByteRanges) -> DatasetZip:
-    """The dataset in a zip. Raises `DST-001`, `DST-002`, `DST-004` and `DST-006` to `DST-009`."""
+    """Return the dataset in a zip. Raises `DST-001`, `DST-002`, `DST-004` and `DST-006` to `DST-009`."""
     ranges = LocalRanges(where) if isinstance(where, Path) else where
     try:
         return _opened(ranges)
@@ -119,6 +122,6 @@ def _refuse_bombs(ranges: ByteRanges, sizes_bytes: NDArray[np.uint64]) -> None:
 
 
 def note_labels(folders: set[str], name: str) -> None:
-    """Add the folder of a scene's labels: only the folders two above labels.npz are asked for."""
+    """Add a scene's label folder: only the folder two levels above labels.npz is needed."""
     if name.endswith("/labels.npz"):
         folders.add(name.rsplit("/", 2)[0])
