@@ -69,28 +69,30 @@ def read_annotations(files: DatasetFiles, stated: StatedLayout, faults: DatasetF
     splits, sequences, names, seen = dict[str, tuple[str, ...]](), list[DatasetSequence](), NameColumn(), set[int]()
     try:
         for scene, rows in _scenes(files, splits):
-            found = _read_scene(files, (scene, rows, names, seen), faults)
-            if found is not None:
-                sequences.append(found)
+            sequence = _read_scene(files, (scene, rows, names, seen), faults)
+            if sequence is not None:
+                sequences.append(sequence)
     except DatasetFaultError as fault:
         faults.add(fault)
         return None
     if len(faults):
         return None
     try:
-        form_of_tokens([one.label_name(0).split("/")[2] for one in sequences if len(one)], DatasetPlace(ANNOTATIONS))
+        form_of_tokens(
+            [sequence.label_name(0).split("/")[2] for sequence in sequences if len(sequence)], DatasetPlace(ANNOTATIONS)
+        )
     except DatasetFaultError as fault:
         faults.add(fault)
         return None
-    check_splits((ANNOTATIONS, splits), [one.name for one in sequences], faults)
+    check_splits((ANNOTATIONS, splits), [sequence.name for sequence in sequences], faults)
     named = splits_of(splits)
-    whole = tuple(replace(one, splits=named.get(one.name, ())) for one in sequences)
+    whole = tuple(replace(sequence, splits=named.get(sequence.name, ())) for sequence in sequences)
     return DatasetIndex(files, stated.of(files, whole), whole, splits)
 
 
 def compare_annotations(index: DatasetIndex, faults: DatasetFaults) -> Splits:
     """Return the splits in annotations.json, after a check that the file agrees with the tables."""
-    splits, known = dict[str, tuple[str, ...]](), {one.name: set(one.tokens) for one in index.sequences}
+    splits, known = dict[str, tuple[str, ...]](), {sequence.name: set(sequence.tokens) for sequence in index.sequences}
     try:
         for scene, rows in _scenes(index.files, splits):
             for row in rows:
@@ -134,9 +136,9 @@ def _scenes(files: DatasetFiles, splits: dict[str, tuple[str, ...]]) -> Iterator
 
 def _frames(stream: JsonStream, scene: str) -> Iterator[DatasetRow]:
     for number, token in enumerate(stream.items(), 1):
-        place = f"{ANNOTATIONS} scene {scene}"
+        table = f"{ANNOTATIONS} scene {scene}"
         value = stream.value(number)
-        yield DatasetRow(place, number, {token: value}, token).part(token)
+        yield DatasetRow(table, number, {token: value}, token).part(token)
 
 
 Read = tuple[str, Iterator[DatasetRow], NameColumn, set[int]]
@@ -217,8 +219,8 @@ def _add_picture(files: DatasetFiles, scene: AnnotatedScene, what: tuple[Dataset
             "DST-038", row.place, f"{channel} has a different intrinsic or extrinsic than in earlier frames"
         )
     camera.frames.append(len(scene.tokens))
-    said = channel_and_stamp(name)
-    camera.stamps_ns.append((stamp_us if said is None else said[1]) * NS_PER_US)
+    name_parts = channel_and_stamp(name)
+    camera.stamps_ns.append((stamp_us if name_parts is None else name_parts[1]) * NS_PER_US)
     camera.poses.append(pose)
     camera.rows.append(len(names))
     names.add(next((f"{at}{name}" for at in PICTURE_FOLDERS if files.span(f"{at}{name}") is not None), name))
@@ -229,7 +231,7 @@ def _sequence(files: DatasetFiles, scene: AnnotatedScene, names: NameColumn) -> 
     rank = np.argsort(order)
     poses = SE3(np.array(scene.poses, np.float64).reshape(-1, 7)[order])
     stamps_ns = np.array(scene.stamps_us, np.int64)[order] * NS_PER_US
-    tokens = tuple(scene.tokens[place].replace("-", "") for place in order.tolist())
+    tokens = tuple(scene.tokens[index].replace("-", "") for index in order.tolist())
     channels = {name: _channel(files, name, camera, (names, rank)) for name, camera in scene.cameras.items()}
     is_labelled = files.has_folder(label_folder(scene.name))
     return DatasetSequence(scene.name, "", "", "", tokens, stamps_ns, poses, channels, is_labelled)
@@ -288,10 +290,12 @@ def _rows(sequence: DatasetSequence) -> Mapping[str, Iterable[Row]]:
     begun = datetime.fromtimestamp(int(sequence.stamps_ns[0]) // 10**9, UTC)
     return {
         "category": [
-            {"token": _token("category", one), "name": one, "description": "", "index": index}
-            for index, one in enumerate(CLASSES)
+            {"token": _token("category", class_name), "name": class_name, "description": "", "index": index}
+            for index, class_name in enumerate(CLASSES)
         ],
-        "sensor": [{"token": _token("sensor", one), "channel": one, "modality": "camera"} for one in channels],
+        "sensor": [
+            {"token": _token("sensor", channel), "channel": channel, "modality": "camera"} for channel in channels
+        ],
         "calibrated_sensor": [_mounted(sequence, channel) for channel in channels.values()],
         "log": [
             {"token": _token("log", name), "logfile": "", "vehicle": "", "date_captured": f"{begun:%Y-%m-%d}",
@@ -319,8 +323,8 @@ def _mounted(sequence: DatasetSequence, channel: DatasetChannel) -> Row:
     if lens is None:
         return row
     matrix = [[lens.fx_px, 0.0, lens.cx_px], [0.0, lens.fy_px, lens.cy_px], [0.0, 0.0, 1.0]]
-    said = {"camera_model": lens.model, "camera_distortion": list(lens.distortion)}
-    return row | {"camera_intrinsic": matrix} | said
+    lens_columns = {"camera_model": lens.model, "camera_distortion": list(lens.distortion)}
+    return row | {"camera_intrinsic": matrix} | lens_columns
 
 
 def _posed(pose: SE3) -> Row:
@@ -339,35 +343,35 @@ def _samples(sequence: DatasetSequence) -> Iterator[Row]:
         }
 
 
-def _datum_token(sequence: DatasetSequence, channel: DatasetChannel, place: int) -> str:
+def _datum_token(sequence: DatasetSequence, channel: DatasetChannel, index: int) -> str:
     """Return the token of a datum; "" beyond the ends, as in the schema's chains."""
-    if not 0 <= place < len(channel.frames):
+    if not 0 <= index < len(channel.frames):
         return ""
-    return _token("sample_data", sequence.tokens[int(channel.frames[place])], channel.sensor.channel)
+    return _token("sample_data", sequence.tokens[int(channel.frames[index])], channel.sensor.channel)
 
 
 def _poses(sequence: DatasetSequence, channel: DatasetChannel) -> Iterator[Row]:
-    for place, stamp_ns in enumerate(channel.stamps_ns.tolist()):
-        token = _datum_token(sequence, channel, place)
-        yield {"token": token, "timestamp": stamp_ns // NS_PER_US, **_posed(channel.map_from_ego[place])}
+    for index, stamp_ns in enumerate(channel.stamps_ns.tolist()):
+        token = _datum_token(sequence, channel, index)
+        yield {"token": token, "timestamp": stamp_ns // NS_PER_US, **_posed(channel.map_from_ego[index])}
 
 
 def _data(sequence: DatasetSequence, channel: DatasetChannel) -> Iterator[Row]:
     lens = channel.sensor.intrinsics
     size = (0, 0) if lens is None else (lens.height_px, lens.width_px)
-    for place, name in enumerate(picture_names(sequence, channel)):
-        token = _datum_token(sequence, channel, place)
+    for index, name in enumerate(picture_names(sequence, channel)):
+        token = _datum_token(sequence, channel, index)
         yield {
             "token": token,
-            "sample_token": sequence.tokens[int(channel.frames[place])],
+            "sample_token": sequence.tokens[int(channel.frames[index])],
             "ego_pose_token": token,
             "calibrated_sensor_token": _token("calibrated_sensor", sequence.name, channel.sensor.channel),
-            "timestamp": int(channel.stamps_ns[place]) // NS_PER_US,
+            "timestamp": int(channel.stamps_ns[index]) // NS_PER_US,
             "fileformat": name.rpartition(".")[2],
             "is_key_frame": True,
             "height": size[0],
             "width": size[1],
             "filename": name,
-            "prev": _datum_token(sequence, channel, place - 1),
-            "next": _datum_token(sequence, channel, place + 1),
+            "prev": _datum_token(sequence, channel, index - 1),
+            "next": _datum_token(sequence, channel, index + 1),
         }

@@ -101,8 +101,13 @@ def data_of(tables: DatasetTables, frames: DatasetFrames, faults: DatasetFaults)
     placed = PlacedData(tables, mounts, mount, *facts, data.is_key.array(np.bool_))
     group = placed.scene * len(channels) + placed.channel
     check_chains(LinkedRows(tables.file("sample_data"), keys, previous, following, facts[-1], group), faults)
-    for found in (_misnamed(placed), _wrong_frames(placed, frames), _without_sweep(placed, frames), _changing(placed)):
-        for fault in found:
+    for faults_of_kind in (
+        _misnamed(placed),
+        _wrong_frames(placed, frames),
+        _without_sweep(placed, frames),
+        _changing(placed),
+    ):
+        for fault in faults_of_kind:
             faults.add(fault)
     return placed
 
@@ -141,8 +146,8 @@ def _links(held: Keys, count: int) -> tuple[Keys, ...]:
     return tuple(np.ascontiguousarray(column) for column in held.reshape(-1, count).T)
 
 
-def _dangling(tables: DatasetTables, found: Mapping[str, Places]) -> Iterator[DatasetFaultError]:
-    for table, rows in found.items():
+def _dangling(tables: DatasetTables, rows_by_table: Mapping[str, Places]) -> Iterator[DatasetFaultError]:
+    for table, rows in rows_by_table.items():
         for row in np.flatnonzero(rows < 0).tolist():
             place = DatasetPlace(tables.file("sample_data"), row + 1)
             what = f"the {table}_token of {quoted(tables.data.names[row])} is not a token of {table}"
@@ -168,14 +173,14 @@ def _misnamed(placed: PlacedData) -> Iterator[DatasetFaultError]:
 
 def _fault_of_name(placed: PlacedData, row: int, name: str) -> DatasetFaultError | None:
     channel, (folder, _, base) = placed.sensor(row).sensor.channel, name.rpartition("/")
-    said = channel_and_stamp(base) or (channel, int(placed.stamps_us[row]))
+    name_parts = channel_and_stamp(base) or (channel, int(placed.stamps_us[row]))
     if not is_inside(name):
         return path_fault("filename", name, placed.place(row), table="sample_data")
-    if not base or folder not in [f"{one}/{channel}" for one in FOLDERS] or said[0] != channel:
-        likely = folder_cause(name, [f"{one}/{channel}/" for one in FOLDERS])
+    if not base or folder not in [f"{prefix}/{channel}" for prefix in FOLDERS] or name_parts[0] != channel:
+        likely = folder_cause(name, [f"{prefix}/{channel}/" for prefix in FOLDERS])
         what = f"filename is {quoted(name)}, but the sensor is {channel}"
         return DatasetFaultError("DST-041", placed.place(row), what, likely)
-    if said[1] != placed.stamps_us[row]:
+    if name_parts[1] != placed.stamps_us[row]:
         return DatasetFaultError(
             "DST-040", placed.place(row), f"filename is {quoted(name)}, but timestamp is {placed.stamps_us[row]}"
         )
@@ -214,5 +219,5 @@ def _changing(placed: PlacedData) -> Iterator[DatasetFaultError]:
     pairs, firsts = np.unique(np.stack([chains, placed.mount]), axis=1, return_index=True)
     for again, first in repeated(pairs[0]):
         row, other = int(firsts[again]), int(firsts[first])
-        tokens = [placed.sensor(one).row.place.token for one in (row, other)]
+        tokens = [placed.sensor(datum).row.place.token for datum in (row, other)]
         yield DatasetFaultError("DST-038", placed.place(row), f"{tokens[0]} here, {tokens[1]} in row {other + 1}")

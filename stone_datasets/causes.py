@@ -34,15 +34,15 @@ def type_cause(key: str, value: object) -> str:
     return "a float; write int(value)" if isinstance(value, float) else ""
 
 
-def token_cause(found: str) -> str:
+def token_cause(text: str) -> str:
     """Return why this text is not a frame token."""
-    plain = found.replace("-", "")
+    plain = text.replace("-", "")
     if len(plain) == 32 and HEX.fullmatch(plain.lower()):
         if plain != plain.lower():
             return "upper-case letters; write token.lower() in all tables and in the names of label folders"
         return "dashes at other positions than in a UUID; write token.replace('-', '') everywhere"
-    if HEX.fullmatch(found.lower()) and 28 <= len(found) <= 40:
-        return f"{len(found)} hex digits instead of 32"
+    if HEX.fullmatch(text.lower()) and 28 <= len(text) <= 40:
+        return f"{len(text)} hex digits instead of 32"
     return (
         f"a name, counter or stamp instead of 32 hex digits; {NEW_TOKEN}; use the same token in every table and "
         "label folder"
@@ -52,8 +52,8 @@ def token_cause(found: str) -> str:
 def folder_cause(name: str, folders: Iterable[str]) -> str:
     """Return why a file's name does not start with one of the folders, such as `samples/LIDAR_TOP/`."""
     for folder in folders:
-        before, found, _ = name.partition(f"/{folder}")
-        if found:
+        before, separator, _ = name.partition(f"/{folder}")
+        if separator:
             return f"paths must start with samples/ or sweeps/, relative to the dataset: remove {before[:80]!r}"
         if name.lower().startswith(folder.lower()) and not name.startswith(folder):
             return "its folder and the sensor differ in upper and lower case"
@@ -61,9 +61,9 @@ def folder_cause(name: str, folders: Iterable[str]) -> str:
 
 
 def _list_cause(value: list[object]) -> str:
-    if any(isinstance(one, str) for one in value):
-        return "numbers written as text" if all(_is_number(one) for one in value) else "text in a list of numbers"
-    if any(one is None for one in value):
+    if any(isinstance(item, str) for item in value):
+        return "numbers written as text" if all(_is_number(item) for item in value) else "text in a list of numbers"
+    if any(item is None for item in value):
         return "null in a list of numbers"
     if len(value) == 1 and isinstance(value[0], list):
         return "a list within a list: remove the outer brackets"

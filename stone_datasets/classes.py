@@ -55,12 +55,16 @@ def read_class_map(path: Path) -> ClassMap:
     if len(content) > MOST_MAP_BYTES:
         raise DatasetFaultError("DST-070", place, f"it has more than {MOST_MAP_BYTES} bytes")
     try:
-        said = YAML(typ="safe", pure=True).load(content.decode("utf-8"))
+        record = YAML(typ="safe", pure=True).load(content.decode("utf-8"))
     except (YAMLError, ValueError, RecursionError, TypeError, AttributeError) as error:
         raise DatasetFaultError("DST-070", place, "it is not YAML") from error
-    if not isinstance(said, dict) or not isinstance(said.get("name"), str) or not isinstance(said.get("classes"), dict):
+    if (
+        not isinstance(record, dict)
+        or not isinstance(record.get("name"), str)
+        or not isinstance(record.get("classes"), dict)
+    ):
         raise DatasetFaultError("DST-070", place, "it has no name, or no classes")
-    return class_map_of(said["name"][:100], dict(_meant(place, *one) for one in said["classes"].items()))
+    return class_map_of(record["name"][:100], dict(_meant(place, *item) for item in record["classes"].items()))
 
 
 def _meant(place: DatasetPlace, number: object, meaning: object) -> tuple[int, str]:

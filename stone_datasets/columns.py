@@ -46,8 +46,8 @@ class NameColumn:
     def __len__(self) -> int:
         return len(self._ends) - 1
 
-    def __getitem__(self, place: int) -> str:
-        start, stop = self._ends[place], self._ends[place + 1]
+    def __getitem__(self, index: int) -> str:
+        start, stop = self._ends[index], self._ends[index + 1]
         return self._bytes[start:stop].decode("utf-8", "surrogatepass")
 
 

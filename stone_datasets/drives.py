@@ -11,12 +11,16 @@ from stone_datasets.splits import ALL
 
 def drives_among(sequences: Sequence[DatasetSequence]) -> tuple[tuple[str, ...], ...]:
     """Return the sequence names of each drive, a series of sequences that continue each other."""
-    origins = {one.name: origin_of((one.logfile, one.vehicle, one.location), one.name) for one in sequences}
-    tracks = {
-        one.name: driven_track(one.stamps_ns, one.map_from_ego.translation_m, origins[one.name]) for one in sequences
+    origins = {
+        sequence.name: origin_of((sequence.logfile, sequence.vehicle, sequence.location), sequence.name)
+        for sequence in sequences
     }
-    found = drives_of({name: track for name, track in tracks.items() if track is not None})
-    return tuple(dict.fromkeys(found[name] for name in tracks if name in found))
+    tracks = {
+        sequence.name: driven_track(sequence.stamps_ns, sequence.map_from_ego.translation_m, origins[sequence.name])
+        for sequence in sequences
+    }
+    drives = drives_of({name: track for name, track in tracks.items() if track is not None})
+    return tuple(dict.fromkeys(drives[name] for name in tracks if name in drives))
 
 
 def torn_drives(index: DatasetIndex) -> Iterator[DatasetFaultError]:
@@ -25,8 +29,8 @@ def torn_drives(index: DatasetIndex) -> Iterator[DatasetFaultError]:
     for drive in drives_among(index.sequences) if split_of else ():
         counts = Counter(split_of[name] for name in drive if name in split_of)
         if len(counts) > 1:
-            found = " and ".join(f"{count} in {quoted(split)}" for split, count in counts.items())
-            what = f"of the {len(drive)} scenes of the drive that starts with {quoted(drive[0])}, {found}"
+            distribution = " and ".join(f"{count} in {quoted(split)}" for split, count in counts.items())
+            what = f"of the {len(drive)} scenes of the drive that starts with {quoted(drive[0])}, {distribution}"
             yield DatasetFaultError("DST-044", DatasetPlace("splits"), what)
 
 

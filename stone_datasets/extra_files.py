@@ -51,12 +51,12 @@ def _members(archive: DatasetArchive) -> Iterator[tuple[str, int, int]]:
     """Yield name below the root, offset and size of every file."""
     root = archive.root
     if isinstance(archive, DatasetTar):
-        found = ((name, *place) for name, place in tar_members(archive.path))
+        members = ((name, *span) for name, span in tar_members(archive.path))
     else:
         end = checked_end(archive.ranges.read_at, archive.ranges.size_bytes, MOST_ENTRIES)
-        members = directory_members(archive.ranges.read_at, end)
-        found = ((one.name, one.offset, one.unpacked_bytes) for one in members)
-    return ((name.removeprefix(root), offset, size) for name, offset, size in found if name.startswith(root))
+        entries = directory_members(archive.ranges.read_at, end)
+        members = ((member.name, member.offset, member.unpacked_bytes) for member in entries)
+    return ((name.removeprefix(root), offset, size) for name, offset, size in members if name.startswith(root))
 
 
 def _is_known(version: str, name: str) -> bool:

@@ -61,16 +61,16 @@ class DatasetFolder:
         refuse_outside(name)
         folder, _, base = name.rpartition("/")
         try:
-            place = f"{self._real(folder)}/{base}"
-            status = os.lstat(place)
+            path = f"{self._real(folder)}/{base}"
+            status = os.lstat(path)
             if stat.S_ISLNK(status.st_mode):
-                place = os.path.realpath(place)
-                if not is_below(place, self._real("")):
+                path = os.path.realpath(path)
+                if not is_below(path, self._real("")):
                     raise leaving(name)
-                status = os.lstat(place)
+                status = os.lstat(path)
         except (OSError, ValueError):
             return None
-        return ExportFileSpan(Path(place), name, 0, status.st_size) if stat.S_ISREG(status.st_mode) else None
+        return ExportFileSpan(Path(path), name, 0, status.st_size) if stat.S_ISREG(status.st_mode) else None
 
     def has_folder(self, name: str) -> bool:
         return is_inside(name) and os.path.isdir(self._real(name))
@@ -108,9 +108,9 @@ class DatasetTar:
         keys = NumberColumn("q")
         keys.extend(hash(self.root + name) for name in names)
         at = places_of(self.keys, keys.array(np.int64))
-        found = np.full((len(at), len(PLACE)), NOT_ZIPPED, np.int64)
-        found[at >= 0, :2] = self.places[at[at >= 0]]
-        return found
+        places = np.full((len(at), len(PLACE)), NOT_ZIPPED, np.int64)
+        places[at >= 0, :2] = self.places[at[at >= 0]]
+        return places
 
     def has_folder(self, name: str) -> bool:
         return self.root + name in self.folders
@@ -133,12 +133,12 @@ def _in_tar(path: Path) -> DatasetFiles:
     refuse_compressed(path)
     keys, places = NumberColumn("q"), NumberColumn("q")
     heads, folders = set[tuple[str, str]](), set[str]()
-    for name, place in tar_members(path):
+    for name, span in tar_members(path):
         refuse_outside(name)
         if not NAME.fullmatch(name):
             continue
         keys.add(hash(name))
-        places.add(*place)
+        places.add(*span)
         head = head_of(name)
         if head is not None:
             heads.add(head)

@@ -52,7 +52,7 @@ class GridFit:
 
     def as_record(self) -> dict[str, object]:
         shares = {"own_frame": self.own, "frame_near_by": self.pairs}
-        rounded = {key: {name: round(one, 4) for name, one in of.items()} for key, of in shares.items()}
+        rounded = {key: {name: round(share, 4) for name, share in of.items()} for key, of in shares.items()}
         return {"returns": self.returns, "pair_returns": self.pair_returns, **rounded}
 
 
@@ -61,7 +61,11 @@ def check_fit(index: DatasetIndex, classes: ClassMap = OWN_CLASSES) -> GridFit |
 
     Raises `DST-073`, or `DST-074` if the labels of a frame belong to another frame.
     """
-    labelled = [one for one in index.sequences if one.is_labelled and LIDAR_CHANNEL in one.channels and len(one)]
+    labelled = [
+        sequence
+        for sequence in index.sequences
+        if sequence.is_labelled and LIDAR_CHANNEL in sequence.channels and len(sequence)
+    ]
     if not labelled:
         return None
     fit = measured_fit(index, labelled, classes)
@@ -199,7 +203,7 @@ def _outside(points: Points) -> Points:
 
 def _sampled(sequences: Iterable[DatasetSequence], most: int) -> Iterator[tuple[DatasetSequence, int]]:
     """Yield at most `most` frames, evenly from all."""
-    frames = [(one, frame) for one in sequences for frame in range(len(one))]
+    frames = [(sequence, frame) for sequence in sequences for frame in range(len(sequence))]
     return (frames[at] for at in np.unique(np.linspace(0, len(frames) - 1, most).round().astype(int)).tolist())
 
 
@@ -218,11 +222,11 @@ def _refuse(index: DatasetIndex, what: str, returns: int, shares: Mapping[str, f
     if not _is_refuted(stated, shares[best]) and stated >= LEAST_SHARE:
         return
     others = f"; {best}: {shares[best]:.2%}" if best != STATED else ""
-    said = (
+    measured = (
         f"{stated:.2%} of {returns} returns are in occupied voxels of {('their' if what == 'own' else 'near')} labels"
     )
     place = DatasetPlace(label_folder(index.sequences[0].name))
-    raise DatasetFaultError("DST-073", place, f"{said} with the grid {index.grid}{others}")
+    raise DatasetFaultError("DST-073", place, f"{measured} with the grid {index.grid}{others}")
 
 
 def _is_refuted(stated: float, other: float) -> bool:
@@ -241,10 +245,10 @@ def _refuse_mixed_up(index: DatasetIndex, labelled: list[DatasetSequence], class
         stated = hit / returns
         for of, other in _others(labelled, sequence, frame):
             grid = _Frames(index, of, classes).labels(other)
-            found = 0.0 if grid is None else share_in(grid, index.grid, read[1])[0] / returns
-            if _is_refuted(stated, found):
+            share = 0.0 if grid is None else share_in(grid, index.grid, read[1])[0] / returns
+            if _is_refuted(stated, share):
                 what = f"{stated:.2%} of the {returns} returns of its sweep are in occupied voxels of these labels"
-                better = f"{found:.2%} are in occupied voxels of {of.label_name(other)}"
+                better = f"{share:.2%} are in occupied voxels of {of.label_name(other)}"
                 raise DatasetFaultError("DST-074", DatasetPlace(sequence.label_name(frame)), f"{what}, {better}")
 
 

@@ -35,9 +35,9 @@ class DatasetChannel:
     rows: NDArray[np.int64]
     names: NameColumn = field(repr=False)
 
-    def filename(self, place: int) -> str:
-        """Return the file name of the `place`-th datum."""
-        return self.names[int(self.rows[place])]
+    def filename(self, index: int) -> str:
+        """Return the file name of the datum number `index`."""
+        return self.names[int(self.rows[index])]
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,9 +82,9 @@ class DatasetIndex:
         """The grid of the labels."""
         return self.layout.grid
 
-    def file(self, channel: DatasetChannel, place: int) -> ExportFileSpan | None:
-        """Return the file of a channel's `place`-th datum, or None if it is missing. Raises `DST-004`."""
-        return self.files.span(channel.filename(place))
+    def file(self, channel: DatasetChannel, index: int) -> ExportFileSpan | None:
+        """Return the file of a channel's datum number `index`, or None if it is missing. Raises `DST-004`."""
+        return self.files.span(channel.filename(index))
 
     def labels(self, sequence: DatasetSequence, index: int) -> ExportFileSpan | None:
         """Return the file of a frame's labels, or None if it is missing."""

@@ -56,14 +56,14 @@ def read_labels(
 ) -> FrameLabels:
     """Return the labels of one frame from a file of this layout. Raises a `DatasetFaultError`."""
     listed, arrays = _opened(span, layout.grid)
-    members = {one.filename.removesuffix(".npy"): one for one in listed[:MOST_ARRAYS]}
+    members = {member.filename.removesuffix(".npy"): member for member in listed[:MOST_ARRAYS]}
     if layout.label_key not in members:
         what = f"it has no {layout.label_key}, only {', '.join(sorted(members))[:100] or 'no array'}"
         raise DatasetFaultError("DST-062", DatasetPlace(span.name), what)
-    found = arrays.grid_of(members[layout.label_key])
+    grid = arrays.grid_of(members[layout.label_key])
     masks = [_mask(arrays, members[key], key) if key in members else None for key in (MASK_LIDAR, MASK_CAMERA)]
-    meant = _meant(span, found, (masks[0], masks[1]), classes.with_unobserved(layout.grid.unknown))
-    return replace(meant, content=arrays.content) if meant.classes is found and _are_ours(listed, arrays) else meant
+    meant = _meant(span, grid, (masks[0], masks[1]), classes.with_unobserved(layout.grid.unknown))
+    return replace(meant, content=arrays.content) if meant.classes is grid and _are_ours(listed, arrays) else meant
 
 
 def layout_of_labels(span: ExportFileSpan | None, *, has_dashes: bool) -> DatasetLayout:
@@ -94,8 +94,8 @@ def _opened(span: ExportFileSpan, grid: LabelGrid) -> tuple[list[zipfile.ZipInfo
 
 def _are_ours(listed: Sequence[zipfile.ZipInfo], arrays: "_Arrays") -> bool:
     """Return whether a file has each of the three grids once, and otherwise only the platform's optional arrays."""
-    names = [one.filename for one in listed]
-    further = [one for one in listed if one.filename not in PLAIN]
+    names = [member.filename for member in listed]
+    further = [member for member in listed if member.filename not in PLAIN]
     is_whole = set(names) >= set(PLAIN) and len(set(names)) == len(names)
     return is_whole and all(map(arrays.is_further, further))
 
@@ -200,15 +200,19 @@ def _mask(arrays: _Arrays, member: zipfile.ZipInfo, key: str) -> Grid:
     return mask
 
 
-def _meant(span: ExportFileSpan, found: Grid, masks: tuple[Grid | None, Grid | None], said: ClassMap) -> FrameLabels:
+def _meant(
+    span: ExportFileSpan, grid: Grid, masks: tuple[Grid | None, Grid | None], class_map: ClassMap
+) -> FrameLabels:
     """Return the labels with the map's meaning of each number."""
     mask_lidar, mask_camera = masks
-    if said is OWN_CLASSES and found.max() <= 3:
-        return FrameLabels(found, mask_lidar, mask_camera)
-    classes = said.meaning[found]
+    if class_map is OWN_CLASSES and grid.max() <= 3:
+        return FrameLabels(grid, mask_lidar, mask_camera)
+    classes = class_map.meaning[grid]
     if (classes == UNKNOWN).any():
-        numbers = np.unique(found[classes == UNKNOWN]).tolist()
-        what = f"the labels have the values {', '.join(map(str, numbers[:20]))}, which {said.name!r} does not define"
+        numbers = np.unique(grid[classes == UNKNOWN]).tolist()
+        what = (
+            f"the labels have the values {', '.join(map(str, numbers[:20]))}, which {class_map.name!r} does not define"
+        )
         raise DatasetFaultError("DST-066", DatasetPlace(span.name), what)
     is_unobserved = classes == UNOBSERVED
     if is_unobserved.any():

@@ -41,8 +41,13 @@ def check_chains(rows: LinkedRows, faults: DatasetFaults) -> None:
     following, preceding = (_linked(rows, what, keys, faults) for what, keys in _links(rows))
     if faults.total > before:
         return
-    for found in (_one_sided(rows, following, preceding), _cyclic(rows), _not_rising(rows, following), _broken(rows)):
-        for fault in found:
+    for faults_of_kind in (
+        _one_sided(rows, following, preceding),
+        _cyclic(rows),
+        _not_rising(rows, following),
+        _broken(rows),
+    ):
+        for fault in faults_of_kind:
             faults.add(fault)
         if faults.total > before:
             return
@@ -67,9 +72,9 @@ def check_scenes(tables: DatasetTables, samples: LinkedRows, faults: DatasetFaul
 
 
 def _check_ends(scene: SceneRow, samples: LinkedRows, ends: tuple[int, int], faults: DatasetFaults) -> None:
-    for key, said, row in zip(("first", "last"), (scene.first, scene.last), ends, strict=True):
-        if said != samples.tokens[row]:
-            what = f"{key}_sample_token is {said!r}, but its {key} sample along prev and next is {samples.tokens[row]}"
+    for key, token, row in zip(("first", "last"), (scene.first, scene.last), ends, strict=True):
+        if token != samples.tokens[row]:
+            what = f"{key}_sample_token is {token!r}, but its {key} sample along prev and next is {samples.tokens[row]}"
             faults.add(DatasetFaultError("DST-032", scene.row.place, what))
 
 
@@ -79,10 +84,10 @@ def _links(rows: LinkedRows) -> tuple[tuple[str, Keys], tuple[str, Keys]]:
 
 def _linked(rows: LinkedRows, what: str, keys: Keys, faults: DatasetFaults) -> Places:
     """Return the row that each key refers to, or −1 at an end."""
-    found = rows_of(rows.keys, keys)
-    for row in np.flatnonzero((found < 0) & (keys != NONE)).tolist():
+    targets = rows_of(rows.keys, keys)
+    for row in np.flatnonzero((targets < 0) & (keys != NONE)).tolist():
         faults.add(DatasetFaultError("DST-030", rows.place(row), f"{what} is not a token of its own table"))
-    return np.where(keys == NONE, -1, found)
+    return np.where(keys == NONE, -1, targets)
 
 
 def _one_sided(rows: LinkedRows, following: Places, preceding: Places) -> Iterator[DatasetFaultError]:

@@ -36,19 +36,19 @@ class PlacedFrames:
     places: tuple[Mapping[str, Places], ...] = field(repr=False)
 
     def __iter__(self) -> Iterator[ExportedFrame]:
-        return (self.frame(number, at) for number, one in enumerate(self.sequences) for at in range(len(one)))
+        return (self.frame(number, at) for number, sequence in enumerate(self.sequences) for at in range(len(sequence)))
 
     def frame(self, number: int, at: int) -> ExportedFrame:
         """Return the frame at this position of a sequence; sensors and labels with missing files are left out."""
         sequence, data = self.sequences[number], dict[str, ExportedDatum]()
         for name, channel in sequence.channels.items():
-            place = int(np.searchsorted(channel.frames, at))
-            if place == len(channel.frames) or channel.frames[place] != at:
+            index = int(np.searchsorted(channel.frames, at))
+            if index == len(channel.frames) or channel.frames[index] != at:
                 continue
-            span = self._span((number, name, place), channel.filename(place))
+            span = self._span((number, name, index), channel.filename(index))
             if span is not None:
-                stamp_us = int(channel.stamps_ns[place]) // NS_PER_US
-                data[name] = ExportedDatum(channel.sensor, stamp_us, channel.map_from_ego[place], span)
+                stamp_us = int(channel.stamps_ns[index]) // NS_PER_US
+                data[name] = ExportedDatum(channel.sensor, stamp_us, channel.map_from_ego[index], span)
         labels = self._span((number, LABELS, at), sequence.label_name(at)) if sequence.is_labelled else None
         stamp_us = int(sequence.stamps_ns[at]) // NS_PER_US
         return ExportedFrame(sequence.tokens[at], sequence.name, stamp_us, data, labels)
@@ -63,17 +63,17 @@ class PlacedFrames:
 
 def placed_frames(index: DatasetIndex) -> PlacedFrames:
     """Locate the files of all frames of a dataset."""
-    files, said = index.files, (index.sequences, index.layout, index.splits)
+    files, contents = index.files, (index.sequences, index.layout, index.splits)
     if not isinstance(files, DatasetTar | DatasetZip):
-        return PlacedFrames(*said, files, None, ())
+        return PlacedFrames(*contents, files, None, ())
     ranges = files.ranges if isinstance(files, DatasetZip) else LocalRanges(files.path)
     places = []
     for sequence in index.sequences:
-        found = {LABELS: files.spans(map(sequence.label_name, range(len(sequence))))}
+        sequence_places = {LABELS: files.spans(map(sequence.label_name, range(len(sequence))))}
         for name, channel in sequence.channels.items():
-            found[name] = files.spans(map(channel.filename, range(len(channel.frames))))
-        places.append(found)
-    return PlacedFrames(*said, None, (ranges, files.root), tuple(places))
+            sequence_places[name] = files.spans(map(channel.filename, range(len(channel.frames))))
+        places.append(sequence_places)
+    return PlacedFrames(*contents, None, (ranges, files.root), tuple(places))
 
 
 def swept_frames(path: Path) -> tuple[ExportedFrame, ...]:

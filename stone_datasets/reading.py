@@ -69,7 +69,7 @@ class DatasetContents:
             "layout": index.layout.name,
             "grid": index.grid.as_record(),
             "version": index.files.version,
-            "sequences": [_sequence_record(one) for one in index.sequences],
+            "sequences": [_sequence_record(sequence) for sequence in index.sequences],
             "frames": sum(map(len, index.sequences)),
             "labelled_frames": self.labelled,
             "masks": {name: self.masks[name] for name in ("mask_lidar", "mask_camera")},
@@ -120,12 +120,12 @@ def check_files(index: DatasetIndex, classes: ClassMap, faults: DatasetFaults, p
 
 def _check_channel(channel: DatasetChannel, contents: DatasetContents, faults: DatasetFaults) -> None:
     index = contents.index
-    for place, row in enumerate(channel.rows.tolist()):
+    for position, row in enumerate(channel.rows.tolist()):
         at = _place(index, channel, row)
         try:
-            span = index.file(channel, place)
+            span = index.file(channel, position)
             if span is None:
-                raise DatasetFaultError("DST-050", at, f"{channel.filename(place)} is missing")
+                raise DatasetFaultError("DST-050", at, f"{channel.filename(position)} is missing")
             check_sample(span, channel.sensor, at, has_no_returns=index.layout.has_no_returns)
         except DatasetFaultError as fault:
             faults.add(fault)
@@ -274,7 +274,7 @@ def _with_splits(index: DatasetIndex, faults: DatasetFaults) -> DatasetIndex:
     if index.files.span(ANNOTATIONS) is not None:
         annotated = compare_annotations(index, faults)
         file, splits = (file, splits) if splits else (ANNOTATIONS, annotated)
-    check_splits((file, splits), [one.name for one in index.sequences], faults)
+    check_splits((file, splits), [sequence.name for sequence in index.sequences], faults)
     named = splits_of(splits)
-    sequences = tuple(replace(one, splits=named.get(one.name, ())) for one in index.sequences)
+    sequences = tuple(replace(sequence, splits=named.get(sequence.name, ())) for sequence in index.sequences)
     return replace(index, sequences=sequences, splits=splits)

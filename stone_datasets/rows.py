@@ -53,45 +53,45 @@ class DatasetRow:
 
     def part(self, key: str) -> "DatasetRow":
         """Return the object under this key."""
-        found = self.value(key)
-        if not isinstance(found, dict):
+        value = self.value(key)
+        if not isinstance(value, dict):
             raise self.wrong(key, "an object")
-        return DatasetRow(self.file, self.number, found, self.place.token)
+        return DatasetRow(self.file, self.number, value, self.place.token)
 
     def text(self, key: str) -> str:
-        found = self.value(key)
-        if not isinstance(found, str) or len(found) > LONGEST_TEXT:
+        value = self.value(key)
+        if not isinstance(value, str) or len(value) > LONGEST_TEXT:
             raise self.wrong(key, "text")
-        return found
+        return value
 
     def flag(self, key: str) -> bool:
-        found = self.value(key)
-        if not isinstance(found, bool):
+        value = self.value(key)
+        if not isinstance(value, bool):
             raise self.wrong(key, "true or false")
-        return found
+        return value
 
     def count(self, key: str) -> int:
-        found = self.value(key)
-        if type(found) is not int or not 0 <= found < 1 << 31:
+        value = self.value(key)
+        if type(value) is not int or not 0 <= value < 1 << 31:
             raise self.wrong(key, "a whole number")
-        return found
+        return value
 
     def token(self, key: str = "token") -> str:
         """Return a token of any table; `link` also accepts "" for no reference."""
-        found = self.text(key)
-        if not 0 < len(found) <= LONGEST_TOKEN:
-            raise DatasetFaultError("DST-017", self.place, f"{key} is {quoted(found)}")
-        return found
+        value = self.text(key)
+        if not 0 < len(value) <= LONGEST_TOKEN:
+            raise DatasetFaultError("DST-017", self.place, f"{key} is {quoted(value)}")
+        return value
 
     def frame_token(self) -> str:
         """Return the token of a sample as written in the dataset."""
-        found = self.token()
-        if plain_token(found) is None:
-            raise self.no_frame_token(found)
-        return found
+        value = self.token()
+        if plain_token(value) is None:
+            raise self.no_frame_token(value)
+        return value
 
-    def no_frame_token(self, found: str) -> DatasetFaultError:
-        return DatasetFaultError("DST-017", self.place, f"{quoted(found)} is not a frame token", token_cause(found))
+    def no_frame_token(self, value: str) -> DatasetFaultError:
+        return DatasetFaultError("DST-017", self.place, f"{quoted(value)} is not a frame token", token_cause(value))
 
     def link(self, key: str) -> str:
         """Return prev or next; "" at the ends."""
@@ -99,25 +99,29 @@ class DatasetRow:
 
     def stamp_us(self, key: str = "timestamp") -> int:
         """Return microseconds of any clock, also from digits as text (annotations.json); `stamps.py` compares them."""
-        found = self.value(key)
-        if isinstance(found, str) and STAMP_TEXT.fullmatch(found):
-            found = int(found)
-        if type(found) is not int:
+        value = self.value(key)
+        if isinstance(value, str) and STAMP_TEXT.fullmatch(value):
+            value = int(value)
+        if type(value) is not int:
             raise self.wrong(key, "an integer number of microseconds")
-        if not -LARGEST_US <= found <= LARGEST_US:
-            unit = unit_of(found)
+        if not -LARGEST_US <= value <= LARGEST_US:
+            unit = unit_of(value)
             raise DatasetFaultError(
-                "DST-028", self.place, f"{key} is {quoted(found)}", wrong_unit(unit) if unit is not None else ""
+                "DST-028", self.place, f"{key} is {quoted(value)}", wrong_unit(unit) if unit is not None else ""
             )
-        return found
+        return value
 
     def numbers(self, key: str, count: int) -> list[float]:
-        found = self.value(key)
-        if key == "rotation" and is_matrix(found):
-            raise DatasetFaultError("DST-021", self.place, f"rotation is {quoted(found)}")
-        if not isinstance(found, list) or len(found) != count or not all(type(one) in (float, int) for one in found):
+        value = self.value(key)
+        if key == "rotation" and is_matrix(value):
+            raise DatasetFaultError("DST-021", self.place, f"rotation is {quoted(value)}")
+        if (
+            not isinstance(value, list)
+            or len(value) != count
+            or not all(type(number) in (float, int) for number in value)
+        ):
             raise self.wrong(key, f"a list of {count} numbers")
-        return found
+        return value
 
     def pose(self, farthest_m: float) -> SE3:
         """Return `rotation` and `translation` as a pose."""
@@ -156,22 +160,22 @@ class DatasetRow:
         return CameraIntrinsics(model, *size_px, *facts)  # type: ignore[arg-type]
 
     def wrong(self, key: str, wanted: str) -> DatasetFaultError:
-        found = self.values.get(key)
-        what = f"{key} is {quoted(found)}; expected {wanted}"
-        return DatasetFaultError("DST-016", self.place, what, type_cause(key, found))
+        value = self.values.get(key)
+        what = f"{key} is {quoted(value)}; expected {wanted}"
+        return DatasetFaultError("DST-016", self.place, what, type_cause(key, value))
 
     def _matrix(self, key: str) -> list[list[float]]:
-        found = self.value(key)
-        if not is_matrix(found):
-            raise DatasetFaultError("DST-024", self.place, f"{key} is {quoted(found)}")
-        if not all(type(one) in (float, int) for row in found for one in row):
+        value = self.value(key)
+        if not is_matrix(value):
+            raise DatasetFaultError("DST-024", self.place, f"{key} is {quoted(value)}")
+        if not all(type(number) in (float, int) for row in value for number in row):
             raise self.wrong(key, "3 × 3 numbers")
-        if not all(_is_finite(one) for row in found for one in row):
-            raise DatasetFaultError("DST-020", self.place, f"{key} is {quoted(found)}", LENS_OF_NAN)
-        (fx, skew, _), (zero, fy, _), last = found
+        if not all(_is_finite(number) for row in value for number in row):
+            raise DatasetFaultError("DST-020", self.place, f"{key} is {quoted(value)}", LENS_OF_NAN)
+        (fx, skew, _), (zero, fy, _), last = value
         if fx <= 0 or fy <= 0 or skew or zero or last != [0, 0, 1]:
-            raise DatasetFaultError("DST-025", self.place, f"{key} is {quoted(found)}")
-        matrix: list[list[float]] = found
+            raise DatasetFaultError("DST-025", self.place, f"{key} is {quoted(value)}")
+        matrix: list[list[float]] = value
         return matrix
 
 

@@ -94,12 +94,12 @@ def label_places(tar: DatasetArchive, sequence: DatasetSequence) -> NDArray[np.i
 def _maps(tar: DatasetArchive, placed: PlacedData) -> Mapping[str, tuple[str, ...]]:
     """Return the map images by log token: each existing file below maps/ once."""
     span = tar.span(placed.tables.file("map"))
-    found = dict[str, dict[str, None]]()
+    maps = dict[str, dict[str, None]]()
     for _, row in json_rows(span) if span is not None else ():
         name, logs = row.get("filename"), row.get("log_tokens")
         if not isinstance(name, str) or not name.startswith(MAPS) or not NAME.fullmatch(name):
             continue
         if isinstance(logs, list) and tar.span(name) is not None:
-            for log in {one for one in logs if isinstance(one, str)} & placed.tables.logs.keys():
-                found.setdefault(log, {})[name] = None
-    return {log: tuple(sorted(names)) for log, names in found.items()}
+            for log in {log_token for log_token in logs if isinstance(log_token, str)} & placed.tables.logs.keys():
+                maps.setdefault(log, {})[name] = None
+    return {log: tuple(sorted(names)) for log, names in maps.items()}

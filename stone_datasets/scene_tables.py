@@ -115,8 +115,8 @@ class _Owners:
         named = [scene.row.values["log_token"] for scene in self._tables.scenes.values()]
         logs = [numbers[token] for token in named]
         self._of_log: dict[str, list[int]] = {}
-        for place, token in enumerate(named):
-            self._of_log.setdefault(token, []).append(place)
+        for number, token in enumerate(named):
+            self._of_log.setdefault(token, []).append(number)
         scenes = np.arange(len(logs))
         self._pairs = {
             "log": (np.array(logs, np.int64), scenes),
@@ -144,7 +144,7 @@ class _Owners:
 
     def _of_map(self, row: Row) -> Scenes:
         logs = row.get("log_tokens")
-        tokens = {one for one in logs if isinstance(one, str)} if isinstance(logs, list) else set[str]()
+        tokens = {log for log in logs if isinstance(log, str)} if isinstance(logs, list) else set[str]()
         return sorted(scene for token in tokens for scene in self._of_log.get(token, ()))
 
     def _of_annotation(self, row: Row) -> Scenes:

@@ -29,15 +29,15 @@ def read_splits(files: DatasetFiles) -> tuple[str, Splits]:
     stream = JsonStream(span)
     if stream.peek() != "{":
         raise DatasetFaultError("DST-045", DatasetPlace(span.name), f"it starts with {quoted(stream.peek())}")
-    said: dict[str, tuple[str, ...]] = {}
+    splits: dict[str, tuple[str, ...]] = {}
     for key in stream.items():
-        if key in said or len(said) >= MOST_SPLITS:
+        if key in splits or len(splits) >= MOST_SPLITS:
             raise DatasetFaultError(
                 "DST-045", DatasetPlace(span.name), f"{quoted(key)} is listed twice, or there are too many splits"
             )
-        said[key] = scenes_named(span.name, key, stream.value())
+        splits[key] = scenes_named(span.name, key, stream.value())
     stream.end()
-    return span.name, said
+    return span.name, splits
 
 
 def scenes_named(file: str, split: str, names: Any) -> tuple[str, ...]:
@@ -47,9 +47,9 @@ def scenes_named(file: str, split: str, names: Any) -> tuple[str, ...]:
     return tuple(names)
 
 
-def check_splits(said: tuple[str, Splits], scenes: Iterable[str], faults: DatasetFaults) -> None:
+def check_splits(read: tuple[str, Splits], scenes: Iterable[str], faults: DatasetFaults) -> None:
     """Check that every scene of a split exists and is in no other split."""
-    (file, splits), known = said, set(scenes)
+    (file, splits), known = read, set(scenes)
     named = [(split, name) for split, names in splits.items() for name in names]
     for split, name in named:
         if name not in known:
@@ -62,8 +62,8 @@ def check_splits(said: tuple[str, Splits], scenes: Iterable[str], faults: Datase
 
 def splits_of(splits: Splits) -> Mapping[str, tuple[str, ...]]:
     """Return the splits of each scene by its name."""
-    found: dict[str, tuple[str, ...]] = {}
+    by_scene: dict[str, tuple[str, ...]] = {}
     for split, names in splits.items():
         for name in names:
-            found[name] = (*found.get(name, ()), split)
-    return found
+            by_scene[name] = (*by_scene.get(name, ()), split)
+    return by_scene

@@ -29,8 +29,8 @@ class StatedLayout:
 
         Raises `bad_layout`.
         """
-        found = _recognised(files, sequences) if self.layout is None else named_layout(self.layout)
-        return found if self.grid is None else found.with_grid(self.grid)
+        layout = _recognised(files, sequences) if self.layout is None else named_layout(self.layout)
+        return layout if self.grid is None else layout.with_grid(self.grid)
 
     def as_record(self) -> dict[str, Any] | None:
         """Return the stated values as JSON, or None if there are none."""
@@ -59,8 +59,8 @@ def form_of_tokens(written: Sequence[str], place: DatasetPlace) -> bool:
 
 
 def _recognised(files: DatasetFiles, sequences: Sequence[DatasetSequence]) -> DatasetLayout:
-    has_dashes = any(one.has_dashes for one in sequences)
-    labelled = next((one for one in sequences if one.is_labelled), None)
+    has_dashes = any(sequence.has_dashes for sequence in sequences)
+    labelled = next((sequence for sequence in sequences if sequence.is_labelled), None)
     names = [] if labelled is None else [labelled.label_name(frame) for frame in range(min(len(labelled), MOST_TRIED))]
     spans = (span for name in names if (span := files.span(name)) is not None)
     return layout_of_labels(next(spans, None), has_dashes=has_dashes)

@@ -228,8 +228,10 @@ def _add_mount(tables: DatasetTables, row: DatasetRow) -> None:
 
 
 def _add_log(tables: DatasetTables, row: DatasetRow) -> None:
-    said = [row.text(key) if key in row.values else "" for key in ("logfile", "vehicle", "location", "date_captured")]
-    tables.logs[_new(row, tables.logs)] = LogRow(*said)
+    columns = [
+        row.text(key) if key in row.values else "" for key in ("logfile", "vehicle", "location", "date_captured")
+    ]
+    tables.logs[_new(row, tables.logs)] = LogRow(*columns)
 
 
 def _add_scene(tables: DatasetTables, row: DatasetRow) -> None:

@@ -58,9 +58,9 @@ class DatasetZip:
         keys = NumberColumn("q")
         keys.extend(hash(self.root + name) for name in names)
         at = places_of(self.keys, keys.array(np.int64))
-        found = np.full((len(at), len(PLACE)), -1, np.int64)
-        found[at >= 0] = self.places[at[at >= 0]]
-        return found
+        places = np.full((len(at), len(PLACE)), -1, np.int64)
+        places[at >= 0] = self.places[at[at >= 0]]
+        return places
 
     def has_folder(self, name: str) -> bool:
         return self.root + name in self.folders
