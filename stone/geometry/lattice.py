@@ -102,8 +102,8 @@ def check_reach(points: NDArray[np.float64], size_m: float) -> None:
     if not reach_m < limit_m:  # NaN fails this too
         raise Refused(
             "off_lattice",
-            f"coordinates reach {reach_m:g} m from the map origin; the lattice ends at {limit_m:g} m: is a pose "
-            "broken or given in global (UTM, ECEF) coordinates?",
+            f"coordinates are up to {reach_m:g} m from the map origin, but the lattice ends at {limit_m:g} m: "
+            "is a pose broken or given in global (UTM, ECEF) coordinates?",
         )
 
 

@@ -67,15 +67,15 @@ class Trajectory:
         if self.stamps_ns.size == 0:
             raise Refused(
                 "empty_trajectory",
-                "a trajectory has 0 poses; at least 1 is needed (did the pose topic record anything?)",
+                "a trajectory has 0 poses; at least 1 is required (did the pose topic record anything?)",
             )
         steps_ns = np.diff(self.stamps_ns)
         if steps_ns.size and steps_ns.min() <= 0:
             at = int(np.argmax(steps_ns <= 0))
             raise Refused(
                 "trajectory_stamps",
-                f"pose {at + 1} is {int(steps_ns[at])} ns after the pose before it; a trajectory's stamps "
-                "strictly increase (sort them, drop repeats)",
+                f"pose {at + 1} is {int(steps_ns[at])} ns after the previous pose; stamps of a trajectory must "
+                "strictly increase (sort them, remove repeats)",
             )
 
     def __len__(self) -> int:

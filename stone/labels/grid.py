@@ -52,7 +52,7 @@ def window_of(keys: Keys, classes: NDArray[np.uint8], observed: Observed, bounds
     Raises ValueError for a range of more than `MOST_BYTES`: a frame's own is a fortieth of that.
     """
     if window_bytes(bounds) > MOST_BYTES:
-        raise ValueError(f"a window of {window_bytes(bounds)} bytes; {MOST_BYTES} can be counted")
+        raise ValueError(f"a window has {window_bytes(bounds)} bytes; the limit is {MOST_BYTES}")
     low, _ = bounds
     voxels = np.zeros(_shape(bounds), np.uint8)
     indices = indices_of(keys) - low

@@ -141,7 +141,7 @@ def _window_bits(parameters: CarveParameters) -> int:
     """The window has 2^bits bricks along each axis. Raises ValueError beyond `MOST_BITS`."""
     bits = (2 * _window_radius(parameters)).bit_length()
     if bits > MOST_BITS:
-        raise ValueError(f"rays are followed for {parameters.max_range_m:g} m, farther than a window reaches (100 m)")
+        raise ValueError(f"the longest ray is {parameters.max_range_m:g} m, beyond the reach of a window (100 m)")
     return bits
 
 

@@ -25,8 +25,8 @@ Array = NDArray[np.float64]
 def no_reference(voxels: int, needed: int = 4) -> Refused:
     return Refused(
         "no_reference",
-        f"the track covers {voxels} surface voxels and the reference needs at least {needed}: "
-        "is the ego origin on the ground, and does the LiDAR see the ground the robot drove on?",
+        f"the track covers {voxels} surface voxels, but the reference requires at least {needed}: is the ego "
+        "origin on the ground, and does the LiDAR see the driven ground?",
     )
 
 

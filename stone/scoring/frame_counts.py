@@ -33,7 +33,8 @@ class LabelRangeError(StoneError):
     def __init__(self, value: int) -> None:
         self.value = value
         super().__init__(
-            f"a voxel holds {value}; classes are 0 to 3 (is 'unknown' written as 255, or another class map?)"
+            f"a voxel has class {value}; classes are 0 to 3 (does your prediction use 255 for unknown, or "
+            "another class map?)"
         )
 
 

@@ -114,10 +114,10 @@ SILENCES: Mapping[Silence, str] = {
     "undefined": "it is undefined",
     "no_wander": "it does not vary between frames, so its uncertainty cannot be estimated",
     "few_frames": "too few independent frames (neighbouring frames are correlated)",
-    "concentrated": "most of the voxels counted lie in a few frames",
-    "few_sequences": f"at least {FEWEST_SEQUENCES} sequences that do not continue each other are needed",
-    "uneven_sequences": "a few sequences hold most of the voxels counted",
-    "unknown_order": "the order of the frames in time is not known, and with it how alike neighbouring frames are",
+    "concentrated": "most of the counted voxels lie in a few frames",
+    "few_sequences": f"at least {FEWEST_SEQUENCES} sequences that do not continue each other are required",
+    "uneven_sequences": "a few sequences contain most of the counted voxels",
+    "unknown_order": "the time order of frames is unknown, and so is the correlation of neighbouring frames",
     "withdrawn": "the intervals of this metric version were too narrow and have been withdrawn",
 }
 
@@ -144,7 +144,7 @@ class RatioSpectra:
         """Of the difference of two scores. Raises `ShapeError` where their sequences are others."""
         if self.layout != other.layout:
             theirs = other.layout.frames_of_sequence
-            raise ShapeError("sequences", (len(theirs),), f"as long as those of the other entry, {theirs[:8]}…")
+            raise ShapeError("sequences", (len(theirs),), f"as long as the other entry's, {theirs[:8]}…")
         weight = (self.sequence_weight + other.sequence_weight) / 2
         spread = np.minimum(self.spread, other.spread)
         return RatioSpectra(self.layout, self.coefficients - other.coefficients, weight, spread)

@@ -21,7 +21,7 @@ OCCUPIED_VERSION = "stone-iou-occupied-2"
 
 def unknown_metric(version: str) -> Refused:
     known = ", ".join(METRICS)
-    return Refused("unknown_metric", f"there is no metric {version[:64]!r}; there are {known} (misspelt?)")
+    return Refused("unknown_metric", f"unknown metric {version[:64]!r}; choose one of {known} (misspelt?)")
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,8 @@ def current_metric(version: str) -> Metric:
     if metric.successor is not None:
         raise Refused(
             "superseded_metric",
-            f"by {metric.version!r} nothing is scored any more, since its intervals are withdrawn; its ratios are "
-            f"those of {metric.successor!r}, which is what to name",
+            f"metric {metric.version!r} is superseded because its intervals were withdrawn; use "
+            f"{metric.successor!r}, which has the same ratios",
         )
     return metric
 
@@ -64,38 +64,38 @@ _COUNTED = """\
 - A frame is a grid of 256 × 256 × 32 voxels of 0.2 m over [−25.6, 25.6) × [−25.6, 25.6) × [−2.0, 4.4) m in the frame
   of the robot (x forward, y left, z up), C order, uint8. Classes: 0 free, 1 traversable (T), 2 potentially traversable
   (P), 3 non-traversable (N). *Occupied* means T, P or N. There is no class "unknown": a prediction that holds any other
-  value (255, say) anywhere, evaluated or not, is refused as `label_out_of_range` and not scored.
-- A voxel is *evaluated* by the mask of the phase: `all` – every voxel, so that the ground truth's 0 means free or never
-  seen; `lidar` – where `mask_lidar` of the ground truth is not 0; `camera` – where `mask_camera` is not 0. Masks belong
-  to the ground truth alone. A voxel that is not evaluated counts nowhere.
-- Per frame, and per ring of horizontal distance of the voxel's centre from the robot (0–10, 10–20, from 20 m,
-  half-open), evaluated voxels are counted in a 4 × 4 confusion: rows ground truth, columns prediction, in the order of
-  the classes.
-- Confusions of all frames, of all sequences, are added first, as integers; ratios are read once, from the sum. No ratio
-  is ever averaged over frames, rings or sequences.
+  value (such as 255) in any voxel, evaluated or not, is refused as `label_out_of_range` and not scored.
+- The phase's mask selects the *evaluated* voxels: `all` – every voxel, so the ground truth's 0 means free or never
+  seen; `lidar`, `camera` – voxels whose `mask_lidar` or `mask_camera` in the ground truth is not 0. Predictions have no
+  masks. Other voxels are never counted.
+- Evaluated voxels are counted in a 4 × 4 confusion matrix (rows ground truth, columns prediction, in class order) per
+  frame and per ring. A ring is a range of horizontal distance from the robot to the voxel's centre (0–10, 10–20, from
+  20 m, half-open).
+- The confusion matrices of all frames of all sequences are added as integers, and ratios are computed once from the
+  sum. Ratios are never averaged over frames, rings or sequences.
 """
 
 _RULES = """\
     mIoU    = (IoU_T + IoU_P + IoU_N) / 3
 
-*Free is not in the mean*: the confusion counts it, so that a class predicted into free space can cost that class, but
-there is no IoU of free space in mIoU or anywhere else.
+*Free is not in the mean*: the confusion matrix counts it, so predicting a class in free space lowers that class's IoU.
+No IoU of free space is computed.
 
 ## What is undefined
 
-A ratio whose union holds no voxel – the class is neither in the ground truth nor in the prediction – is undefined:
-`null`, never 0 and never 1, and it is shown with its support (the voxels of the class in the ground truth). An mIoU
-with an undefined part is `null` too, for a mean of two classes is not comparable with one of three. A class that is
-absent from the ground truth but predicted there has IoU 0. A submission whose mIoU is `null` has no rank.
+A ratio with an empty union (the class is neither in the ground truth nor in the prediction) is undefined: `null`, never
+0 or 1. It is shown with its support (the voxels of the class in the ground truth). An mIoU with an undefined part is
+also `null`, because a mean of two classes is not comparable with a mean of three. A class that is absent from the
+ground truth but predicted has IoU 0. A submission whose mIoU is `null` has no rank.
 
 ## Ties
 
 Entries are ordered by mIoU, then IoU_occ, then IoU_N, each rounded to four digits, then by the time of finalisation,
-earlier first; equal rounded values share a rank."""
+earlier first; entries with equal rounded values share a rank."""
 
 _BLOCK_RESAMPLING = """\
  Ranks come with an interval from paired block resampling (blocks of
-200 frames inside sequences, circular), since neighbouring frames are no independent samples.
+200 frames inside sequences, circular), because neighbouring frames are not independent samples.
 """
 
 _SPECTRAL_INTERVALS = """\
@@ -103,12 +103,12 @@ _SPECTRAL_INTERVALS = """\
 
 ## Intervals
 
-An interval of 95 % is told where it can be held, and elsewhere the reason why it is not: neighbouring frames see the
-same ground, and how alike they are is measured. *These places*: the variance of a ratio, and of a difference of two, is
-estimated from the slow cosine coefficients of its frames' influences in each sequence, with critical values of
-Student's t; it takes five of them below the frequency of the correlation time that is allowed for. *A new place*: the
-variance over whole sequences, five or more. A rank's interval and the tie groups follow from all pairs of the board at
-once (Tukey): that any two equal entries of a board are told apart has a chance of 5 % or less.
+A 95 % interval is given if it is reliable; otherwise the reason is given. Neighbouring frames overlap, so their
+correlation is estimated. *These places*: the variance of a ratio, or of a difference of two ratios, is estimated from
+the low-frequency cosine coefficients of its frames' influences in each sequence, with critical values of Student's t.
+At least five coefficients below the frequency of the assumed correlation time are required. *Unseen places*: the
+variance over at least five whole sequences. Rank intervals and tie groups compare all pairs of the board jointly
+(Tukey): the family-wise error rate is at most 5 %.
 """
 
 _OTHERS_AT_FIRST = """\
@@ -118,8 +118,8 @@ _OTHERS_AT_FIRST = """\
     T predicted N = |truth T ∧ predicted N| / |truth T|       (over-caution)
     drivable IoU  = columns drivable in both / columns drivable in either
 
-A column (the 32 voxels above one another) is drivable where its evaluated voxels hold a T or P and no N. Each is `null`
-where its denominator is 0.
+A column (32 voxels, one above the other) is drivable if its evaluated voxels contain a T or P and no N. A ratio is
+`null` if its denominator is 0.
 """
 
 _OTHERS = """\
@@ -130,19 +130,19 @@ _OTHERS = """\
     T predicted N      = |truth T ∧ predicted N| / |truth T|       (over-caution)
     drivable IoU       = columns drivable in both / columns drivable in either
 
-A column (the 32 voxels above one another) is drivable where its evaluated voxels hold a T or P and no N. Each is `null`
-where its denominator is 0.
+A column (32 voxels, one above the other) is drivable if its evaluated voxels contain a T or P and no N. A ratio is
+`null` if its denominator is 0.
 
-Labels are sheets of one voxel, so a surface that is right to a few centimetres may fall into the next voxel. Two
-readings forgive that, of at most 250 frames of a submission: the first and every n-th after it, n = ⌈frames / 250⌉.
+Labelled surfaces are one voxel thick, so a surface with an error of a few centimetres may fall into the next voxel. Two
+ratios tolerate this. They use at most 250 frames of a submission: the first and every n-th, n = ⌈frames / 250⌉.
 
-- *±1 voxel*: IoU = pairs / (voxels of the truth + voxels of the prediction − pairs), of occupied voxels and of each
-  class. The pairs of a column are the voxels of the truth with a voxel of the prediction at most one voxel above or
-  below, or the voxels of the prediction with one of the truth, whichever are fewer. Only evaluated voxels take part.
-- *Columns*: each column counts once, and the ratios are those of the confusion of columns. The class of a column is
-  the worst of its evaluated voxels: N before P before T, free without any. An N does not count if at least 1.6 m,
-  eight voxels, are between it and the lowest T or P of the column: the robot drives under it. *Clear drivable IoU*:
-  columns of class T or P in both / in either.
+- *±1 voxel*: IoU = pairs / (truth voxels + predicted voxels − pairs), for occupied voxels and for each class. In each
+  column, count the truth voxels with a predicted voxel at most one voxel above or below, and the predicted voxels with
+  such a truth voxel; the smaller count is the number of pairs. Only evaluated voxels count.
+- *Columns*: each column counts once in a confusion matrix of columns. The class of a column is the worst class of its
+  evaluated voxels: N before P before T, or free if none is occupied. An N does not count if at least 1.6 m (eight voxels)
+  lie between it and the lowest T or P of the column, because the robot drives under it. *Clear drivable IoU*: columns
+  of class T or P in both / in either.
 """
 
 
@@ -158,8 +158,8 @@ Over all evaluated voxels:
 """
 
 _OCCUPIED_ONLY = """\
-IoU_occ over all evaluated voxels; the classes over those evaluated voxels that the ground truth calls occupied, so that
-what is predicted into the ground truth's free space costs IoU_occ and no class:
+IoU_occ uses all evaluated voxels. The class IoUs use only evaluated voxels that are occupied in the ground truth, so
+predictions in the ground truth's free space lower only IoU_occ:
 
     IoU_occ = |truth occupied ∧ predicted occupied| / |truth occupied ∨ predicted occupied|
     IoU_c   = |truth c ∧ predicted c| / |truth occupied ∧ (truth c ∨ predicted c)|,  c ∈ {T, P, N}

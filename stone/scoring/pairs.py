@@ -112,7 +112,7 @@ def surely_above(values: NDArray[np.floating], spectra: BoardSpectra, level: flo
     """
     count = len(spectra.coefficients)
     if values.shape != (count,):
-        raise ShapeError("values", values.shape, f"({count},), one for each entry")
+        raise ShapeError("values", values.shape, f"({count},), one per entry")
     first, second = np.triu_indices(count, 1)
     here = _in_parts(_within, spectra, first, second)
     if here.told >= LEAST_TOLD * len(first):

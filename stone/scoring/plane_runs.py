@@ -42,9 +42,9 @@ def planes_of(runs: PlaneRuns) -> Planes:
     """
     changes, columns = runs.changes, runs.columns
     if changes.ndim != 1 or not changes.size or changes.size % PLANES or not changes[0] & np.uint64(1):
-        raise ShapeError("changes", changes.shape, f"a multiple of {PLANES}, of which the first bit is set")
+        raise ShapeError("changes", changes.shape, f"a multiple of {PLANES}, with the first bit set")
     if columns.shape != (int(np.bitwise_count(changes).sum(dtype=np.int64)),):
-        raise ShapeError("columns", columns.shape, "one entry for each bit that is set in changes")
+        raise ShapeError("columns", columns.shape, "one entry for each set bit of changes")
     planes = np.empty((PLANES, 32 * changes.size // PLANES), np.uint64)
     _unroll(changes, columns, planes.view(np.uint32).reshape(-1))
     return planes

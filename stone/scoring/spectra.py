@@ -85,7 +85,7 @@ def coefficients(influences: NDArray[np.floating], layout: SpectrumLayout) -> ND
     """The kept coefficients (K, …) of influences (F, …). Raises `ShapeError` where lengths and frames disagree."""
     frames = layout.frames_of_sequence
     if len(influences) != sum(frames) or min(frames, default=0) < 1:
-        raise ShapeError("influences", influences.shape, f"({sum(frames)}, …), sequences of a frame or more each")
+        raise ShapeError("influences", influences.shape, f"({sum(frames)}, …), sequences of at least one frame each")
     runs = pairwise(accumulate(frames, initial=0))
     found = (_cosine_transform(influences[start:stop]) for start, stop in runs)
     return np.concatenate([of_sequence[:kept] for of_sequence, kept in zip(found, layout.kept, strict=True)])

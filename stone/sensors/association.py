@@ -34,8 +34,8 @@ def require_sorted(name: str, stamps_ns: Stamps) -> None:
         at = int(back[0])
         raise Refused(
             "unsorted_stamps",
-            f"{name}[{at + 1}] steps by {int(stamps_ns[at + 1]) - int(stamps_ns[at])} ns from the stamp before "
-            "it; sort the stamps first",
+            f"{name}[{at + 1}] is {int(stamps_ns[at + 1]) - int(stamps_ns[at])} ns after the previous stamp; "
+            "sort the stamps first",
         )
 
 

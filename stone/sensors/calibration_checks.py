@@ -79,19 +79,21 @@ def checked_rotation(sensor: str, rotation: Array) -> tuple[Array, Findings]:
     if determinant < 0:
         raise Refused(
             "CAL-408",
-            f"{sensor}: the rotation has determinant {determinant:.4g}, so it mirrors; it must be +1 (one axis "
-            "has the wrong sign, or two are swapped)",
+            f"{sensor}: the rotation has determinant {determinant:.4g}, so it contains a reflection; it must "
+            "be +1 (one axis has the wrong sign, or two are swapped)",
         )
     if not residual <= ROTATION_LIMIT:
         raise Refused(
             "CAL-401",
-            f"{sensor}: the rotation is not a rotation (determinant {determinant:.4g}, error {residual:.3g}, "
+            f"{sensor}: the matrix is not a rotation (determinant {determinant:.4g}, error {residual:.3g}, "
             f"limit {ROTATION_LIMIT:g}); was it scaled, or typed by hand?",
         )
     if residual <= ROTATION_FINE:
         return rotation, ()
     u, _, vt = np.linalg.svd(rotation)
-    sentence = f"the rotation is {residual:.2g} off a rotation; the nearest one is used (more digits in the file help)"
+    sentence = (
+        f"the rotation has an error of {residual:.2g}; the nearest rotation is used (enter more digits in the file)"
+    )
     return u @ vt, (warning("CAL-401", sensor, sentence),)
 
 
@@ -125,7 +127,10 @@ def order_doubt(sensor: str, kind: SensorKind, wxyz: Array) -> Findings:
     is_tilted, is_upright = (declared @ up)[2] < 0.5, (other @ up)[2] > 0.9
     if not (is_tilted and is_upright):
         return ()
-    order = "the quaternion is declared wxyz but read as xyzw it is the likelier mount; check the order"
+    order = (
+        "the quaternion is read in the declared order wxyz, but the order xyzw gives a more plausible mount; "
+        "check the order"
+    )
     return (warning("CAL-402", sensor, order),)
 
 
@@ -144,7 +149,7 @@ def check_translation(sensor: str, translation_m: Array) -> Findings:
         )
     if distance_m <= TRANSLATION_FINE_M:
         return ()
-    return (warning("CAL-409", sensor, f"the sensor sits {distance_m:.1f} m from the LiDAR (unit not metres?)"),)
+    return (warning("CAL-409", sensor, f"the sensor is {distance_m:.1f} m from the LiDAR (unit not metres?)"),)
 
 
 def require_mounts(calibration: Calibration, names: tuple[str, ...], why: str) -> None:
@@ -162,7 +167,7 @@ def check_calibration(calibration: Calibration) -> Findings:
     names = [mount.name for mount in calibration.mounts]
     for name in names:
         if names.count(name) > 1:
-            raise Refused("CAL-413", f"{name} is in the calibration twice; channels are unique")
+            raise Refused("CAL-413", f"{name} is in the calibration twice; channels must be unique")
     for key, value_m in (("length_m", calibration.footprint.length_m), ("width_m", calibration.footprint.width_m)):
         if not 0 < value_m <= FOOTPRINT_LIMIT_M:
             raise Refused(
@@ -181,7 +186,10 @@ def _sunken_lidar(calibration: Calibration) -> Findings:
     height_m = float(calibration.ego_from_lidar.translation_m[2])
     if height_m >= 0:
         return ()
-    sentence = f"the LiDAR lies {-height_m:.2f} m under the ground (inverted, or is the ego origin not on the ground?)"
+    sentence = (
+        f"the LiDAR is {-height_m:.2f} m under the ground (is the transform inverted, or the ego origin not on the "
+        "ground?)"
+    )
     return (warning("CAL-419", "ego_from_lidar", sentence),)
 
 
@@ -191,7 +199,7 @@ def _unmeasured_mounts(calibration: Calibration) -> Findings:
     on_lidar = [m.name for m in calibration.mounts if np.array_equal(m.lidar_from_sensor.wxyz_xyz, identity)]
     if len(on_lidar) < 2:
         return ()
-    return (warning("CAL-417", ", ".join(on_lidar), "extrinsics are the identity; were they never measured?"),)
+    return (warning("CAL-417", ", ".join(on_lidar), "the extrinsics are the identity; were they never measured?"),)
 
 
 # Checks of a camera's intrinsics before anything is projected with them.
@@ -222,7 +230,10 @@ def check_intrinsics(sensor: str, camera: CameraIntrinsics) -> Findings:
         sentence = f"fx/fy is {camera.fx_px / camera.fy_px:.3f}, but pixels are square"
         findings += (warning("CAL-411", sensor, sentence),)
     if is_folded(camera):
-        sentence = f"the {camera.model} distortion turns back before the image's corner (of another camera or model?)"
+        sentence = (
+            f"the {camera.model} distortion turns back before the image's corner (does it belong to another camera "
+            "or model?)"
+        )
         findings += (warning("CAL-411", sensor, sentence),)
     return findings
 

@@ -15,19 +15,19 @@ class ImageSizeError(StoneError):
 
     def __init__(self, sensor: str, calibrated_px: tuple[int, int], recorded_px: tuple[int, int]) -> None:
         super().__init__(
-            f"{sensor} is calibrated for {calibrated_px[0]}x{calibrated_px[1]} px, its images are "
+            f"{sensor} is calibrated for {calibrated_px[0]}x{calibrated_px[1]} px, but its images have "
             f"{recorded_px[0]}x{recorded_px[1]} px (binned, cropped or rescaled after calibration?)"
         )
 
 
 def not_finite(sensor: str, what: str) -> Refused:
-    return Refused("CAL-416", f"{sensor}: {what} holds NaN or infinity; every number of a calibration is finite")
+    return Refused("CAL-416", f"{sensor}: {what} contains NaN or infinity; all numbers of a calibration must be finite")
 
 
 def distortion_length(sensor: str, model: str, length: int, expected: int) -> Refused:
     return Refused(
         "CAL-410",
-        f"{sensor}: {length} distortion coefficients for the model {model}, which has {expected} (another model?)",
+        f"{sensor}: {length} distortion coefficients for the model {model}, which requires {expected} (another model?)",
     )
 
 
@@ -38,5 +38,6 @@ class MissingSensorError(StoneError):
 
     def __init__(self, missing: Iterable[str], known: Iterable[str], why: str) -> None:
         super().__init__(
-            f"the calibration has no {', '.join(missing)}, which {why} needs; it has {', '.join(known) or 'no sensor'}"
+            f"the calibration has no {', '.join(missing)}, which {why} requires; it has "
+            f"{', '.join(known) or 'no sensor'}"
         )

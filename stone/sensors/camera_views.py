@@ -100,7 +100,8 @@ def name_findings(calibration: Calibration) -> tuple[Finding, ...]:
         apart_deg = off_name_deg(mount.name, calibration.ego_from_lidar @ mount.lidar_from_sensor)
         if is_elsewhere(mount.name, apart_deg):
             sentence = (
-                f"{mount.name} looks {apart_deg:.0f}° from where its name says (transform inverted, or names swapped?)"
+                f"{mount.name} looks {apart_deg:.0f}° away from the direction of its name (transform inverted, "
+                "or names swapped?)"
             )
             findings.append(Finding("CAL-404", "warning", mount.name, sentence))
     return (*findings, *_backward_findings(calibration))
@@ -121,7 +122,9 @@ def _backward_findings(calibration: Calibration) -> tuple[Finding, ...]:
     )
     if named and sum(with_turn) <= sum(without):
         return ()
-    sentence = "ego_from_lidar: the LiDAR looks backwards; if it looks ahead, its quaternion is in the order x, y, z, w"
+    sentence = "ego_from_lidar: the LiDAR looks backwards; if it looks ahead, its quaternion has the order x, y, z, w"
     if named:
-        sentence += f" (by their names {sum(with_turn)} of {len(named)} cameras face away with that turn)"
+        sentence += (
+            f" (with that turn, {sum(with_turn)} of {len(named)} cameras look away from the direction of their names)"
+        )
     return (Finding("CAL-402", "warning" if named else "info", "ego_from_lidar", sentence),)

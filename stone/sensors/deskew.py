@@ -32,8 +32,8 @@ MAX_OFFSET_NS = 1_000_000_000
 def point_offset(first_ns: int, last_ns: int) -> Refused:
     return Refused(
         "point_offset",
-        f"point times reach from {first_ns} ns to {last_ns} ns around the sweep's stamp; the limit is "
-        f"±{MAX_OFFSET_NS} ns (absolute times taken for relative ones?)",
+        f"point times range from {first_ns} ns to {last_ns} ns around the sweep's stamp; the limit is "
+        f"±{MAX_OFFSET_NS} ns (absolute times read as relative?)",
     )
 
 

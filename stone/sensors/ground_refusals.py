@@ -34,9 +34,9 @@ def ground_refusal(sequence: Sequence, band_m: float = BAND_M) -> Refused | None
 def _mount_tilted(ground: GroundFit) -> Refused:
     return Refused(
         "footprint_off_ground",
-        f"the ground tilts by {math.degrees(ground.tilt_rad):.1f}° in the ego frame, and the sweeps in the map with "
-        "it: the LiDAR is not mounted as the calibration says, and labels would be wrong; "
-        "CAL-433 says what to enter, and ground auto corrects it for this run",
+        f"the ground tilts by {math.degrees(ground.tilt_rad):.1f}° in the ego frame, as do the sweeps in the "
+        "map, so the LiDAR's mount differs from the calibration and labels would be wrong; enter the values "
+        "from CAL-433; ground auto corrects it for this run",
     )
 
 
@@ -44,10 +44,11 @@ def _poses_tilted(ground: GroundFit, calibration: Calibration) -> Refused:
     climb_rad = math.atan(ground.way_slope)
     mounts = turned_to_way(calibration, 0.0, climb_rad - math.atan(ground.slope_x))
     entries = [f"enter {entry_of(one)}" for one in mounts]
-    way_out = entries[0] if entries else "correct the source, or take the poses from the sweeps (odometry kiss-icp)"
+    way_out = entries[0] if entries else "correct the source, or estimate the poses from the sweeps (odometry kiss-icp)"
     return Refused(
         "poses_tilted",
-        f"by its poses the robot drives {abs(math.degrees(climb_rad)):.1f}° {'above' if climb_rad > 0 else 'below'} "
-        "where it faces, over ground that the sweeps show level with it: the INS is turned on its mount, its "
-        f"attitude is biased, or its heights drift, and labels would be wrong: {way_out}",
+        f"according to its poses, the robot drives {abs(math.degrees(climb_rad)):.1f}° "
+        f"{('above' if climb_rad > 0 else 'below')} its heading, although the sweeps show level ground: the "
+        "INS is rotated on its mount, its attitude is biased, or its heights drift. Labels would be wrong: "
+        f"{way_out}",
     )

@@ -26,8 +26,8 @@ from stone_base.names import NAME as NAME
 def bad_sequence_name(name: str) -> Refused:
     return Refused(
         "bad_sequence_name",
-        f"{name[:120]!r} cannot name a sequence: 1 to 100 letters, digits, dots, dashes and underscores, "
-        "beginning with a letter or digit (is it a path?)",
+        f"{name[:120]!r} is not a valid sequence name: use 1 to 100 letters, digits, dots, dashes and "
+        "underscores, starting with a letter or digit (is it a path?)",
     )
 
 

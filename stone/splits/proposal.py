@@ -78,15 +78,15 @@ def propose(
     if not all(0 <= size <= MOST_SEQUENCES for size in sizes) or not any(sizes):
         raise Refused(
             "bad_split_sizes",
-            f"sizes {sizes} are invalid; expected three whole numbers (train, val, test) from 0 to "
-            f"{MOST_SEQUENCES}, and not all 0",
+            f"sizes {sizes} are invalid; expected three integers (train, val, test) from 0 to "
+            f"{MOST_SEQUENCES}, at least one above 0",
         )
     if not entries:
-        raise Refused("empty_catalogue", "there is no labelled sequence to divide; process some first")
+        raise Refused("empty_catalogue", "no labelled sequence is available for the splits; process some first")
     if len(entries) > MOST_SEQUENCES:
         raise Refused(
             "catalogue_too_large",
-            f"{len(entries)} sequences are to be divided; the most is {MOST_SEQUENCES}, leave some out",
+            f"{len(entries)} sequences are to be divided; the limit is {MOST_SEQUENCES}, leave some out",
         )
     model = Model(SplitTask(entries, sizes), limits or SolverLimits())
     bent = model.least_bent()
@@ -143,23 +143,26 @@ def _facts(rule: Rule, sought: SplitTask) -> tuple[tuple[CatalogueEntry, ...], s
     entries, sizes = sought.entries, sought.sizes
     usable = tuple(entry for entry in entries if is_long_enough(entry))
     if rule.code == SIZES:
-        asked = f"{' + '.join(map(str, sizes))} = {sum(sizes)} sequences are asked for as train, val and test"
-        return (), f"{asked}; there are {len(entries)}, {len(usable)} of them of 20 s or more"
+        asked = f"{' + '.join(map(str, sizes))} = {sum(sizes)} sequences are requested for train, val and test"
+        return (), f"{asked}; {len(entries)} exist, {len(usable)} of at least 20 s"
     if rule.code == LENGTH:
         short = tuple(entry for entry in entries if not is_long_enough(entry))
         return short, f"{len(short)} of {len(entries)} sequences are shorter than 20 s: {_names(short)}"
     if rule.code == WHOLE:
         twins = tuple({entry.id: entry for _, group in twins_of(usable) for entry in group}.values())
-        return twins, f"{len(twins)} sequences share a name or a recording, and one of each is taken: {_names(twins)}"
+        return (
+            twins,
+            f"{len(twins)} sequences share a name or a recording, one of each can be used: {_names(twins)}",
+        )
     if rule.code == DRIVES:
         drives = tuple(drives_in(entries))
         chunks = tuple(entry for _, members in drives for entry in members)
         largest = sorted(drives, key=lambda drive: (-len(drive[1]), drive[0]))[:NAMED]
         named = ", ".join(f"{name} {len(members)}" for name, members in largest)
-        return chunks, f"a drive is in one split at most; {len(drives)} drives have several sequences: {named}"
+        return chunks, f"a drive must be in one split; {len(drives)} drives have several sequences: {named}"
     if rule.code == REGIONS:
         counted = _by_region(usable)
-        return (), f"test and train share no region, and a region is taken whole; there are {counted}"
+        return (), f"test and train must not share a region, and regions are not divided; the data contain {counted}"
     return (
         rule.entries,
         f"{rule.word} in each split: {len(rule.entries)} sequences have it, in {_by_region(rule.entries)}",

@@ -42,12 +42,12 @@ def check_whole(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[Rule
     if unknown:
         findings.append(_error(WHOLE, f"{_many(unknown)} not in the catalogue of labelled sequences", unknown))
     if repeated:
-        findings.append(_error(WHOLE, f"{_many(repeated)} named more than once; a sequence is in one split", repeated))
+        findings.append(_error(WHOLE, f"{_many(repeated)} listed more than once; use each in one split", repeated))
     assigned = [known[one] for one in sorted(times) if one in known]
     for why, twins in twins_of(assigned):
         ids = tuple(entry.id for entry in twins)
         names = ", ".join(entry.name for entry in twins)
-        findings.append(_error(WHOLE, f"{names} are one sequence twice: they share {why}", ids))
+        findings.append(_error(WHOLE, f"{names} share {why}, so only one of them can be used", ids))
     return tuple(findings)
 
 
@@ -63,8 +63,8 @@ def check_drives(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[Rul
         if len(names) > 1:
             found = " and ".join(f"{len(ones)} in {part} ({_some(ones)})" for part, ones in names.items())
             message = (
-                f"drive {name!r} is torn: of its {len(members)} sequences, which continue each other, {found}; "
-                "put all of them into one split, or take those of the others out"
+                f"drive {name!r} is divided: of its {len(members)} consecutive sequences, {found}; put all of "
+                "them into one split, or remove some so that one split remains"
             )
             findings.append(_error(DRIVES, message, tuple(entry.id for entry in members)))
     return tuple(findings)
@@ -74,7 +74,7 @@ def check_length(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[Rul
     """Every sequence lasts 20 s at least, or the drive that it is part of."""
     short = [entry for _, entry in _assigned(split, catalogue) if not is_long_enough(entry)]
     return tuple(
-        _error(LENGTH, f"{entry.name} lasts {entry.duration_s:.1f} s; the least is {SHORTEST_S:g} s", (entry.id,))
+        _error(LENGTH, f"{entry.name} lasts {entry.duration_s:.1f} s; the minimum is {SHORTEST_S:g} s", (entry.id,))
         for entry in short
     )
 
@@ -133,7 +133,7 @@ def check_said(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleF
 def check_exposed(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleFinding, ...]:
     """A warning for each sequence of test whose labels anybody may have: whoever has them wins the benchmark."""
     exposed = [entry for part, entry in _assigned(split, catalogue) if part == "test" and entry.exposure]
-    told = "is in test and its labels may be known"
+    told = "is in test, and its labels may be known"
     return tuple(
         RuleFinding(EXPOSED, "warning", f"{entry.name} {told}: {entry.exposure}", (entry.id,)) for entry in exposed
     )
@@ -167,10 +167,10 @@ def _check_conditions(rule: str, split: Split, catalogue: tuple[CatalogueEntry, 
         missing = [part for part in parts if not any(p == part and entry.id in ids for p, entry in assigned)]
         obstacle = condition.obstacle(parts)
         if missing and obstacle:
-            message = f"{condition.word} is not in {' and '.join(missing)}; the data do not allow it: {obstacle}"
+            message = f"no {condition.word} sequence in {' and '.join(missing)}; the data do not allow it: {obstacle}"
             yield RuleFinding(rule, "warning", message, tuple(sorted(ids)))
         elif missing:
-            message = f"{condition.word} is not in {' and '.join(missing)}, though {len(ids)} sequences have it"
+            message = f"no {condition.word} sequence in {' and '.join(missing)}, although {len(ids)} sequences have it"
             yield _error(rule, message, tuple(sorted(ids)))
 
 

@@ -85,9 +85,9 @@ class Condition:
         if drives < len(parts):
             found = counted(len(self.entries), "sequence")
             found += f" of {counted(drives, 'drive')}" if drives < len(self.entries) else ""
-            return f"it is in {found} of 20 s or more, {len(parts)} splits ask for one each"
+            return f"only {found} of at least 20 s, but {len(parts)} splits each require one"
         if {"train", "test"} <= {*parts} and len(regions) < 2:
-            return f"its {len(self.entries)} sequences lie in one region, and test and train may not share one"
+            return f"its {len(self.entries)} sequences lie in one region, and test and train must not share a region"
         return ""
 
 

@@ -35,8 +35,8 @@ def checked_environment(word: str) -> str:
     if word != UNSAID and not ENVIRONMENT.fullmatch(word):
         raise Refused(
             "unknown_environment",
-            f"{word[:64]!r} cannot name an environment; take one of {', '.join(OFFERED)}, or another word of at most "
-            "32 lower-case letters, digits and dashes, beginning with a letter; or '' if it is unspecified",
+            f"{word[:64]!r} is not a valid environment; use one of {', '.join(OFFERED)}, another word of at "
+            "most 32 lower-case letters, digits and dashes that starts with a letter, or '' for unspecified",
         )
     return word
 
@@ -45,7 +45,8 @@ def checked_illumination(word: str) -> str:
     """The word. Raises `unknown_illumination`."""
     if word not in (UNSAID, *ILLUMINATIONS):
         raise Refused(
-            "unknown_illumination", f"{word[:64]!r} is no illumination; it is one of {', '.join(ILLUMINATIONS)}, or ''"
+            "unknown_illumination",
+            f"{word[:64]!r} is no illumination; use {', '.join(ILLUMINATIONS)} or ''",
         )
     return word
 
@@ -55,7 +56,7 @@ def checked_region(name: str) -> str:
     if name != UNSAID and not REGION.fullmatch(name):
         raise Refused(
             "bad_region",
-            f"{name[:80]!r} cannot name a region: 1 to 64 letters, digits, dots, dashes and underscores, "
-            "beginning with a letter or digit; or '' where it is unspecified (a blank between words? use a dash)",
+            f"{name[:80]!r} is not a valid region: use 1 to 64 letters, digits, dots, dashes and underscores, "
+            "starting with a letter or digit, or '' for unspecified (a space between words? use a dash)",
         )
     return name

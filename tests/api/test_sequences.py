@@ -286,7 +286,7 @@ def test_what_was_public_is_told_when_it_is_put_into_test_published_and_scored(
         assert change(ids["test"], is_public=is_public).status_code == 200
     (finding,) = exposed_in(put(api, administrator, ids))
     assert (finding["severity"], finding["sequence_ids"]) == ("warning", [ids["test"]])
-    assert "is in test and its labels may be known: it was public from 20" in finding["message"]
+    assert "is in test, and its labels may be known: it was public from 20" in finding["message"]
     judged = api.post(
         f"{SPLITS}/verdicts", json={part: [one] for part, one in ids.items()}, headers=administrator.headers
     )

@@ -95,7 +95,7 @@ def test_every_broken_rule_is_named_and_nothing_is_put(put: Put, platform: Platf
     unknown, _, length, regions = answer.json()["errors"]
     assert unknown["where"] == "0" * 32
     assert length["where"] == name
-    assert "19.0 s; the least is 20 s" in length["detail"]
+    assert "19.0 s; the minimum is 20 s" in length["detail"]
     assert "'Seoul' is in test" in regions["detail"]
     with platform.database.reading() as session:
         assert session.query(SplitMember).count() == 0
@@ -334,7 +334,7 @@ def test_a_drive_is_put_whole_or_refused_by_its_name_and_the_gap_is_told(
     torn = put([a, c], [b], [far])
     assert (torn.status_code, codes(torn)) == (422, ["whole_drives"])
     (error,) = torn.json()["errors"]
-    assert f"drive {names[a]!r} is torn" in error["detail"]
+    assert f"drive {names[a]!r} is divided" in error["detail"]
     assert f"2 in train ({names[a]}, {names[c]}) and 1 in val ({names[b]})" in error["detail"]
     shown = put([a, b], [], [far]).json()
     assert [one["drive"] for one in (*shown["train"], *shown["unassigned"], *shown["test"])] == [names[a]] * 3 + [""]

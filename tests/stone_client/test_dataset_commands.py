@@ -66,7 +66,7 @@ def test_splits_are_put_by_name_and_a_rule_that_is_broken_is_said(tmp_path: Path
     assert put(tmp_path, train=names[:1], val=[], test=names[2:]).exit_code == 0
     broken = put(tmp_path, train=names[:2], val=names[:1], test=[])
     assert refused(broken) == "split_refused"
-    assert "named more than once" in broken.stderr
+    assert "listed more than once" in broken.stderr
 
 
 def test_a_file_of_an_older_revision_is_refused(tmp_path: Path, names: list[str]) -> None:

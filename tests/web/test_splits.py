@@ -121,7 +121,7 @@ def test_a_drive_is_one_folded_card_that_moves_all_of_its_sequences(
         page.goto(URL)
         expect(page.locator("[data-count]")).to_have_text(["15", "0", "3", "261"])
         expect(page.locator(".split-card:visible")).to_have_count(32)
-        expect(page.locator("[data-findings]")).to_contain_text("drive 'run-00-0' is torn")
+        expect(page.locator("[data-findings]")).to_contain_text("drive 'run-00-0' is divided")
         amounts = column_of(page, "Train").locator("[data-drive-amount]")
         expect(amounts).to_have_text(["6 of 9 sequences · 1,200 frames · 120 s", "9 sequences · 1,800 frames · 180 s"])
         for width_px, limit_px in ((1280, 5000), (390, 7000)):
@@ -141,7 +141,7 @@ def test_a_drive_is_one_folded_card_that_moves_all_of_its_sequences(
         expect(column_of(page, "Val").locator("[data-drive-amount]")).to_have_text(
             "1 of 9 sequences · 200 frames · 20 s"
         )
-        expect(page.locator("[data-findings]")).to_contain_text("drive 'run-01-0' is torn")
+        expect(page.locator("[data-findings]")).to_contain_text("drive 'run-01-0' is divided")
         page.get_by_label("Split of drive run-01-0").first.select_option("val")
         expect(page.locator("[data-count]")).to_have_text(["0", "9", "9", "261"])
         for _ in range(3):

@@ -142,7 +142,7 @@ def test_a_torn_drive_is_an_error_that_names_it_and_the_splits_and_a_part_of_one
     ids = [one.id for one in a]
     (finding,) = check_drives(Split((*ids[:2], alone.id), (), tuple(ids[2:])), (*a, alone))
     assert (finding.code, finding.severity, set(finding.sequences)) == (DRIVES, "error", set(ids))
-    assert "drive 'farm' is torn" in finding.message
+    assert "drive 'farm' is divided" in finding.message
     assert "2 in train (run-00, run-01) and 2 in test (run-02, run-03)" in finding.message
     for split in (Split(tuple(ids)), Split((ids[0],), (alone.id,)), Split((ids[0], ids[3]))):
         assert check_drives(split, (*a, alone)) == ()
