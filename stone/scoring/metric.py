@@ -140,7 +140,7 @@ ratios tolerate this. They use at most 250 frames of a submission: the first and
   column, count the truth voxels with a predicted voxel at most one voxel above or below, and the predicted voxels with
   such a truth voxel; the smaller count is the number of pairs. Only evaluated voxels count.
 - *Columns*: each column counts once in a confusion matrix of columns. The class of a column is the worst class of its
-  evaluated voxels: N before P before T, or free if none is occupied. An N does not count if at least 1.6 m (eight voxels)
+  evaluated voxels: N before P before T, or free if none is occupied. An N does not count if at least 1.6 m (8 voxels)
   lie between it and the lowest T or P of the column, because the robot drives under it. *Clear drivable IoU*: columns
   of class T or P in both / in either.
 """
