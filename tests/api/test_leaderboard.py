@@ -46,7 +46,7 @@ def test_a_board_says_by_what_and_how_surely(api: httpx.Client, platform: Platfo
     assert (board["pair"]["metric"], board["pair"]["signature"]) == ("stone-iou-2", "metric:a|truth:b")
     assert (board["pair"]["ground_truth"], board["pair"]["frames"], board["pair"]["sequences"]) == (1, 1350, 3)
     assert any(
-        "new places: at least 5 sequences that do not continue each other are required, here 3" in note
+        "unseen places: at least 5 sequences that do not continue each other are required, this phase has 3" in note
         for note in board["notes"]
     )
     first, second = board["rows"]

@@ -112,7 +112,7 @@ def test_the_page_escapes_what_strangers_wrote(place: Place, admin: Administrati
     assert "\\<b\\>\\|team\\|" in row
     assert "\\[click\\]\\(http\\:\\/\\/evil\\) \\`x\\`" in row
     assert row.replace("\\|", "").count("|") == 11
-    assert "0 of 1 submissions on the board are scored by the new evaluation version; 1 are still missing." in page.text
+    assert "0 of 1 submissions on the board have a score by the new evaluation version; still missing: 1." in page.text
 
 
 def test_a_switch_names_the_board_it_means(place: Place, admin: Administrating) -> None:

@@ -342,7 +342,7 @@ def test_the_same_bag_under_another_name_is_told_though_the_public_one_is_delete
     headers = {**curator.headers, "If-Match": "*"}
     assert api.delete(f"{URL}/{first_id}", headers=headers).status_code == 204
     (finding,) = exposed_in(put(api, administrator, ids))
-    assert finding["message"].endswith("it has a file of 'first', which is or was public")
+    assert finding["message"].endswith("it shares a file with 'first', which is or was public")
 
 
 def test_what_is_in_test_is_not_made_public_and_the_refusal_says_which_and_where(

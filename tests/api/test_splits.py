@@ -365,5 +365,5 @@ def test_a_sequence_of_test_is_exposed_by_a_public_one_of_its_drive_and_leaving_
         row = session.get_one(SequenceRow, a)
         row.is_public, name = True, row.name
     found = {one["code"]: one for one in put([], [], [c]).json()["findings"]}["test_is_public"]
-    assert f"{name!r}, of the same drive, is public" in found["message"]
+    assert f"{name!r} of the same drive is public" in found["message"]
     assert "whole_drives" in codes(put([a], [], [c]))

@@ -240,9 +240,9 @@ def test_a_parameter_reaches_the_labels_and_the_held_out_track_is_told(tmp_path:
 @pytest.mark.parametrize(
     ("choices", "words"),
     [
-        (["reference.alpha=0.9"], "it lies between 0.0001 and 0.5"),
-        (["terrain.neighbours=20.5"], "it takes a whole number from 8 to 64"),
-        (["tiling.cube_cells=8"], "the parameters that can be chosen are selection.min_range_m"),
+        (["reference.alpha=0.9"], "the value must be between 0.0001 and 0.5"),
+        (["terrain.neighbours=20.5"], "expected a whole number from 8 to 64"),
+        (["tiling.cube_cells=8"], "the available parameters are selection.min_range_m"),
         (["reference.outlier_ratio=0.25", "--profile", "paper"], "profiles field and local can"),
     ],
 )

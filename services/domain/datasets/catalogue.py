@@ -152,7 +152,7 @@ def _with_drives(exposed: Mapping[str, str], drives: Drives, names: Mapping[str,
     for drive in set(drives.values()):
         known = next((one for one in drive if one in exposed), None)
         if known is not None and len(drive) > 1:
-            why = f"{names[known]!r}, of the same drive, {exposed[known].removeprefix('it ')}"
+            why = f"{names[known]!r} of the same drive {exposed[known].removeprefix('it ')}"
             found |= {one: why for one in drive if one not in exposed}
     return found
 
@@ -184,7 +184,7 @@ def _sharing(session: Session) -> dict[str, str]:
     )
     others = files.join(SequenceRow, SequenceRow.id == Upload.target_id).where(SequenceRow.id != Recording.sequence_id)
     rows = session.execute(others.where(SequenceRow.published_ns.is_not(None)).order_by(SequenceRow.id.desc()))
-    return {one: f"it has a file of {name!r}, which is or was public" for one, name in rows}
+    return {one: f"it shares a file with {name!r}, which is or was public" for one, name in rows}
 
 
 def _day(at_ns: int | None) -> str:

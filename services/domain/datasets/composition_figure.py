@@ -92,7 +92,7 @@ def _draw_classes(axes: "Axes", record: Record, colours: ColourName) -> None:
     axes.set_xlim(0, 100)
     told = record["total"]["voxels_known"]
     hidden = record["total"]["sequences"] - told
-    note = f"; of {hidden} withheld" if hidden else ""
+    note = f"; {hidden} withheld" if hidden else ""
     _finished(axes, "b  Occupied voxels by class", f"% of occupied voxels of {counted(told, 'sequence')}{note}")
 
 

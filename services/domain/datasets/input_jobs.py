@@ -44,15 +44,17 @@ INPUTS = "labeler.inputs"
 
 
 def inputs_complete(holder: str, count: int) -> Refused:
-    return Refused("inputs_complete", f"the inputs of all {count} sequences of {holder} are there; they never change")
+    return Refused(
+        "inputs_complete", f"the inputs of all {count} sequences of {holder} exist already; inputs never change"
+    )
 
 
 def inputs_impossible(names: Listing[str]) -> Refused:
     shown = ", ".join(names[:5]) + (", …" if len(names) > 5 else "")
     return Refused(
         "inputs_impossible",
-        f"{len(names)} sequences have lost their recording or were deleted: {shown}; upload them again, or "
-        "publish a dataset version without them",
+        f"{len(names)} sequences were deleted or have lost their recording: {shown}; upload them again, or publish a "
+        "dataset version without them",
     )
 
 

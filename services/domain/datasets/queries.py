@@ -48,7 +48,7 @@ def locate_part(session: Session, dataset: Dataset, part: str) -> tuple[DatasetP
     """A part and where its files lie. Raises `hidden_part` for test, and whatever is no part."""
     found = next((row for row in open_parts(session, dataset) if row.part == part), None)
     if found is None:
-        raise Refused("hidden_part", f"the files of {part!r} cannot be downloaded; train and val can")
+        raise Refused("hidden_part", f"the files of {part!r} cannot be downloaded; the files of train and val can")
     packs = select(Blob.object_key).join(DatasetPack, DatasetPack.blob_sha256 == Blob.sha256)
     of_part = packs.where(DatasetPack.dataset_id == dataset.id, DatasetPack.part == part).order_by(DatasetPack.ordinal)
     index = session.get_one(Blob, found.index_sha256)

@@ -78,14 +78,14 @@ def _gap_words(
     distance_m: float | None, nearest: list[str] | None, time_s: float | None, soonest: list[str] | None, unknown: int
 ) -> Iterator[str]:
     if distance_m is None or nearest is None:
-        yield "no track of train can be compared with one of test in place"
+        yield "no track of train can be compared with a track of test in place"
     else:
         yield f"train and test are at least {distance_m:.0f} m apart in place ({' and '.join(nearest)})"
     if time_s is not None and soonest is not None:
         unit_s, unit = next(((size, word) for size, word in UNITS if time_s >= 2 * size), (1.0, "s"))
         yield f"at least {time_s / unit_s:.0f} {unit} apart in time ({' and '.join(soonest)})"
     if unknown:
-        yield f"the track of {counted(unknown, 'sequence')} is unknown, which an earlier version labelled"
+        yield f"{counted(unknown, 'sequence')} labelled by an earlier version have no known track"
 
 
 def errors_of(findings: Iterable[RuleFinding]) -> tuple[RuleFinding, ...]:

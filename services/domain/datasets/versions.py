@@ -130,8 +130,8 @@ def grid_of_members(members: Members) -> LabelGrid:
         found = "; ".join(f"{one.entry.name} has {grid}" for grid, one in list(named.items())[:3])
         raise Refused(
             "mixed_grids",
-            f"the labels of the splits have {len(named)} grids: {found}. A version has one; process the sequences again"
-            " with one grid, or take them out of the splits",
+            f"the label sets in the splits have {len(named)} different grids: {found}. A version has exactly one "
+            "grid; process the sequences again with one grid, or remove them from the splits",
         )
     return next(iter(named), PAPER)
 
@@ -191,7 +191,7 @@ def write_dataset(session: Session, prepared: PreparedDataset) -> Dataset:
     if row.revision != prepared.revision:
         raise Refused(
             "splits_changed",
-            f"the splits went from revision {prepared.revision} to {row.revision} meanwhile; review them and "
+            f"the splits changed meanwhile from revision {prepared.revision} to {row.revision}; review them and "
             "publish again",
         )
     parts = prepared.parts.items()
@@ -244,14 +244,14 @@ def refuse_low(members: Members, least_recall: float) -> None:
         raise Refused(
             "held_out_low",
             f"the held-out recall of {counted(len(low), 'label set')} is below the limit of {least_recall:.2%}: "
-            f"{_first([_recall(one) for one in low])}. Process these sequences again or take them out of the splits; "
-            "the limit is STONE_PUBLISHING__LEAST_HELD_OUT_RECALL, 0 for none",
+            f"{_first([_recall(one) for one in low])}. Process these sequences again or remove them from the splits. "
+            "The setting STONE_PUBLISHING__LEAST_HELD_OUT_RECALL is the limit (0: no limit)",
         )
 
 
 def _recall(entry: CatalogueEntry) -> str:
     recall = entry.quality.held_out_recall
-    return f"{entry.name} has {recall:.2%}" if recall is not None else f"{entry.name} has none"
+    return f"{entry.name} has {recall:.2%}" if recall is not None else f"{entry.name} has no held-out recall"
 
 
 def _first(sentences: Sequence[str]) -> str:
@@ -315,4 +315,4 @@ def _write_part(session: Session, dataset_id: str, part: str, made: PreparedPart
 
 
 def broken_splits(sentences: Sequence[str]) -> Refused:
-    return Refused("splits_broken", f"the splits break {len(sentences)} rule(s) by now: {_first(sentences)}")
+    return Refused("splits_broken", f"the splits break {len(sentences)} rule(s): {_first(sentences)}")

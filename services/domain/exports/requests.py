@@ -73,7 +73,7 @@ def start_export(session: Session, sequence: SequenceRow, form: str) -> tuple[Ex
     `SequenceDeletedError`, `nothing_to_export`, `QueueDrainingError`.
     """
     if form not in FORMATS:
-        raise Refused("unknown_format", f"{form[:80]!r} is no format of an export; known are {', '.join(FORMATS)}")
+        raise Refused("unknown_format", f"{form[:80]!r} is not an export format; the formats are {', '.join(FORMATS)}")
     sequence = lock_sequence(session, sequence.id)
     labels = _exportable_labels(session, sequence, form)
     link_job(session, labels.job_id)
@@ -124,7 +124,7 @@ def exported_by(session: Session, attempt: Attempt) -> Export:
     """The export that the attempt makes. Raises `JobCancelledError`."""
     export = session.get(Export, attempt.arguments["export_id"], populate_existing=True)
     if export is None or export.job_id != attempt.job_id:
-        raise JobCancelledError("its export was deleted, or is made by another job")
+        raise JobCancelledError("its export was deleted, or another job writes it")
     return export
 
 
@@ -189,18 +189,20 @@ def _exportable_labels(session: Session, sequence: SequenceRow, form: str) -> La
     labels = counting_labels(session, sequence.id)
     if labels is None:
         raise Refused(
-            "nothing_to_export", f"sequence {sequence.id} cannot be exported: it has no labels; process it first"
+            "nothing_to_export",
+            f"sequence {sequence.id} cannot be exported: it has no labels; process the sequence first",
         )
     synchronised = select(Artefact.id).where(Artefact.label_set_id == labels.id, Artefact.name == SEQUENCE_FILE)
     if session.scalar(synchronised) is None:
         raise Refused(
             "nothing_to_export",
-            f"sequence {sequence.id} cannot be exported: an earlier version made its labels and kept no sequence.npz",
+            f"sequence {sequence.id} cannot be exported: an earlier version labelled it and kept no sequence.npz; "
+            "process the sequence again",
         )
     if form not in FROM_LABELS_ALONE and not has_samples(session, sequence.id, labels.id):
         raise Refused(
             "nothing_to_export",
-            f"sequence {sequence.id} cannot be exported: its recording was deleted; only a mesh can be made of "
-            "labels alone",
+            f"sequence {sequence.id} cannot be exported: its recording was deleted; without a recording only the mesh "
+            "can be exported",
         )
     return labels

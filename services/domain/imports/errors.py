@@ -10,9 +10,8 @@ SHOWN = 5
 def existing_sequences(names: Sequence[str]) -> Refused:
     return Refused(
         "sequences_exist",
-        f"{len(names)} scenes are called as sequences that are there: {_shown(names)}; delete or rename those, or "
-        "import with existing: add (`stone dataset import --add-to-existing`): each gets its labels beside "
-        "its own",
+        f"{len(names)} scenes have the names of existing sequences: {_shown(names)}; delete or rename these "
+        "sequences, or add the scenes' labels to them with existing: add (`stone dataset import --add-to-existing`)",
     )
 
 

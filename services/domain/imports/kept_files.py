@@ -35,7 +35,7 @@ def kept_file(session: Session, imported: DatasetImport, name: str) -> tuple[Imp
     """The file of this name. Raises `not_found`."""
     row = session.get(ImportedFile, (imported.id, OF_NO_SCENE, name))
     if row is None:
-        raise Refused("not_found", f"import {imported.id} keeps no file {name[:200]!r}")
+        raise Refused("not_found", f"import {imported.id} has no file {name[:200]!r}")
     return row, session.get_one(Blob, row.blob_sha256)
 
 

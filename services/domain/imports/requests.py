@@ -248,8 +248,8 @@ def _states(session: Session, root_id: str) -> Mapping[int, str]:
 # that another began ends, and one of the same request takes its place; so does one whose files were removed meanwhile.
 
 
-REMEDY = "Try it again later"
-GONE = "its import was deleted, or is made by another run"
+REMEDY = "Try again later"
+GONE = "its import was deleted, or another run imports the dataset"
 
 
 def import_of_attempt(platform: Platform, attempt: Attempt) -> DatasetImport:
@@ -267,7 +267,7 @@ def import_of_attempt(platform: Platform, attempt: Attempt) -> DatasetImport:
         begin_run_again(platform, attempt, f"the platform was upgraded to code version {code_version('labels')}")
     except (QueueDrainingError, RestartedTooOftenError) as error:
         raise code_changed((begun, code_version("imports")), error, REMEDY) from error
-    raise JobCancelledError(f"its run was begun by version {begun}; the dataset is imported by another run")
+    raise JobCancelledError(f"its run was started by version {begun}; another run imports the dataset")
 
 
 def begin_run_again(platform: Platform, attempt: Attempt, reason: str) -> None:
@@ -284,7 +284,7 @@ def begin_run_again(platform: Platform, attempt: Attempt, reason: str) -> None:
         if restarts > MOST_RESTARTS:
             raise RestartedTooOftenError(MOST_RESTARTS)
         new = begin_import_again(session, imported, reason, restarts)
-        old.cancel_reason = f"{reason}; the dataset is imported by job {new.id} instead"
+        old.cancel_reason = f"{reason}; job {new.id} imports the dataset instead"
 
 
 def kept_import(session: Session, attempt: Attempt) -> DatasetImport:

@@ -34,7 +34,7 @@ def set_address(session: Session, user_id: str, address: str, settings: Notifica
     if len(address) > LONGEST or not EMAIL.fullmatch(address):
         raise Refused(
             "bad_email_address",
-            f"{address[:80]!r} is no e-mail address as ada@example.org is (at most 254 characters, ASCII)",
+            f"{address[:80]!r} is not an e-mail address such as ada@example.org (at most 254 ASCII characters)",
         )
     session.execute(select(User.id).where(User.id == user_id).with_for_update(key_share=True))  # one at a time
     mails = select(func.count()).select_from(NotificationEvent).where(NotificationEvent.user_id == user_id)
@@ -42,7 +42,7 @@ def set_address(session: Session, user_id: str, address: str, settings: Notifica
     if (session.scalar(mails) or 0) >= MOST_MAILS:
         raise Refused(
             "too_many_verifications",
-            f"{MOST_MAILS} e-mails were sent today to verify an address of yours; try again tomorrow",
+            f"{MOST_MAILS} verification e-mails were sent for your account today; try again tomorrow",
         )
     row = session.get(EmailAddress, user_id) or EmailAddress(user_id=user_id)
     row.address, row.verified_ns, row.secret_hash, row.expires_ns = address, None, "", 0
@@ -75,7 +75,7 @@ def verify(session: Session, user_id: str, secret: str) -> EmailAddress:
     if row is None or not is_right:
         raise Refused(
             "email_not_verified",
-            "this link is not the newest one sent, or older than a day, or of another account; ask again",
+            "this link is outdated, older than a day, or belongs to another account; request a new link",
         )
     row.verified_ns, row.secret_hash = now_ns(), ""
     session.flush()

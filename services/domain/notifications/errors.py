@@ -9,4 +9,4 @@ class BadWebhookUrlError(StoneError):
     code = "bad_webhook_url"
 
     def __init__(self, why: str) -> None:
-        super().__init__(f"no webhook of this platform: {why}")
+        super().__init__(f"this webhook cannot be used: {why}")

@@ -98,7 +98,10 @@ def _quota(session: Session, event: NotificationEvent) -> EventWords | None:
     if facts["what"] == "storage":
         used, limit = (facts[name] / GIB for name in ("used_bytes", "limit_bytes"))
         return EventWords(
-            f"Your storage is nearly full: {used:.1f} of {limit:.1f} GiB are used.", "/account", dict(facts)
+            f"Your storage is nearly full: {used:.1f} of {limit:.1f} GiB are used. Delete recordings or exports that "
+            "you do not need.",
+            "/account",
+            dict(facts),
         )
     place = _place(session, event.subject_id)
     if place is None:
@@ -109,12 +112,15 @@ def _quota(session: Session, event: NotificationEvent) -> EventWords | None:
 
 
 def _webhook_disabled(_session: Session, _event: NotificationEvent) -> EventWords | None:
-    text = "Your webhook failed for days and was disabled; set it again on your account page."
+    text = "Your webhook was disabled because its deliveries failed for days. Set it again on your account page."
     return EventWords(text, "/account#notifications")
 
 
 def _verification(_session: Session, _event: NotificationEvent) -> EventWords | None:
-    text = "Somebody (hopefully you) asked for notifications at this address. Sign in and open the link."
+    text = (
+        "Your address was entered to receive notifications. To confirm it, sign in and open the link. If you did not "
+        "enter it, ignore this e-mail."
+    )
     return EventWords(text, "/account")
 
 

@@ -125,7 +125,7 @@ def _take_back(platform: Platform, delivery_id: str, is_cancelled: bool) -> bool
         if is_cancelled:
             row.state, row.answer, row.ended_ns = "dropped", "its job was cancelled", now_ns()
         else:
-            missed(row, "the process that sent it was lost", platform.settings.notifications.retry_s)
+            missed(row, "the process that was sending it was lost", platform.settings.notifications.retry_s)
     return True
 
 

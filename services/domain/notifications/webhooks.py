@@ -94,19 +94,23 @@ LONGEST_URL = 1000
 def checked_url(url: str, settings: NotificationSettings) -> SplitResult:
     """The parts of a URL that may be sent to, as far as it says itself. Raises `BadWebhookUrlError`."""
     if len(url) > LONGEST_URL or not url.isascii() or not url.isprintable() or " " in url or "\\" in url:
-        raise BadWebhookUrlError(f"a URL has at most {LONGEST_URL} characters, all of them printable ASCII, no blank")
+        raise BadWebhookUrlError(
+            f"a URL has at most {LONGEST_URL} characters, all of them printable ASCII without blanks"
+        )
     try:
         parts = urlsplit(url)
         host, port = parts.hostname, parts.port
     except ValueError as error:
-        raise BadWebhookUrlError(f"the URL cannot be read ({error})") from None
+        raise BadWebhookUrlError(f"the URL cannot be parsed ({error})") from None
     allowed = ("https", "http") if settings.allows_http else ("https",)
     if parts.scheme not in allowed:
-        raise BadWebhookUrlError(f"its URL begins with {' or '.join(allowed)}, not {parts.scheme[:20]!r}")
+        raise BadWebhookUrlError(f"its URL must start with {' or '.join(allowed)}, not {parts.scheme[:20]!r}")
     if not host or port == 0 or parts.fragment:
-        raise BadWebhookUrlError("its URL needs a host, no port 0 and no fragment, as https://chat.example.org/hooks/x")
+        raise BadWebhookUrlError(
+            "its URL needs a host, no port 0 and no fragment, such as https://chat.example.org/hooks/x"
+        )
     if parts.username is not None or parts.password is not None:
-        raise BadWebhookUrlError("its URL names a user; a secret belongs into the path, as chat servers have it")
+        raise BadWebhookUrlError("its URL contains a user name; put the secret into the path, as chat servers do")
     _refuse_literal(host, settings)
     return parts
 
@@ -125,4 +129,6 @@ def _refuse_literal(host: str, settings: NotificationSettings) -> None:
     except ValueError:
         return
     if not is_allowed(address, settings):
-        raise BadWebhookUrlError(f"{address} is private, of this machine or reserved, and may not be sent to")
+        raise BadWebhookUrlError(
+            f"{address} is a private, local or reserved address, to which the platform sends nothing"
+        )

@@ -27,7 +27,7 @@ def chosen_recordings(session: Session, sequence: SequenceRow, ids: Sequence[str
     if unknown := sorted(set(ids) - set(registered)):
         raise Refused(
             "unknown_recording",
-            f"{unknown[0][:80]} is no registered recording of sequence {sequence.id}; was it removed, or refused?",
+            f"sequence {sequence.id} has no registered recording {unknown[0][:80]}; was it removed or refused?",
         )
     if not registered:
         raise no_recording(sequence.id, len(recordings))
@@ -40,8 +40,8 @@ def offsets_by_name(recordings: Sequence[Recording], given_ns: Mapping[str, int]
     if given_ns and len(recordings) == 1:
         raise Refused(
             "bad_clock_offset",
-            f"a clock offset is given for {next(iter(given_ns))[:120]}, but the run has one recording, which has "
-            "no other clock to be put on",
+            f"a clock offset is given for {next(iter(given_ns))[:120]}, but the run has only one recording, so there "
+            "is no other clock to align it with",
         )
     names = {key: recording.filename for recording in recordings for key in (recording.id, recording.filename)}
     found = dict[str, int]()
@@ -50,13 +50,12 @@ def offsets_by_name(recordings: Sequence[Recording], given_ns: Mapping[str, int]
             known = ", ".join(sorted(recording.filename for recording in recordings))
             raise Refused(
                 "bad_clock_offset",
-                f"a clock offset is given for {key[:120]}, but it is none of the run's recordings, which are {known}",
+                f"a clock offset is given for {key[:120]}, but the recordings of the run are {known}",
             )
         if found.setdefault(names[key], offset_ns) != offset_ns:
             raise Refused(
                 "bad_clock_offset",
-                f"a clock offset is given for {key[:120]}, but two different offsets are given for it, by its id "
-                "and by its name",
+                f"two different clock offsets are given for {key[:120]}, one by its id and one by its name",
             )
     return found
 
@@ -75,13 +74,13 @@ def _told_apart(sequence: SequenceRow, recordings: Sequence[Recording]) -> tuple
         if names.count(recording.filename.casefold()) > 1:
             raise Refused(
                 "recordings_named_alike",
-                f"two different recordings of sequence {sequence.id} are called {recording.filename[:120]}; "
-                "recordings of one run are told apart by their names: remove one and upload it under another, or "
-                "name in recording_ids those meant",
+                f"two different recordings of sequence {sequence.id} are called {recording.filename[:120]}, but the "
+                "recordings of a run need different names: remove one and upload it under another name, or select "
+                "the recordings with recording_ids",
             )
     return tuple(apart)
 
 
 def no_recording(sequence_id: str, unusable: int) -> Refused:
     why = f"{unusable} could not be registered, see their findings" if unusable else "none was added"
-    return Refused("no_recording", f"sequence {sequence_id} has no registered recording ({why}); add one first")
+    return Refused("no_recording", f"sequence {sequence_id} has no registered recording ({why}); add a recording first")

@@ -63,22 +63,21 @@ def check_choices(profile: str, parameters: Mapping[str, object]) -> None:
     if profile not in PROFILES:
         raise Refused(
             "bad_parameter",
-            f"'profile' cannot be {str(profile)[:80]!r}; a profile is one of {', '.join(PROFILES)}",
+            f"'profile' cannot be {str(profile)[:80]!r}; the profiles are {', '.join(PROFILES)}",
         )
     for name, value in parameters.items():
         if name not in BOUNDS:
             raise Refused(
                 "bad_parameter",
-                f"{str(name)[:80]!r} cannot be {str(value)[:80]!r}; the parameters that can be chosen are "
-                f"{', '.join(BOUNDS)}",
+                f"{str(name)[:80]!r} cannot be {str(value)[:80]!r}; the available parameters are {', '.join(BOUNDS)}",
             )
         _check_value(name, value)
     for name in LEAVING_OUT:
         if profile == "paper" and parameters.get(name, 0.0):
             raise Refused(
                 "bad_parameter",
-                f"{name!r} cannot be {str(parameters[name])[:80]!r}; profile paper leaves none "
-                "out; profiles field and local can",
+                f"{name!r} cannot be {str(parameters[name])[:80]!r}; profile paper cannot omit it, profiles field and "
+                "local can",
             )
 
 
@@ -88,10 +87,11 @@ def _check_value(name: str, value: object) -> None:
     if isinstance(value, bool) or not isinstance(value, int if is_whole else (int, float)):
         raise Refused(
             "bad_parameter",
-            f"{str(name)[:80]!r} cannot be {str(value)[:80]!r}; it takes a {'whole ' if is_whole else ''}number "
+            f"{str(name)[:80]!r} cannot be {str(value)[:80]!r}; expected a {'whole ' if is_whole else ''}number "
             f"from {low:g} to {high:g}",
         )
     if not low <= value <= high:  # false for NaN too
         raise Refused(
-            "bad_parameter", f"{str(name)[:80]!r} cannot be {str(value)[:80]!r}; it lies between {low:g} and {high:g}"
+            "bad_parameter",
+            f"{str(name)[:80]!r} cannot be {str(value)[:80]!r}; the value must be between {low:g} and {high:g}",
         )

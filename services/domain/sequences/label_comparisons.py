@@ -70,7 +70,7 @@ def start_comparison(session: Session, sequence: SequenceRow, a_id: str, b_id: s
     for label_set_id in (a_id, b_id):
         _require_label_set(session, sequence, label_set_id)
     if a_id == b_id:
-        raise Refused("same_label_set", f"A and B are both label set {a_id}; name two different ones")
+        raise Refused("same_label_set", f"A and B are both label set {a_id}; name two different label sets")
     _require_one_grid(session, a_id, b_id)
     comparison = _existing_comparison(session, a_id, b_id)
     if comparison is not None:
@@ -97,7 +97,7 @@ def compared_by(session: Session, attempt: Attempt) -> LabelComparison:
     """The comparison that the attempt makes. Raises `JobCancelledError`."""
     found = session.get(LabelComparison, attempt.arguments["comparison_id"], populate_existing=True)
     if found is None or found.job_id != attempt.job_id:
-        raise JobCancelledError("its comparison was deleted, or is made by another job")
+        raise JobCancelledError("its comparison was deleted, or another job computes it")
     return found
 
 
@@ -180,5 +180,5 @@ def _require_label_set(session: Session, sequence: SequenceRow, label_set_id: st
     if found is None or found.sequence_id != sequence.id:
         raise Refused(
             "unknown_label_set",
-            f"{label_set_id[:80]!r} is no label set of sequence {sequence.id}; was it of another sequence?",
+            f"sequence {sequence.id} has no label set {label_set_id[:80]!r}; does it belong to another sequence?",
         )

@@ -72,7 +72,7 @@ def label_set_pins(session: Session, sequence: SequenceRow, labels: LabelSet) ->
     yield from (f"version {name} of the dataset contains it" for _, name in versions)
     truths = select(Phase.name).join(GroundTruthRow, GroundTruthRow.phase_id == Phase.id).distinct()
     truths = truths.where(GroundTruthRow.dataset_id.in_([dataset_id for dataset_id, _ in versions]))
-    yield from (f"phase {name} is scored against it" for name in session.scalars(truths.order_by(Phase.name)))
+    yield from (f"phase {name} uses it as ground truth" for name in session.scalars(truths.order_by(Phase.name)))
     counting = counting_labels(session, sequence.id)
     if counting is None or counting.id != labels.id:
         return

@@ -67,7 +67,7 @@ def later_recordings(session: Session, sequence: SequenceRow, labels: LabelSet) 
     if last is None or last.state not in TERMINAL or pending_recordings(session, sequence):
         return LaterRecordings(names)
     if not _unused(session, sequence.id, last):
-        return LaterRecordings(names, f"the run that took them, {last.id}, {last.state}: {last.failure}"[:500])
+        return LaterRecordings(names, f"the run with these recordings, {last.id}, {last.state}: {last.failure}"[:500])
     try:
         checked_inputs(session, sequence, request_of(last.arguments))
     except StoneError as error:

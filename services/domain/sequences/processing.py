@@ -169,7 +169,7 @@ def _context(sequence: SequenceRow) -> Context:
 def checked_inputs(session: Session, sequence: SequenceRow, request: ProcessRequest) -> Ingredients:
     """The calibration it pins, and the recordings that are meant. Raises as `start_processing`."""
     if sequence.calibration_id is None:
-        raise Refused("no_calibration", f"sequence {sequence.id} has no calibration; assign one first")
+        raise Refused("no_calibration", f"sequence {sequence.id} has no calibration; assign a calibration first")
     if count := pending_recordings(session, sequence):
         raise RecordingPendingError(sequence.id, count)
     recordings = chosen_recordings(session, sequence, request.recording_ids)
@@ -256,4 +256,4 @@ def _existing_run(session: Session, sequence: SequenceRow, recipe: str) -> Job |
 
 def unknown_stages(stages: tuple[str, ...], known: tuple[str, ...]) -> Refused:
     asked = ", ".join(stages)[:120] or "none"
-    return Refused("bad_stages", f"stages {asked} cannot be run; ask for {known[0]}, or for {' and '.join(known)}")
+    return Refused("bad_stages", f"stages {asked} cannot be run; request {known[0]}, or {' and '.join(known)}")

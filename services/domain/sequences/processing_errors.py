@@ -29,5 +29,5 @@ class AlreadyProcessingError(StoneError):
     def __init__(self, sequence_id: str, job_id: str) -> None:
         self.job_id = job_id
         super().__init__(
-            f"sequence {sequence_id} is being processed otherwise by job {job_id}; wait for it, or cancel it first"
+            f"job {job_id} is processing sequence {sequence_id} with other inputs; wait for the job, or cancel it first"
         )

@@ -42,7 +42,7 @@ PURPOSE = "recording"
 
 def recording_in_use(recording_id: str, job_id: str) -> Refused:
     return Refused(
-        "recording_in_use", f"recording {recording_id} is read by job {job_id}; wait for it, or cancel it first"
+        "recording_in_use", f"job {job_id} is reading recording {recording_id}; wait for the job, or cancel it first"
     )
 
 
@@ -64,7 +64,7 @@ def add_recording(
     """
     sequence = lock_sequence(session, sequence.id)
     if len(set(received.upload_ids)) < len(received.upload_ids):
-        raise bad_bag_files("an upload is named twice")
+        raise bad_bag_files("an upload is listed twice")
     ordered = sorted(received.upload_ids)  # of two that want some of the same, one waits for the other
     uploads = [_consumed(session, upload_id, uploader_id, sequence.id) for upload_id in ordered]
     uploads.sort(key=lambda upload: upload.filename)
@@ -232,7 +232,7 @@ def locate_joined(platform: Platform, kept: Mapping[str, StoredRecording], descr
     """The folder of a joined recording on this machine: `kept` are its members, by name. Raises as `locate_run`."""
     names = {member.name for member in read_joined(described)}
     if names != set(kept):
-        problem = f"it is of {', '.join(sorted(names))}, the run of {', '.join(sorted(kept))}"
+        problem = f"it joins {', '.join(sorted(names))}, but the run has {', '.join(sorted(kept))}"
         raise JoinedFileError(described.name, problem)
     bags = {name: locate(platform, recording) for name, recording in kept.items()}
     description = (JOINED, (described / JOINED).read_bytes())

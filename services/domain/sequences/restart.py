@@ -42,14 +42,14 @@ class RestartedTooOftenError(StoneError):
     code = "restarted_too_often"
 
     def __init__(self, restarts: int) -> None:
-        super().__init__(f"it was begun again {restarts} times already; do all workers run the same version?")
+        super().__init__(f"the run was already restarted {restarts} times; do all workers run the same version?")
 
 
 def code_changed(versions: tuple[str, str], why: StoneError, remedy: str = "Process the sequence again") -> Refused:
     begun, ours = versions
     return Refused(
         "code_changed",
-        f"this run was begun by code version {begun} and this worker runs {ours}; it could not be begun again: "
+        f"this run was started by code version {begun} and this worker runs {ours}; the run could not be restarted: "
         f"{why}. {remedy}",
     )
 
@@ -76,7 +76,7 @@ def arguments_of_run(platform: Platform, attempt: Attempt) -> dict[str, Any]:
             reason = session.get_one(Job, attempt.root_id).cancel_reason
     except NOT_NOW as error:
         raise code_changed((begun, code_version("labels")), error) from error
-    raise JobCancelledError(reason or f"its run was begun by version {begun} and has ended")
+    raise JobCancelledError(reason or f"its run was started by version {begun} and has ended")
 
 
 def begin_again(session: Session, root_id: str) -> Job | None:
@@ -98,7 +98,7 @@ def begin_again(session: Session, root_id: str) -> Job | None:
     upgraded = f"the platform was upgraded to code version {code_version('labels')}"
     terminate(session, root_id, upgraded)
     new = start_processing(session, sequence, request_of(old.arguments))
-    old.cancel_reason = f"{upgraded}; its sequence is processed by job {new.id} instead"
+    old.cancel_reason = f"{upgraded}; job {new.id} processes the sequence instead"
     if new.state not in TERMINAL:  # else these labels were made already
         new.arguments = {**new.arguments, RESTARTS: restarts}
     return new

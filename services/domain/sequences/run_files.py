@@ -21,5 +21,5 @@ def require_left(folder: Path, names: Iterable[str]) -> None:
     for name in names:
         if not (folder / name).exists():
             raise Refused(
-                "work_gone", f"{name} of this run is gone, so it cannot be continued; process the sequence again"
+                "work_gone", f"{name} of this run was deleted, so the run cannot continue; process the sequence again"
             )

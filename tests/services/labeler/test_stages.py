@@ -411,15 +411,15 @@ def test_work_that_was_removed_and_code_that_changed_are_named(finished: tuple[B
     frames = next(job for job in brought.jobs(root_id) if job.kind == "labeler.frames")
     work = brought.platform.settings.root / "store" / "work" / root_id
     shutil.rmtree(work / "surface")
-    with pytest.raises(StoneError, match="surface of this run is gone"):
+    with pytest.raises(StoneError, match="surface of this run was deleted"):
         table[frames.kind](Said(frames))
     shutil.rmtree(work)
-    with pytest.raises(StoneError, match=r"sweeps\.npz of this run is gone"):
+    with pytest.raises(StoneError, match=r"sweeps\.npz of this run was deleted"):
         table[frames.kind](Said(frames))
     with brought.platform.database.transaction() as session:
         run = session.get_one(Job, root_id)
         run.arguments = {**run.arguments, "code_version": "0.0.1"}
-    with pytest.raises(StoneError, match=r"begun by version 0\.0\.1"):
+    with pytest.raises(StoneError, match=r"started by version 0\.0\.1"):
         table[frames.kind](Said(frames))
 
 

@@ -156,6 +156,6 @@ def read_spectra(store: Store, object_key: str) -> RatioSpectra | None:
 def not_comparable(submission_id: str, phase: str) -> Refused:
     return Refused(
         "not_comparable",
-        f"submission {submission_id} has no score by the evaluation version in force of phase {phase!r}; "
-        "both must be scored entries of this phase",
+        f"submission {submission_id} has no score by the active evaluation version of phase {phase!r}; only scored "
+        "entries of this phase can be compared",
     )

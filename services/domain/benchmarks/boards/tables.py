@@ -164,28 +164,31 @@ def _rows_by_note(board: Board) -> Mapping[str, list[str]]:
 def notes(board: Board) -> Iterator[str]:
     """Notes for the reader of the board."""
     if board.silence is None:
-        yield "Entries of one tie group do not differ significantly from its first (all pairs tested jointly, 95 %)."
+        yield (
+            "No entry of a tie group differs significantly from the group's first entry (all pairs tested jointly, "
+            "95 %)."
+        )
         if board.rank_scope == "new_place":
             yield f"Differences are tested over whole sequences: {SILENCES['few_frames']}."
     else:
         yield f"No ties and no intervals of ranks: {SILENCES[board.silence]}."
     if any(row.standing == "ceiling" for row in board.rows):
-        yield "The ceiling is the same drive labelled twice: no entry can be expected to score above it."
+        yield "The ceiling is the same drive labelled twice; no entry can be expected to score above it."
     if any(row.danger is not None for row in board.rows):
         yield "Danger: share of non-traversable voxels predicted T or P, and predicted T alone; lower is better."
-    yield "Baselines are not ranked; reported rows were published elsewhere and not scored here."
+    yield "Baselines are not ranked. Reported rows were published elsewhere and not scored on this platform."
     drives = board.pair.drives if board.pair is not None else FEW_SEQUENCES
     here = _amount(board.pair) if board.pair is not None else ""
     if drives < FEWEST_SEQUENCES:
-        yield f"No statement about new places: {SILENCES['few_sequences']}, here {here}."
+        yield f"No statement about unseen places: {SILENCES['few_sequences']}, this phase has {here}."
     elif drives < FEW_SEQUENCES:
         yield (
-            f"{here} are few: in the exact test over whole drives no difference, however large, "
-            f"can have a p below {2.0 ** (1 - drives):g}."
+            f"This phase has only {here}: the exact test over whole drives cannot give a p below "
+            f"{2.0 ** (1 - drives):g}, however large the difference is."
         )
     if board.secrecy == "running":
         yield (
-            "The ground truth is hidden: until the phase ends, values are rounded to 4 digits and only "
+            "The ground truth is hidden. Until the phase ends, values are rounded to 4 digits and only "
             "administrators see danger."
         )
 

@@ -6,5 +6,6 @@ from stone.errors import Refused
 def no_ground_truth(phase: str) -> Refused:
     return Refused(
         "no_ground_truth",
-        f"phase {phase!r} has no ground truth yet; an administrator has one made from a dataset version",
+        f"phase {phase!r} has no ground truth yet; an administrator must create the ground truth from a dataset "
+        "version",
     )

@@ -104,7 +104,7 @@ def _refuse_second(session: Session, phase: Phase) -> None:
     )
     for number, job_id in session.execute(under_way.limit(1)):
         raise Refused(
-            "truth_in_making", f"ground truth {number} is being made by job {job_id}; wait for it or cancel it first"
+            "truth_in_making", f"job {job_id} is creating ground truth {number}; wait for the job or cancel it first"
         )
 
 
@@ -124,8 +124,8 @@ def _refuse_other_frames(
     if compared.missing or compared.extra:
         raise Refused(
             "other_frames",
-            f"{compared.missing} frame(s) of the active ground truth are not in this version and {compared.extra} "
-            "are new; the entries could not be scored again, so make a new phase of this version",
+            f"{compared.missing} frame(s) of the active ground truth are not in this version and {compared.extra} are "
+            "new, so the entries cannot be scored again; create a new phase from this version",
         )
 
 

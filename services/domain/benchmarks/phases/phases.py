@@ -133,13 +133,14 @@ def change_phase(session: Session, phase_id: str, changes: Mapping[str, Any]) ->
     if fixed and has_truth(session, phase.id):
         raise Refused(
             "phase_fixed",
-            f"phase {phase.name!r} has a ground truth, so "
-            f"{', '.join(name.removesuffix('_id') for name in fixed)} cannot change; add another phase instead",
+            f"phase {phase.name!r} has a ground truth, so {', '.join(name.removesuffix('_id') for name in fixed)} "
+            "cannot change; add another phase instead",
         )
     if "closes_ns" in changed and _has_told(session, phase):
         raise Refused(
             "phase_ended",
-            f"hidden phase {phase.name!r} has ended and its results by sequence were shown; add another phase instead",
+            f"hidden phase {phase.name!r} has ended and its results by sequence are already visible; add another "
+            "phase instead",
         )
     for name, value in changed.items():
         setattr(phase, name, value)
@@ -183,13 +184,17 @@ def refuse_contradictions(session: Session, phase: Phase, dataset: Dataset) -> N
     """Raises `open_test`, `empty_part`, `bad_phase`."""
     if phase.part == HIDDEN_PART and not phase.is_hidden:
         raise Refused(
-            "open_test", f"the labels of {phase.part} are hidden, and an open phase shows exact results; make it hidden"
+            "open_test",
+            (
+                f"the labels of {phase.part} are hidden, and an open phase would reveal exact results; make the phase "
+                "hidden"
+            ),
         )
     refuse_empty(session, dataset, phase.part)
     if phase.every_nth is not None and not phase.is_hidden:
         raise Refused(
             "bad_phase",
-            f"every_nth is {phase.every_nth}, but an open phase shows its frames; hide the phase, or omit every_nth",
+            f"every_nth is {phase.every_nth}, but an open phase reveals its frames; hide the phase, or omit every_nth",
         )
     for name, (least, most) in COUNTED.items():
         value = getattr(phase, name)

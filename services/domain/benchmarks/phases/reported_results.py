@@ -75,7 +75,8 @@ def _by_key(rows: Iterable[ReportedRow]) -> dict[tuple[str, str], ReportedRow]:
     for row in rows:
         if (row.method, row.modality) in keyed:
             raise Refused(
-                "reported_twice", f"{row.method[:80]!r} stands twice with modality {row.modality}; give each once"
+                "reported_twice",
+                f"{row.method[:80]!r} is listed twice with modality {row.modality}; give each method once",
             )
         keyed[row.method, row.modality] = row
     return keyed

@@ -159,19 +159,23 @@ def plain(text: str) -> str:
 
 
 def _version_cell(side: RescoreSide) -> str:
-    return f"ground truth {side.truth_number} by {plain(side.metric)}"
+    return f"ground truth {side.truth_number} with {plain(side.metric)}"
 
 
 def _progress(progress: RescoreProgress) -> str:
-    told = [f"{progress.scored} of {progress.total} submissions on the board are scored by the new evaluation version"]
-    told += [f"{progress.missing} are still missing"] if progress.missing else []
-    told += [f"{progress.hidden} hidden ones are missing"] if progress.hidden else []
-    told += [f"the files of {progress.gone} are gone, so they leave the board"] if progress.gone else []
+    told = [
+        f"{progress.scored} of {progress.total} submissions on the board have a score by the new evaluation version"
+    ]
+    told += [f"still missing: {progress.missing}"] if progress.missing else []
+    told += [f"{progress.hidden} hidden submissions have no score"] if progress.hidden else []
+    told += (
+        [f"the files of {progress.gone} were deleted, so these submissions leave the board"] if progress.gone else []
+    )
     return "; ".join(told) + "."
 
 
 def _summary(diff: RescoreDiff) -> str:
-    order = "changes" if diff.is_order_changed else "stays as it is"
+    order = "changes" if diff.is_order_changed else "does not change"
     leader = "There is a new leader. " if diff.is_new_leader else "The leader stays. "
     largest = f"{diff.largest_rank_move} ranks and {diff.largest_value_move:.4f} of mIoU"
     return f"The order {order}. {leader}Largest moves: {largest}."

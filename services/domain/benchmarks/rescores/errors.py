@@ -9,7 +9,7 @@ class RescoreStateError(StoneError):
     code = "wrong_state"
 
     def __init__(self, rescore_id: str, state: str, act: str) -> None:
-        super().__init__(f"re-score {rescore_id} was {state} and cannot be {act}; start another one")
+        super().__init__(f"re-score {rescore_id} was {state} and cannot be {act}; start another re-score")
 
 
 class AlarmDismissedError(StoneError):

@@ -78,17 +78,17 @@ def activate(session: Session, rescore: Rescore, expected_activation_id: str | N
     if (now_there.id if now_there else None) != expected_activation_id:
         raise Refused(
             "leaderboard_changed",
-            f"the board is at activation {now_there.id if now_there else None}, not at {expected_activation_id}; "
-            "review the difference again",
+            f"the board is at activation {(now_there.id if now_there else None)}, not at {expected_activation_id}; "
+            "review the differences again",
         )
     _ready(session, rescore.truth_id)
     progress = rescore_progress(session, rescore)
     if not progress.is_complete:
         raise Refused(
             "rescore_incomplete",
-            f"{progress.missing} entries have no score by the new evaluation version yet; wait for its run, or start "
-            "the re-score again where that has ended, which scores only what is missing"
-            " (hide an entry that cannot be scored)",
+            f"{progress.missing} entries have no score by the new evaluation version yet; wait for its run. If the "
+            "run has ended, start the re-score again to score the missing entries (hide an entry that cannot be "
+            "scored)",
         )
     moment_ns = max(now_ns(), now_there.activated_ns + 1 if now_there else 0)
     row = Activation(phase_id=rescore.phase_id, truth_id=rescore.truth_id, metric=rescore.metric)
@@ -127,13 +127,13 @@ def _check(session: Session, phase: Phase, pair: EvaluationVersion) -> None:
     if truth is None or truth.phase_id != phase.id:
         raise Refused(
             "ground_truth_of_other_phase",
-            f"this phase has no ground truth {pair.truth_id[:80]!r}; is it that of another phase?",
+            f"this phase has no ground truth {pair.truth_id[:80]!r}; does the ground truth belong to another phase?",
         )
     _ready(session, pair.truth_id)
     if active(session, phase.id) == pair and not lacking_ids(session, phase.id, pair):
         raise Refused(
             "already_active",
-            f"the board shows ground truth {truth.number} by {pair.metric!r} now, so there is nothing to "
+            f"the board already shows ground truth {truth.number} with {pair.metric!r}, so there is nothing to "
             "re-score; name another ground truth, another metric, or both",
         )
 
@@ -143,7 +143,8 @@ def _ready(session: Session, truth_id: str) -> None:
     if truth.ready_ns is None:
         raise Refused(
             "truth_not_ready",
-            f"ground truth {truth.number} is not ready; wait for its job, or make another where that has failed",
+            f"ground truth {truth.number} is not ready; wait for its job, or create another ground truth if the job "
+            "has failed",
         )
 
 

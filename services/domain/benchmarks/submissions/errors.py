@@ -23,8 +23,10 @@ def scorings_exhausted(taken: int, limit: int, window_ns: int | None, next_ns: i
 
 def phase_closed(name: str, opens_ns: int | None, closes_ns: int | None, now_ns: int) -> Refused:
     if opens_ns is not None and now_ns < opens_ns:
-        return Refused("phase_closed", f"phase {name!r} opens at {_moment(opens_ns)}; it is {_moment(now_ns)} now")
-    closed = f"phase {name!r} closed at {_moment(closes_ns or now_ns)} and takes no submissions"
+        return Refused(
+            "phase_closed", f"phase {name!r} opens at {_moment(opens_ns)}; the current time is {_moment(now_ns)}"
+        )
+    closed = f"phase {name!r} closed at {_moment(closes_ns or now_ns)} and accepts no submissions"
     return Refused("phase_closed", closed)
 
 
@@ -34,7 +36,7 @@ class SubmissionStateError(StoneError):
     code = "wrong_state"
 
     def __init__(self, submission_id: str, state: str, act: str, allowed: str) -> None:
-        super().__init__(f"submission {submission_id} is {state} and cannot be {act}; only {allowed} ones can")
+        super().__init__(f"submission {submission_id} is {state} and cannot be {act}; only {allowed} submissions can")
 
 
 def _moment(moment_ns: int) -> str:

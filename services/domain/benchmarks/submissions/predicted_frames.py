@@ -35,8 +35,8 @@ def pictured_zip(session: Session, seen: ScoreView) -> Blob:
     if not seen.policy.shows("frames"):
         raise Refused(
             "frames_hidden",
-            f"pictures of frames are shown where the ground truth is open; that of phase {seen.phase.name!r} is "
-            "hidden and stays so",
+            "pictures of frames are shown only in phases with open ground truth; the ground truth of phase "
+            f"{seen.phase.name!r} stays hidden",
         )
     return _kept_zip(session, seen)
 
@@ -54,7 +54,6 @@ def _kept_zip(session: Session, seen: ScoreView) -> Blob:
     if seen.submission.blob_sha256 is None:
         raise Refused(
             "predictions_gone",
-            f"the zip of submission {seen.submission.id} is not kept any more; its scores stay, its predictions "
-            "are gone",
+            f"the zip of submission {seen.submission.id} was deleted; only its scores are kept",
         )
     return session.get_one(Blob, seen.submission.blob_sha256)

@@ -4,7 +4,7 @@ from stone.errors import StoneError
 
 UNTIL = {
     "open": "only its team and administrators may see it",
-    "running": "while the phase runs only totals rounded to 4 digits are shown, also to its own team",
+    "running": "while the phase is running, only totals rounded to 4 digits are shown, even to the team itself",
     "ended": "only administrators may see it, since other phases may hide the same labels",
 }
 
@@ -16,7 +16,8 @@ class NotScoredError(StoneError):
 
     def __init__(self, submission_id: str, state: str) -> None:
         super().__init__(
-            f"submission {submission_id} is {state} and has no score by the evaluation version in force, so no results"
+            f"submission {submission_id} is {state} and has no score by the active evaluation version, so it has no "
+            "results"
         )
 
 
@@ -27,5 +28,6 @@ class ScoreMissingError(StoneError):
 
     def __init__(self, submission_id: str) -> None:
         super().__init__(
-            f"submission {submission_id} has no such score that you may see; 'scores' of its results lists them"
+            f"submission {submission_id} has no such score that you may see; 'scores' in its results lists the "
+            "available scores"
         )

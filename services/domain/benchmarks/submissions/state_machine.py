@@ -73,7 +73,7 @@ def settle(
     nothing that was found counts any more, and the caller's transaction is to be rolled back.
     """
     if state not in ENDED:
-        raise ValueError(f"{state!r} is no state in which a submission ends")
+        raise ValueError(f"a submission cannot end in state {state!r}")
     submission = lock_submission(session, submission_id)
     if submission.state == state:
         return False
@@ -113,7 +113,7 @@ def reopen(session: Session, run: Job) -> None:
     for submission_id in session.scalars(of_run).all():
         submission = lock_submission(session, submission_id)
         if submission.upload_id is None:
-            raise SubmissionStateError(submission_id, "without its file, which was purged,", "scored again", "kept")
+            raise SubmissionStateError(submission_id, "without its file, which was deleted,", "scored again", "kept")
         scoring_quota.retake(session, submission_id)
         submission.state, submission.settled_ns = "queued", None
         submission.failure_code = submission.failure = ""

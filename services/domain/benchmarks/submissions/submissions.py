@@ -92,7 +92,7 @@ def create_draft(session: Session, draft: SubmissionDraft) -> SubmissionRow:
     `validations_exhausted`, and `already_in_team` for who takes part with another team.
     """
     if draft.kind not in KINDS:
-        raise ValueError(f"{draft.kind!r} is no kind of submission")
+        raise ValueError(f"submissions have no kind {draft.kind!r}")
     phase = session.get_one(Phase, draft.phase_id)
     truth = _scored_against(session, phase)
     limit_bytes = largest_bytes(truth.frames)
@@ -100,7 +100,7 @@ def create_draft(session: Session, draft: SubmissionDraft) -> SubmissionRow:
         raise Refused(
             "submission_too_large",
             f"the zip has {draft.size_bytes} bytes, but {truth.frames} frames never need more than {limit_bytes}; "
-            "does it hold anything beside one .npz a frame?",
+            "does the zip contain anything other than one .npz per frame?",
         )
     bound = session.get(PhaseTeam, (phase.id, draft.user_id))
     if bound is not None and bound.team_id != draft.team_id:  # finalising would refuse it once all was sent
@@ -255,7 +255,7 @@ def _refuse_too_many(session: Session, draft: SubmissionDraft) -> None:
     if (opened or 0) >= MOST_OPEN:
         raise Refused(
             "too_many_open",
-            f"{MOST_OPEN} submissions of this team are open in this phase; finish or cancel some of them first",
+            f"this team has {MOST_OPEN} unfinished submissions in this phase; finish or cancel some of them first",
         )
 
 
@@ -274,15 +274,15 @@ def _consumed(session: Session, submission: SubmissionRow, upload_id: str) -> Up
     """The upload that was made for this draft, used up."""
     owner_id = session.scalar(select(Upload.owner_id).where(Upload.id == upload_id))
     if owner_id is None:
-        raise Refused("upload_missing", f"there is no upload {upload_id[:64]!r} of yours")
+        raise Refused("upload_missing", f"you have no upload {upload_id[:64]!r}")
     upload = consume(session, upload_id, owner_id, PURPOSE)
     if upload.target_id != submission.id:
-        raise Refused("upload_missing", f"there is no upload {upload_id[:64]!r} of yours")
+        raise Refused("upload_missing", f"you have no upload {upload_id[:64]!r}")
     if (upload.sha256, upload.length_bytes) != (submission.declared_sha256, submission.size_bytes):
         raise Refused(
             "hash_mismatch",
-            f"the upload has sha256 {upload.sha256 or 'unknown'}, declared was {submission.declared_sha256}; was "
-            "the zip written again meanwhile?",
+            f"the upload has sha256 {upload.sha256 or 'unknown'}, but {submission.declared_sha256} was declared; did "
+            "the zip change meanwhile?",
         )
     return upload
 

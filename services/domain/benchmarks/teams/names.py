@@ -33,8 +33,8 @@ def taken(session: Session, name: str) -> str:
     if not wanted or len(kept) > LONGEST:
         raise Refused(
             "bad_team_name",
-            f"the name has {len(kept)} characters when composed and {len(wanted)} that are seen; expected 1 to "
-            f"{LONGEST} of each",
+            f"the name has {len(kept)} composed and {len(wanted)} visible characters; expected 1 to {LONGEST} of each "
+            "kind",
         )
     if session.get_bind().dialect.name == "postgresql":
         session.execute(text("SELECT pg_advisory_xact_lock(:number)"), {"number": LOCK})

@@ -100,9 +100,7 @@ def join(session: Session, secret: str, user: User) -> Team:
     if invitation is None or invitation.used_ns is not None or invitation.expires_ns <= now_ns():
         raise no_invitation()
     if is_member(session, team.id, user.id):
-        raise Refused(
-            "already_member", f"{user.name!r} is a member of this team already; the invitation stays as it was"
-        )
+        raise Refused("already_member", f"{user.name!r} is already a member of this team; the invitation was not used")
     _refuse_many_teams(session, user.id)
     phases = _entered(session, team.id)
     _refuse_full(session, team.id, phases)
@@ -215,7 +213,7 @@ def _refuse_many_teams(session: Session, user_id: str) -> None:
 def _member(session: Session, team_id: str, user: User) -> TeamMember:
     row = session.get(TeamMember, (team_id, user.id), populate_existing=True)
     if row is None:
-        raise Refused("not_member", f"{user.name[:64]!r} is no member of this team")
+        raise Refused("not_member", f"{user.name[:64]!r} is not a member of this team")
     return row
 
 
@@ -235,13 +233,16 @@ def _hash(secret: str) -> str:
 
 def no_invitation() -> Refused:
     return Refused(
-        "no_invitation", "this invitation is unknown, was used or withdrawn, or is too old; ask the captain for another"
+        "no_invitation",
+        "this invitation is unknown, used, withdrawn or expired; ask the captain for another invitation",
     )
 
 
 def team_full(members: int, most: int) -> Refused:
-    return Refused("team_full", f"the team has {members} member(s), and {most} at most may take part where it does")
+    return Refused(
+        "team_full", f"the team has {members} member(s), but a phase in which it takes part allows at most {most}"
+    )
 
 
 def too_many(kind: str, most: int) -> Refused:
-    return Refused("too_many", f"there are {most} {kind} already, which is the limit; remove some that are not needed")
+    return Refused("too_many", f"the limit of {most} {kind} is reached; remove some that are not needed")
