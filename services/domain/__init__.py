@@ -1,1 +1,1 @@
-"""The domain: sequences, datasets, benchmarks and exports as rows with their rules, one folder per noun."""
+"""Domain logic: the rows and rules of sequences, datasets, benchmarks and exports, one folder per noun."""

@@ -1,4 +1,4 @@
-"""Benchmarks: phases, teams, submissions, scores, leaderboards, and who may see what.
+"""Benchmarks: phases, teams, submissions, scores, leaderboards, and access to them.
 
-**Conventions.** No kernel is loaded here: what counts voxels is `services/eval`, reached by jobs only.
+**Conventions.** This package loads no kernel: jobs of `services/eval` count the voxels.
 """

@@ -1,9 +1,9 @@
 """The visibility policy of submissions: one table of who may see what, applied by the queries.
 
-**Conventions.** A viewer stands to a submission as administrator, as member of its team, or as other. A phase's truth
-is open; or hidden while the phase runs, and before; or hidden and the phase has ended. A field that may not be seen is
-null, never left to a route. Ratios that may be seen only rounded have `RATIO_DIGITS` digits, which is what a board is
-ordered by for everybody, so that ranks tell nothing that the values do not.
+**Conventions.** A viewer's relation to a submission is administrator, member of its team, or other. A phase's ground
+truth is open, or hidden until the phase ends, or hidden after its end. A field that may not be seen is null; routes
+never decide this. Ratios that may be seen only rounded have `RATIO_DIGITS` digits. Boards are ordered by rounded ratios
+for every viewer, so ranks reveal no more than the values.
 """
 
 from collections.abc import Iterator, Mapping
@@ -31,16 +31,16 @@ ON_BOARDS = ("entry", "baseline")
 _ADMINISTRATOR: tuple[Relation, ...] = ("administrator",)
 _TEAM: tuple[Relation, ...] = ("administrator", "member")
 _ALL: tuple[Relation, ...] = ("administrator", "member", "other")
-# Of each field: who sees it while the truth is open; hidden and the phase running; hidden and the phase ended.
+# Viewers of each field while the ground truth is open, hidden in a running phase, hidden in an ended phase.
 TABLE: Mapping[Field, Mapping[Secrecy, tuple[Relation, ...]]] = {
     "totals": {"open": _ALL, "running": _ALL, "ended": _ALL},  # rounded
     "exact": {"open": _ALL, "running": _ADMINISTRATOR, "ended": _ALL},
     "intervals": {"open": _ALL, "running": _ADMINISTRATOR, "ended": _ALL},
-    "ranks": {"open": _ALL, "running": _ALL, "ended": _ALL},  # the interval of the rank and the tie group
-    "comparison": {"open": _ALL, "running": _ADMINISTRATOR, "ended": _ALL},  # beyond the difference of rounded totals
+    "ranks": {"open": _ALL, "running": _ALL, "ended": _ALL},  # rank interval and tie group
+    "comparison": {"open": _ALL, "running": _ADMINISTRATOR, "ended": _ALL},  # except the difference of rounded totals
     "breakdowns": {"open": _ALL, "running": _ADMINISTRATOR, "ended": _ALL},
-    "extras": {"open": _ALL, "running": _ADMINISTRATOR, "ended": _ALL},  # and supports, the total confusion
-    # By frame, counts come close to the labels themselves, and another phase may hide the same ones.
+    "extras": {"open": _ALL, "running": _ADMINISTRATOR, "ended": _ALL},  # supports and the total confusion too
+    # Counts by frame come close to the labels themselves, which another phase may hide.
     "confusions": {"open": _TEAM, "running": _ADMINISTRATOR, "ended": _ADMINISTRATOR},
     "content": {"open": _TEAM, "running": _ADMINISTRATOR, "ended": _ADMINISTRATOR},
     "provenance": {"open": _ALL, "running": _ALL, "ended": _ALL},
@@ -51,10 +51,10 @@ TABLE: Mapping[Field, Mapping[Secrecy, tuple[Relation, ...]]] = {
     "state": {"open": _TEAM, "running": _TEAM, "ended": _TEAM},
     "problems": {"open": _TEAM, "running": _TEAM, "ended": _TEAM},
     "reason": {"open": _TEAM, "running": _TEAM, "ended": _TEAM},  # why an entry was hidden
-    # Pictures of predictions beside the labels; labels that are hidden are shown of no phase, to nobody, for good.
+    # Pictures of predictions beside the labels; hidden labels are never shown, in any phase.
     "frames": {"open": _ALL, "running": (), "ended": ()},
     "predictions": {"open": _TEAM, "running": _TEAM, "ended": _TEAM},  # the zip of an entry
-    # The zip of a baseline. Whoever owns hidden labels may have sent them as a baseline.
+    # The zip of a baseline may contain hidden labels that their owner submitted.
     "baseline": {"open": _ALL, "running": _TEAM, "ended": _TEAM},
 }
 NAMING: tuple[Field, ...] = ("team", "description")
@@ -62,7 +62,7 @@ NAMING: tuple[Field, ...] = ("team", "description")
 
 @dataclass(frozen=True)
 class Viewer:
-    """A viewer: an administrator, a user with the teams they are in, or a visitor, whom public benchmarks show."""
+    """A viewer: an administrator, a user with teams, or a visitor, who sees only public benchmarks."""
 
     is_administrator: bool = False
     team_ids: frozenset[str] = frozenset()
@@ -80,7 +80,7 @@ _TEAMS = KeptSelect(select(TeamMember.team_id).where(TeamMember.user_id == param
 
 @dataclass(frozen=True)
 class Policy:
-    """The parts of one submission that one viewer may see now."""
+    """The parts of one submission that one viewer may currently see."""
 
     relation: Relation
     secrecy: Secrecy
@@ -92,41 +92,41 @@ class Policy:
         return self.relation in TABLE[field][self.secrecy]
 
     def ratio(self, value: float | None) -> float | None:
-        """A total as it may be seen: exact, or rounded."""
+        """Return a total as the viewer may see it: exact or rounded."""
         return value if value is None or self.shows("exact") else rounded(value)
 
 
 def rounded(value: float) -> float:
-    """The ratio to the digits that a board shows and is ordered by."""
+    """Return the ratio rounded to the digits by which boards are shown and ordered."""
     return round(value, RATIO_DIGITS)
 
 
 def viewer_of(session: Session, user_id: str, is_administrator: bool) -> Viewer:
-    """The user as a viewer. `is_administrator` only where they act as one: with the role and the scope."""
+    """Return the user as a viewer; set `is_administrator` only if role and scope allow acting as one."""
     teams = _TEAMS.rows(session, {"user": user_id})
     return Viewer(is_administrator, frozenset(row.team_id for row in teams))
 
 
 def secrecy_of(phase: Phase, now_ns: int) -> Secrecy:
-    """Hidden truth of a phase that has no end is never told."""
+    """Return the state of the ground truth's secrecy; a hidden phase without an end stays "running"."""
     if not phase.is_hidden:
         return "open"
     return "ended" if phase.closes_ns is not None and phase.closes_ns <= now_ns else "running"
 
 
 def policy_of(viewer: Viewer, phase: Phase, team_id: str, now_ns: int) -> Policy:
-    """The policy of the viewer for a submission of this team in this phase."""
+    """Return the viewer's policy for a submission of this team in this phase."""
     is_named = phase.named_from_ns is None or phase.named_from_ns <= now_ns
     return Policy(viewer.relation(team_id), secrecy_of(phase, now_ns), is_named)
 
 
 def submissions_seen(viewer: Viewer) -> Select[SubmissionRow]:
-    """The submissions that the viewer may know of: all, or those of their teams and whatever stands on a board."""
+    """Select the submissions visible to the viewer: all, or their teams' submissions and those on a board."""
     return select(SubmissionRow).where(_is_seen(viewer))
 
 
 def is_on_board() -> ColumnElement[bool]:
-    """Scored, of a kind that is shown, neither withdrawn nor hidden."""
+    """Return the condition that a submission is scored, of a shown kind, and neither withdrawn nor hidden."""
     return and_(
         SubmissionRow.state == "scored",
         SubmissionRow.kind.in_(ON_BOARDS),
@@ -144,10 +144,7 @@ def _is_seen(viewer: Viewer) -> ColumnElement[bool]:
     return or_(is_on_board(), SubmissionRow.team_id.in_(sorted(viewer.team_ids)))
 
 
-# The visibility policy of a phase in sentences, generated from the table that the queries apply.
-#
-# **Conventions.** Who sees a field in one state of the phase is read off `visibility.TABLE`, so that words and deeds
-# cannot part.
+# The visibility policy of a phase in sentences, generated from `TABLE`, so that sentences and queries agree.
 
 
 WORDS: dict[Field, str] = {
@@ -186,7 +183,7 @@ WHEN: dict[Secrecy, str] = {
 
 
 def policy_sentences(phase: Phase, at_ns: int) -> tuple[str, ...]:
-    """The visibility policy at this time in sentences; of a hidden phase with an end also what will be shown."""
+    """Return the current policy in sentences, and for a hidden phase with an end also the later policy."""
     now = secrecy_of(phase, at_ns)
     later: tuple[Secrecy, ...] = ("ended",) if now == "running" and phase.closes_ns is not None else ()
     named = phase.named_from_ns is not None and at_ns < phase.named_from_ns

@@ -1,8 +1,8 @@
-"""The catalogue: sequences with labels, which a dataset can be made of.
+"""The catalogue: sequences with labels, from which a dataset can be made.
 
-**Conventions.** Of several label sets of a sequence the one that was asked for last counts. All comes from rows, in a
-fixed number of statements. Drives are found among the sequences of all owners, and named by the first of their
-sequences that are seen.
+**Conventions.** If a sequence has several label sets, the most recently requested set is active. All data come from
+rows, in a fixed number of statements. Drives are computed over the sequences of all owners, and named after the first
+visible sequence.
 """
 
 from collections import Counter
@@ -25,7 +25,7 @@ Drives = Mapping[str, tuple[str, ...]]
 
 @dataclass(frozen=True)
 class CatalogueSequence:
-    """A sequence with the labels that count."""
+    """A sequence with its active labels."""
 
     sequence: SequenceRow
     labels: LabelSet
@@ -33,7 +33,7 @@ class CatalogueSequence:
 
 
 def labelled_sequences(session: Session, among: Select[SequenceRow] | None = None) -> tuple[CatalogueSequence, ...]:
-    """Sequences that have labels, by name and id: all that are not deleted, or those `among` that are selected."""
+    """Return the labelled sequences by name and id: all that are not deleted, or those selected by `among`."""
     newest = (
         select(LabelSet, func.row_number().over(partition_by=LabelSet.sequence_id, order_by=_LAST_FIRST).label("place"))
     ).subquery()
@@ -62,14 +62,14 @@ def entries_of(labelled: Iterable[CatalogueSequence]) -> tuple[CatalogueEntry, .
 
 
 def voxels_of(t_voxels: int | None, p_voxels: int | None, n_voxels: int | None) -> Voxels | None:
-    """(T, P, N); None where an earlier version did not count them."""
+    """Return (T, P, N), or None if an earlier version did not count them."""
     if t_voxels is None or p_voxels is None or n_voxels is None:
         return None
     return t_voxels, p_voxels, n_voxels
 
 
 def _tracks(session: Session) -> dict[str, tuple[str, DrivenTrack]]:
-    """Name and track of each sequence whose labels have a track, by id."""
+    """Return the name and track, by id, of each sequence whose labels have a track."""
     place = func.row_number().over(partition_by=LabelSet.sequence_id, order_by=_LAST_FIRST)
     newest = select(LabelSet.sequence_id, LabelSet.track, place.label("place")).subquery()
     rows = select(SequenceRow.id, SequenceRow.name, newest.c.track).join(newest, newest.c.sequence_id == SequenceRow.id)
@@ -78,12 +78,12 @@ def _tracks(session: Session) -> dict[str, tuple[str, DrivenTrack]]:
 
 
 def track_from(record: Mapping[str, Any]) -> DrivenTrack:
-    """The track that a label set's row has."""
+    """Return the track in a label set's row."""
     return DrivenTrack(**{**record, "places": tuple(map(tuple, record["places"]))})
 
 
 def _in_drives(entries: Iterable[CatalogueEntry], drives: Drives) -> dict[str, CatalogueEntry]:
-    """The entries with their drives, by id; a drive of which one sequence alone is seen has no name."""
+    """Return the entries with their drives, by id; a drive with only one visible sequence has no name."""
     found = {entry.id: entry for entry in entries}
     of_drive = {one: [found[other] for other in drives.get(one, (one,)) if other in found] for one in found}
     firsts = {members[0].id: members[0].name for members in of_drive.values() if len(members) > 1}
@@ -117,7 +117,7 @@ def _entry(row: SequenceRow, labels: LabelSet, recordings: tuple[str, ...]) -> C
 
 
 def _recordings(session: Session, ids: list[str]) -> Mapping[str, tuple[str, ...]]:
-    """The sha256 of each registered recording, by sequence."""
+    """Return the sha256 of each registered recording, by sequence."""
     found = dict[str, tuple[str, ...]]()
     kept = select(Recording.sequence_id, Recording.sha256).where(Recording.state == REGISTERED)
     for start in range(0, len(ids), AT_A_TIME):
@@ -130,11 +130,10 @@ def _recordings(session: Session, ids: list[str]) -> Mapping[str, tuple[str, ...
 AT_A_TIME = 1000
 
 
-# Exposure: why anybody may have the labels of a sequence, in words; and which labels are hidden.
-#
-# **Conventions.** What was public stays exposed, since whoever fetched its labels has them; so does what a version has
-# in train or val. A sequence that shares a file of its recordings with a public one is exposed too, also where that
-# one is deleted: the rows of its uploads stay.
+# Exposure: the reason for which the labels of a sequence may be publicly known, and hidden labels. Exposure is
+# permanent: labels may have been downloaded while the sequence was public or while a version had it in train or val. A
+# sequence that shares a recording file with a public sequence is exposed too, even if the public one is deleted: the
+# rows of its uploads stay.
 
 
 HIDDEN = "test"
@@ -142,12 +141,12 @@ OPEN = tuple(part for part in PARTS if part != HIDDEN)
 
 
 def exposures(session: Session) -> Mapping[str, str]:
-    """Of every sequence whose labels anybody may have, the plainest reason, by its id."""
+    """Return the plainest reason of exposure, by id, of every sequence whose labels may be publicly known."""
     return {**_sharing(session), **_in_versions(session), **_public(session)}
 
 
 def _with_drives(exposed: Mapping[str, str], drives: Drives, names: Mapping[str, str]) -> Mapping[str, str]:
-    """With the sequences whose drive has an exposed one: the labels of its ground tell of theirs."""
+    """Add the sequences of exposed drives: labels of the same ground reveal theirs."""
     found = dict(exposed)
     for drive in set(drives.values()):
         known = next((one for one in drive if one in exposed), None)
@@ -158,7 +157,7 @@ def _with_drives(exposed: Mapping[str, str], drives: Drives, names: Mapping[str,
 
 
 def hidden_truths() -> Select[str]:
-    """The ids of the sequences that a version hides, or whose labels a hidden phase is scored against."""
+    """Select the ids of sequences that a version hides, or whose labels are a hidden phase's ground truth."""
     same_part = and_(Phase.dataset_id == DatasetMember.dataset_id, Phase.part == DatasetMember.part)
     members = select(DatasetMember.sequence_id).outerjoin(Phase, and_(same_part, Phase.is_hidden))
     return members.where(or_(DatasetMember.part == HIDDEN, Phase.id.is_not(None)))

@@ -1,9 +1,8 @@
 """The composition figure of a dataset (PNG): environment × illumination, classes, distance, splits.
 
-**Conventions.** Drawn from the record of `services/domain/datasets/statistics.py` alone, so that the figure and the
-numbers
-cannot differ; the same bytes for the same record. Words come from people: none is read as a formula. Matplotlib is
-loaded when the first figure is asked for, and draws one at a time: it is not made for several threads.
+**Conventions.** The figure is drawn only from the record of `services/domain/datasets/statistics.py`, so figure and
+numbers agree; equal records give equal bytes. Texts come from users and are not parsed as formulas. Matplotlib is
+imported for the first figure and draws one figure at a time, since it is not thread-safe.
 """
 
 import io
@@ -42,7 +41,7 @@ _drawing = Lock()
 
 
 def composition_png(record: Record, title: str, colours: ColourName = "default") -> bytes:
-    """The figure of this record, its classes in the colours of this palette. An empty dataset has empty axes."""
+    """Return the figure of this record in the class colours of this palette. An empty dataset has empty axes."""
     with _drawing:
         import matplotlib as mpl
         from matplotlib.figure import Figure
@@ -63,7 +62,7 @@ def composition_png(record: Record, title: str, colours: ColourName = "default")
 
 
 def _draw_frames(axes: "Axes", record: Record) -> None:
-    """Frames of each environment, by illumination."""
+    """Draw the frames of each environment, by illumination."""
     words = _in_order({cell["illumination"] for cell in record["cells"]}, ILLUMINATIONS)
     series = {
         word: {c["environment"]: c["frames"] for c in record["cells"] if c["illumination"] == word} for word in words
@@ -74,7 +73,7 @@ def _draw_frames(axes: "Axes", record: Record) -> None:
 
 
 def _draw_classes(axes: "Axes", record: Record, colours: ColourName) -> None:
-    """T, P and N of the occupied voxels: of each environment, day and night, and all."""
+    """Draw T, P and N of the occupied voxels: by environment, by day and night, and in total."""
     groups = [*record["environments"], *record["halves"], {**record["total"], "key": "all"}]
     known = [group for group in groups if group["class_ratios"]]
     rows = [group["key"] for group in known]
@@ -97,7 +96,7 @@ def _draw_classes(axes: "Axes", record: Record, colours: ColourName) -> None:
 
 
 def _draw_distance(axes: "Axes", record: Record) -> None:
-    """Kilometres driven in each environment, by day and by night."""
+    """Draw the kilometres driven in each environment, by day and by night."""
     series = dict[str, dict[str, float]]()
     for cell in record["cells"]:
         of_half = series.setdefault(DAYLIGHT.get(cell["illumination"], ""), {})
@@ -110,7 +109,7 @@ def _draw_distance(axes: "Axes", record: Record) -> None:
 
 
 def _draw_parts(axes: "Axes", record: Record) -> None:
-    """Frames of each part; beside it its sequences and minutes."""
+    """Draw the frames of each part, with its sequences and minutes beside them."""
     rows = {row["key"]: row for row in record["parts"]}
     keys = _in_order(set(rows), PARTS)
     axes.barh(range(len(keys)), [rows[key]["frames"] for key in keys], color="#3f6f8f", height=0.62)
@@ -122,7 +121,7 @@ def _draw_parts(axes: "Axes", record: Record) -> None:
     axes.set_xlim(0, 1.6 * most)
     _rows(axes, [key or "unassigned" for key in keys])
     _finished(axes, "d  Splits", "frames")
-    axes.xaxis.grid(False)  # it would run through the words
+    axes.xaxis.grid(False)  # it would cross the texts
 
 
 def _stacked(
@@ -132,7 +131,7 @@ def _stacked(
     colours: Mapping[str, str],
     words: Mapping[str, str] | None = None,
 ) -> None:
-    """Horizontal bars, one a row, each a stack of the series."""
+    """Draw one horizontal bar per row, a stack of the series."""
     left = [0.0] * len(rows)
     for name, values in series.items():
         widths = [float(values.get(row, 0.0)) for row in rows]
@@ -164,11 +163,11 @@ def _finished(axes: "Axes", title: str, unit: str) -> None:
 
 
 def _in_order(keys: set[str], order: tuple[str, ...]) -> list[str]:
-    """Words in their order, then others, '' last."""
+    """Return the words in this order, then other words, '' last."""
     return [*(word for word in order if word in keys), *sorted(keys - {*order, ""}), *([""] if "" in keys else [])]
 
 
 def figure_title(total: Mapping[str, Any], name: str) -> str:
-    """`name`, and how much there is."""
+    """Return `name` with the amount of data."""
     minutes = total["duration_s"] / 60
     return f"{name}: {counted(total['sequences'], 'sequence')}, {counted(total['frames'], 'frame')}, {minutes:.0f} min"

@@ -1,8 +1,8 @@
-"""The files of a part of a dataset version, and the blob and offset where each lies.
+"""The files of a part of a dataset version, and the blob and offset of each.
 
 **Conventions.** `gts/<sequence>/<frame_token>/labels.npz` in the order of frames, then `sequences/<sequence>/…`, last
-`sha256sum.txt`, which checks all others. Files stay in the blobs they lie in: a version copies nothing. Only tars are
-made of them, so no CRC is kept.
+`sha256sum.txt`, which covers all other files. Files stay in their blobs: a version copies nothing. Only tars are made
+of them, so no CRC is kept.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -24,7 +24,7 @@ ELSEWHERE = ("labels/", "scene/", f"{SOURCE}/")
 
 @dataclass(frozen=True)
 class DatasetFile:
-    """A file: its bytes are [offset, offset + size) of a blob."""
+    """A file: bytes [offset, offset + size) of a blob."""
 
     name: str
     size_bytes: int
@@ -37,14 +37,14 @@ class DatasetFile:
 
 
 def files_of(session: Session, labelled: Iterable[CatalogueSequence]) -> tuple[DatasetFile, ...]:
-    """The files of these sequences, without their sums. Raises `bad_member`."""
+    """Return the files of these sequences, without checksums. Raises `bad_member`."""
     files = tuple(file for one in labelled for file in (*_labels(session, one), *_others(session, one)))
     check_names([*(file.name for file in files), SUMS])
     return files
 
 
 def sums_of(files: Iterable[DatasetFile]) -> bytes:
-    """A checksum list for `sha256sum -c`."""
+    """Return a checksum list for `sha256sum -c`."""
     return "".join(f"{file.sha256}  {file.name}\n" for file in files).encode("ascii")
 
 
@@ -54,7 +54,7 @@ def sums_file(content: bytes) -> DatasetFile:
 
 
 def packed(files: Sequence[DatasetFile]) -> tuple[PackedFiles, tuple[str, ...]]:
-    """The files as an index, and the blobs that it numbers."""
+    """Return the files as an index, and the blobs to which its numbers refer."""
     blobs = tuple(dict.fromkeys(file.blob_sha256 for file in files))
     number = {blob: place for place, blob in enumerate(blobs)}
     digests = b"".join(bytes.fromhex(file.sha256) for file in files)
@@ -82,8 +82,11 @@ def _labels(session: Session, one: CatalogueSequence) -> Iterator[DatasetFile]:
 
 
 def _others(session: Session, one: CatalogueSequence) -> Iterator[DatasetFile]:
-    """Files published with the labels, but packs (the frames' files are ranges of them), the viewer's scene, and what
-    was measured, which inputs are made of."""
+    """Yield the other files published with the labels.
+
+    Excluded are packs (frame files are ranges of them), the viewer's scene, and the measurements from which inputs are
+    made.
+    """
     artefacts = select(Artefact).where(Artefact.label_set_id == one.labels.id).order_by(Artefact.name)
     for row in session.scalars(artefacts):
         if not row.name.startswith(ELSEWHERE):

@@ -1,9 +1,9 @@
-"""Inputs: the sensor data of a sequence of a version, made by a job; for a phase or for the version itself.
+"""Inputs: the sensor data of a version's sequence, made by a job for a phase or for the version itself.
 
-**Conventions.** An input is made of the synchronised sequence that the version was published with and of what was
-measured (`services/domain/sequences/label_sources.py`).
-Of labels, mesh and report nothing is located: it may be read by whoever may read. What it is made for, its holder, is
-named in the job's arguments. It is never made anew, so a member that lost its recording before has none for good.
+**Conventions.** An input is made from the synchronised sequence that the version was published with, and from the
+measurements (`services/domain/sequences/label_sources.py`). The job cannot locate labels, mesh or report. The job's
+arguments name the holder, a phase or version. An input is never made again, so a sequence without its recording will
+have none.
 """
 
 from collections.abc import Mapping, Sequence
@@ -75,7 +75,7 @@ def add_input(
     kinds: tuple[type[DatasetInput], type[DatasetInputPack]] | tuple[type[PhaseInput], type[PhaseInputPack]],
     holder: Mapping[str, str],
 ) -> None:
-    """Write rows of these kinds for the result of a job, and link its blobs; an input that the holder has stays."""
+    """Write rows of these kinds for a job's result and link its blobs; an existing input of the holder stays."""
     row_kind, pack_kind = kinds
     if session.get(row_kind, (*holder.values(), made.name)) is not None:
         return
@@ -90,19 +90,19 @@ def add_input(
 
 
 def members_of(dataset_id: str, parts: Listing[str]) -> Select[DatasetMember]:
-    """The sequences of these parts of a version, by name."""
+    """Select the sequences of these parts of a version, by name."""
     in_version = select(DatasetMember).where(DatasetMember.dataset_id == dataset_id)
     return in_version.where(DatasetMember.part.in_(parts)).order_by(DatasetMember.name)
 
 
 def input_spec(holder: Mapping[str, str], member: DatasetMember) -> JobSpec:
-    """The job that makes the member's input for its holder."""
+    """Return the job that makes the member's input for its holder."""
     of = {"name": member.name, "sequence_id": member.sequence_id, "label_set_id": member.label_set_id}
     return JobSpec(INPUTS, {**holder, **of})
 
 
 def run_under_way(session: Session, kind: str, holder: Mapping[str, str]) -> Job | None:
-    """The run that makes inputs for this holder; none that is being cancelled."""
+    """Return the run that makes inputs for this holder, unless it is being cancelled."""
     runs = select(Job).where(Job.kind == kind, Job.state.not_in(TERMINAL))
     for run in session.scalars(runs.execution_options(populate_existing=True)):
         if run.arguments == holder and not run.cancel_reason:
@@ -111,7 +111,7 @@ def run_under_way(session: Session, kind: str, holder: Mapping[str, str]) -> Job
 
 
 def is_possible(session: Session, member: DatasetMember) -> bool:
-    """Whether sequence, synchronised frames and what was measured are still there."""
+    """Return whether sequence, synchronised frames and measurements still exist."""
     sequence = session.get(SequenceRow, member.sequence_id)
     is_there = sequence is not None and sequence.deleted_ns is None
     is_synchronised = session.scalar(_artefact(member.label_set_id)) is not None
@@ -119,7 +119,7 @@ def is_possible(session: Session, member: DatasetMember) -> bool:
 
 
 def sequence_key(session: Session, attempt: Attempt) -> str:
-    """The object that holds the synchronised sequence the attempt works for. Raises `inputs_impossible`."""
+    """Return the key of the attempt's synchronised sequence. Raises `inputs_impossible`."""
     found = _artefact(attempt.arguments["label_set_id"])
     key = session.scalar(select(Blob.object_key).where(Blob.sha256.in_(found.with_only_columns(Artefact.blob_sha256))))
     if key is None:
@@ -128,7 +128,7 @@ def sequence_key(session: Session, attempt: Attempt) -> str:
 
 
 def joined_key(session: Session, attempt: Attempt) -> str | None:
-    """The object that describes the recordings of the sequence the attempt works for; None where it is one."""
+    """Return the key of the object that describes the joined recordings; None for a single recording."""
     found = _artefact(attempt.arguments["label_set_id"], JOINED).with_only_columns(Artefact.blob_sha256)
     return session.scalar(select(Blob.object_key).where(Blob.sha256.in_(found)))
 
@@ -137,11 +137,9 @@ def _artefact(label_set_id: str, name: str = SEQUENCE_FILE) -> Select[str]:
     return select(Artefact.id).where(Artefact.label_set_id == label_set_id, Artefact.name == name)
 
 
-# Inputs of a version: the sensor data of its train and val sequences, to train on beside its labels.
-#
-# **Conventions.** Each is made once (`services/domain/datasets/input_jobs.py` says of what), when the version is
-# published or when an administrator asks, and stays as the version does: its bytes are held by foreign keys to blobs.
-# It is no part of the manifest, which stands before it. Those of test are neither made nor located here, whoever asks.
+# Inputs of a version: the sensor data of its train and val sequences, for training with its labels. Each input is made
+# once, at publication or when an administrator requests it, and is kept as long as the version by foreign keys to
+# blobs. Inputs are not in the manifest, which exists before them. Inputs of test are neither made nor located here.
 
 
 RUN = "dataset.inputs"
@@ -150,9 +148,9 @@ InputState = Literal["ready", "missing", "lost"]
 
 @dataclass(frozen=True, eq=False)
 class MemberInput:
-    """An open sequence of a version with its input, None while there is none.
+    """An open sequence of a version with its input, or None.
 
-    `missing`: it is being made, or an administrator may have it made; `lost`: what it would be made of is gone.
+    `missing`: being made, or an administrator may request it; `lost`: its source was deleted.
     """
 
     member: DatasetMember
@@ -161,9 +159,9 @@ class MemberInput:
 
 
 def start_version_inputs(session: Session, dataset: Dataset, user_id: str) -> Job:
-    """The run that makes what is missing and can be made: the one that is at it, or a new one.
+    """Return the run that makes the missing inputs: the current run, or a new one.
 
-    Raises `inputs_complete`, `inputs_impossible` where all that is missing is lost, `QueueDrainingError`.
+    Raises `inputs_complete`, `inputs_impossible` if all missing inputs are lost, `QueueDrainingError`.
     """
     session.scalars(select(Dataset.id).where(Dataset.id == dataset.id).with_for_update(key_share=True)).one()
     holder = {"dataset_id": dataset.id}
@@ -179,9 +177,9 @@ def start_version_inputs(session: Session, dataset: Dataset, user_id: str) -> Jo
 
 
 def follow_publication(session: Session, dataset: Dataset, user_id: str) -> None:
-    """Have the inputs of a version made that is being published, after all that somebody asked for.
+    """Queue the inputs of a version at publication, with lower priority than user requests.
 
-    Sequences that lost their recording are left out; nothing happens where the queue is draining.
+    Sequences without a recording are left out; nothing is queued while the queue is draining.
     """
     possible = [one for one in session.scalars(members_of(dataset.id, OPEN)) if is_possible(session, one)]
     if possible:
@@ -190,12 +188,12 @@ def follow_publication(session: Session, dataset: Dataset, user_id: str) -> None
 
 
 def inputs_of_members(session: Session, members: Sequence[DatasetMember]) -> tuple[MemberInput, ...]:
-    """What there is of each of these open sequences of one version."""
+    """Return the state of the input of each of these open sequences of one version."""
     return tuple(_input_of(session, member) for member in members)
 
 
 def located_input(session: Session, dataset: Dataset, name: str) -> tuple[DatasetInput, ExportLocation] | None:
-    """An input and where its files lie; None where there is none, and for whatever is not in train or val."""
+    """Return an input and the location of its files; None if it does not exist or is not in train or val."""
     named = members_of(dataset.id, OPEN).where(DatasetMember.name == name)
     row = session.get(DatasetInput, (dataset.id, name)) if session.scalars(named.limit(1)).one_or_none() else None
     if row is None:
@@ -207,16 +205,16 @@ def located_input(session: Session, dataset: Dataset, name: str) -> tuple[Datase
 
 
 def write_version_input(session: Session, attempt: Attempt, made: InputResult) -> None:
-    """Write down what a job has made, in the transaction of its success; what stands already stays.
+    """Write a job's result in the transaction of its success; an existing input stays.
 
-    Raises `JobCancelledError` when the version was deleted.
+    Raises `JobCancelledError` if the version was deleted.
     """
     dataset = version_of_attempt(session, attempt)
     add_input(session, made, (DatasetInput, DatasetInputPack), {"dataset_id": dataset.id})
 
 
 def version_of_attempt(session: Session, attempt: Attempt) -> Dataset:
-    """The version the attempt works for, its row locked. Raises `JobCancelledError` when it was deleted."""
+    """Return the attempt's version with its row locked. Raises `JobCancelledError` if the version was deleted."""
     wanted = select(Dataset).where(Dataset.id == attempt.arguments["dataset_id"]).with_for_update(key_share=True)
     dataset = session.scalars(wanted).one_or_none()
     if dataset is None:

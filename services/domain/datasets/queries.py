@@ -1,6 +1,6 @@
-"""Reading versions of the dataset: their sequences, the files of their parts, the archive of one.
+"""Reads dataset versions: their sequences, the files of their parts, the archive of a part.
 
-**Conventions.** Test's files are never located here, whoever asks.
+**Conventions.** Files of test are never located here.
 """
 
 from collections.abc import Mapping
@@ -25,27 +25,27 @@ def dataset_named(session: Session, name: str) -> Dataset | None:
 
 
 def dataset_entries(session: Session, dataset: Dataset) -> Entries:
-    """The sequences of each part, by name, as everybody may know them."""
+    """Return the public entries of each part's sequences, by name."""
     of_version = select(DatasetMember).where(DatasetMember.dataset_id == dataset.id).order_by(DatasetMember.name)
     rows = session.scalars(of_version).all()
     return {part: open_entries(part, [_entry(row) for row in rows if row.part == part]) for part in PARTS}
 
 
 def dataset_quality(session: Session, dataset_id: str) -> LabelQuality:
-    """Return the quality of the label sets of train and val together; that of test is hidden."""
+    """Return the common label quality of train and val; the quality of test is hidden."""
     of_version = select(DatasetMember).where(DatasetMember.dataset_id == dataset_id, DatasetMember.part.in_(OPEN))
     return pooled(row.quality for row in session.scalars(of_version.order_by(DatasetMember.name)))
 
 
 def open_parts(session: Session, dataset: Dataset) -> tuple[DatasetPart, ...]:
-    """The parts that may be downloaded."""
+    """Return the downloadable parts."""
     of_version = select(DatasetPart).where(DatasetPart.dataset_id == dataset.id, DatasetPart.part.in_(OPEN))
     rows = {row.part: row for row in session.scalars(of_version)}
     return tuple(rows[part] for part in OPEN if part in rows)
 
 
 def locate_part(session: Session, dataset: Dataset, part: str) -> tuple[DatasetPart, ExportLocation]:
-    """A part and where its files lie. Raises `hidden_part` for test, and whatever is no part."""
+    """Return a part and the location of its files. Raises `hidden_part` for test and unknown parts."""
     found = next((row for row in open_parts(session, dataset) if row.part == part), None)
     if found is None:
         raise Refused("hidden_part", f"the files of {part!r} cannot be downloaded; the files of train and val can")

@@ -1,8 +1,8 @@
-"""The draft splits: which labelled sequence is in train, val or test until a version is published.
+"""The draft splits: labelled sequences in train, val or test until a version is published.
 
-**Conventions.** There is one set of splits; whoever changes it locks its row first. What the rules say of it is found
-anew each time, since sequences are labelled, renamed and deleted meanwhile. The data of the rules are the sequences
-that the splits name: which ones make up the dataset is the administrator's choice.
+**Conventions.** There is one set of splits; changing it locks its row first. The rules are evaluated on every request,
+since sequences are labelled, renamed and deleted meanwhile. The rules consider only sequences in the splits: the
+administrator chooses the sequences of the dataset.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -28,7 +28,7 @@ UNITS = ((86_400.0, "days"), (3600.0, "h"), (60.0, "min"))
 
 @dataclass(frozen=True)
 class CurrentSplits:
-    """The splits as they stand; revision 0 before the first change."""
+    """The current splits; revision 0 before the first change."""
 
     revision: int
     split: Split
@@ -42,20 +42,20 @@ def current_splits(session: Session) -> CurrentSplits:
 
 
 def lock_splits(session: Session) -> Splits:
-    """The row of the splits, locked until the end of the transaction; made where there is none."""
+    """Return the row of the splits, locked until the end of the transaction; create it if missing."""
     insert_new(session, Splits, [{"name": NAME, "revision": 0, "changed_ns": now_ns()}])
     locked = select(Splits).where(Splits.name == NAME).with_for_update()
     return session.scalars(locked.execution_options(populate_existing=True)).one()
 
 
 def judged(split: Split, labelled: Iterable[CatalogueSequence]) -> tuple[RuleFinding, ...]:
-    """The findings of every rule about the split."""
+    """Return the findings of every rule about the split."""
     named = {one for ids in split.parts.values() for one in ids}
     return check_split(split, (entry for entry in entries_of(labelled) if entry.id in named))
 
 
 def gap_record(split: Split, entries: Iterable[CatalogueEntry]) -> dict[str, Any] | None:
-    """Return how far train and test are apart in place and time, in numbers and a sentence; None if one is empty."""
+    """Return the distance of train and test in place and time, in numbers and a sentence; None if one is empty."""
     known = {entry.id: entry for entry in entries}
     train, test = ({one: known[one].track for one in ids if one in known} for ids in (split.train, split.test))
     return _gap_record(gap_between(train, test), known) if train and test else None
@@ -93,7 +93,7 @@ def errors_of(findings: Iterable[RuleFinding]) -> tuple[RuleFinding, ...]:
 
 
 def replace_splits(session: Session, row: Splits, split: Split) -> None:
-    """Make `split`, which the rules let pass, the one under discussion; `row` is locked."""
+    """Replace the draft splits with `split`, which the rules allow; `row` is locked."""
     session.execute(delete(SplitMember))
     values = [{"sequence_id": one, "part": part} for part, ids in split.parts.items() for one in ids]
     insert_new(session, SplitMember, values)

@@ -1,8 +1,8 @@
 """Dataset statistics as a JSON record.
 
-**Conventions.** Lists are in the order in which they are shown; '' is what was not said. `voxels` are those of frames
-by class, null where no sequence's are known or to be told; `voxels_known` and `distances_known` say how many sequences
-the sums are of. The held-out recall is that of all judged metres together, the gravest finding that of any sequence.
+**Conventions.** Lists are in display order; '' means not specified. `voxels` are the frames' voxels by class, null if
+unknown or withheld for all sequences; `voxels_known` and `distances_known` count the sequences in the sums. The
+held-out recall covers all judged metres together; the gravest finding is that of any sequence.
 """
 
 from collections.abc import Iterable, Mapping
@@ -15,7 +15,7 @@ CLASSES = ("traversable", "potentially_traversable", "non_traversable")
 
 
 def statistics_record(parts: Mapping[str, Iterable[CatalogueEntry]]) -> Record:
-    """The statistics of the sequences of these parts; '' is the part of what is in none."""
+    """Return the statistics of the sequences of these parts; part '' contains unassigned sequences."""
     of_parts = {part: tuple(entries) for part, entries in parts.items()}
     composition = composition_of(entry for entries in of_parts.values() for entry in entries)
     shown = {part: sums_of(entries) for part, entries in of_parts.items() if entries}

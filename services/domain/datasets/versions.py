@@ -1,7 +1,7 @@
 """Versions of the dataset: published once from the draft splits, and never changed.
 
-**Conventions.** Slow things (indexes, digests) are made before the transaction, which then finds the splits unchanged
-or refuses. What a version is made of is held by foreign keys to blobs, test's labels too, which nothing serves.
+**Conventions.** Slow work (indexes, digests) is done before the transaction, which fails if the splits changed
+meanwhile. Foreign keys hold all blobs of a version, including the labels of test, which are never served.
 """
 
 import json
@@ -42,11 +42,9 @@ from stone_base.counts import counted
 from stone_base.label_grid import PAPER, LabelGrid, record_unless_paper, recorded_grid
 from stone_base.label_quality import UNKNOWN
 
-# The manifest of a dataset version: its contents in one JSON file whose sha256 identifies it.
-#
-# **Conventions.** It lists the files of train and val. Of test it says which sequences there are and under which
-# conditions, and nothing that was learnt from their labels: no file, no digest, no count; `statistics` hold the voxels
-# of train and val only.
+# The manifest of a dataset version: its contents in one JSON file whose sha256 identifies it. It lists the files of
+# train and val. For test it lists only sequences and their conditions, and nothing derived from their labels: no file,
+# no digest, no count; `statistics` contain the voxels of train and val only.
 
 
 FORMAT = 1
@@ -56,7 +54,7 @@ Members = Mapping[str, tuple[CatalogueSequence, ...]]
 
 @dataclass(frozen=True)
 class NewDataset:
-    """A dataset version to publish; `name` is the version's."""
+    """A dataset version to publish; `name` is the version's name."""
 
     name: str
     licence: str
@@ -66,7 +64,7 @@ class NewDataset:
 def manifest_bytes(
     asked: NewDataset, created_ns: int, members: Members, files: Mapping[str, tuple[DatasetFile, ...]]
 ) -> bytes:
-    """The manifest as a file; `files` are those of the parts that are open."""
+    """Return the manifest as a file; `files` are the files of the open parts."""
     record = {
         "stone_dataset": FORMAT,
         "version": asked.name,
@@ -84,12 +82,12 @@ def manifest_bytes(
 
 
 def told_statistics(members: Members) -> dict[str, Any]:
-    """Statistics of all parts, with the voxels of those that are open."""
+    """Return the statistics of all parts, with voxels only of the open parts."""
     return statistics_record({part: open_entries(part, entries_of(labelled)) for part, labelled in members.items()})
 
 
 def told_gap(members: Members) -> dict[str, Any] | None:
-    """How far train and test are apart, as `gap_record`."""
+    """Return the gap between train and test, as `gap_record`."""
     entries = {part: entries_of(labelled) for part, labelled in members.items()}
     every = tuple(entry for of_part in entries.values() for entry in of_part)
     split = Split(**{part: tuple(entry.id for entry in of_part) for part, of_part in entries.items()})
@@ -97,12 +95,12 @@ def told_gap(members: Members) -> dict[str, Any] | None:
 
 
 def open_entries(part: str, entries: Iterable[CatalogueEntry]) -> tuple[CatalogueEntry, ...]:
-    """The entries of a part as everybody may know them: of test without voxels and quality."""
+    """Return the public entries of a part: entries of test lack voxels and quality."""
     return tuple(replace(entry, voxels=None, quality=UNKNOWN) if part == HIDDEN else entry for entry in entries)
 
 
 def _described(one: CatalogueSequence, part: str) -> dict[str, Any]:
-    """The public record of a sequence; of an open one also the recipe of its labels and what they add up to."""
+    """Return the public record of a sequence; for an open part with the recipe and totals of its labels."""
     entry = one.entry
     said = {
         "name": entry.name,
@@ -138,7 +136,10 @@ def grid_of_members(members: Members) -> LabelGrid:
 
 @dataclass(frozen=True, eq=False)
 class PreparedPart:
-    """A part whose index and sums are stored: its files, the blobs they lie in, size and sha256 of its tar, if open."""
+    """A part whose index and checksums are stored.
+
+    It has the files, the blobs that contain them and, if the part is open, size and sha256 of its tar.
+    """
 
     files: tuple[DatasetFile, ...]
     index: PreparedBlob
@@ -149,7 +150,7 @@ class PreparedPart:
 
 @dataclass(frozen=True, eq=False)
 class PreparedDataset:
-    """A version that only wants its rows."""
+    """A version that is complete except for its rows."""
 
     asked: NewDataset
     revision: int
@@ -161,7 +162,7 @@ class PreparedDataset:
 
 
 def prepare_dataset(platform: Platform, asked: NewDataset, folder: Path) -> PreparedDataset:
-    """Prepare a version but for its rows; `folder` is where its own files are written.
+    """Prepare a version except for its rows; its own files are written to `folder`.
 
     Raises `no_splits`, `splits_broken`, `mixed_grids`, `held_out_low`, `bad_member`, `name_taken`, `StoreFullError`.
     """
@@ -175,7 +176,7 @@ def prepare_dataset(platform: Platform, asked: NewDataset, folder: Path) -> Prep
 
 
 def assembled(platform: Platform, asked: NewDataset, folder: Path, found: tuple[int, Members]) -> PreparedDataset:
-    """A version of these members of the splits at that revision. Raises `bad_member`, `StoreFullError`."""
+    """Return a version of these members of the splits at that revision. Raises `bad_member`, `StoreFullError`."""
     created_ns, (revision, members) = now_ns(), found
     with platform.database.reading() as session:
         files = {part: files_of(session, labelled) for part, labelled in members.items()}
@@ -186,7 +187,7 @@ def assembled(platform: Platform, asked: NewDataset, folder: Path, found: tuple[
 
 
 def write_dataset(session: Session, prepared: PreparedDataset) -> Dataset:
-    """The rows of the version. Raises `splits_changed`, `name_taken`."""
+    """Write the rows of the version. Raises `splits_changed`, `name_taken`."""
     row = lock_splits(session)
     if row.revision != prepared.revision:
         raise Refused(
@@ -220,7 +221,7 @@ def write_dataset(session: Session, prepared: PreparedDataset) -> Dataset:
 
 
 def members_now(session: Session) -> tuple[CurrentSplits, Members, tuple[RuleFinding, ...]]:
-    """The splits as they stand, the sequences of each part, and what the rules warn of.
+    """Return the current splits, the sequences of each part, and the warnings of the rules.
 
     Raises `no_splits`, `splits_broken`.
     """
@@ -237,7 +238,7 @@ def members_now(session: Session) -> tuple[CurrentSplits, Members, tuple[RuleFin
 
 
 def refuse_low(members: Members, least_recall: float) -> None:
-    """Raise `held_out_low` for label sets whose held-out recall is below the limit, or unknown; 0 is no limit."""
+    """Raise `held_out_low` if the held-out recall of a label set is unknown or below the limit; 0 is no limit."""
     entries = [one.entry for labelled in members.values() for one in labelled]
     low = [one for one in entries if (one.quality.held_out_recall or 0.0) < least_recall]
     if low:
@@ -260,7 +261,7 @@ def _first(sentences: Sequence[str]) -> str:
 
 
 def _prepared_part(platform: Platform, folder: Path, part: str, files: tuple[DatasetFile, ...]) -> PreparedPart:
-    """The part with its sums. Raises `ObjectMissingError` where a file was deleted meanwhile."""
+    """Return the part with its checksums. Raises `ObjectMissingError` if a file was deleted meanwhile."""
     content = sums_of(files)
     sums = _stored(platform, folder / f"{part}.txt", content)
     listed = (*files, sums_file(content))
@@ -270,11 +271,12 @@ def _prepared_part(platform: Platform, folder: Path, part: str, files: tuple[Dat
 
 
 def _tar(platform: Platform, index: PackedFiles, packs: tuple[str, ...], sums: PreparedBlob) -> tuple[int, str]:
-    """Size and sha256 of the tar, which is read through once; the sums may have no row yet."""
+    """Return size and sha256 of the tar, which is read once completely; the checksum file may have no row yet."""
     with platform.database.reading() as session:
         rows = (session.get(Blob, blob) for blob in packs)
         keys = tuple(row.object_key if row is not None else sums.object_key for row in rows)
-    refuse_damaged(platform.store, platform.database, keys, "a file of the labels")  # their hash must not cover decay
+    # The hash must not cover damaged files.
+    refuse_damaged(platform.store, platform.database, keys, "a file of the labels")
     stored = StoredFiles(index, keys)
     return archive_sha256(index, "tar", stored.reader(platform.store), lambda _done, _total: None)
 

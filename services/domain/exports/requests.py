@@ -1,12 +1,12 @@
 """Exports: label sets of a sequence written in other formats by jobs.
 
-**Conventions.** An export is of one label set in one format; equal requests are one export (`recipe`), so an unchanged
-sequence is not written again, and labels made anew make earlier exports stale: they stay until they are deleted. Each
+**Conventions.** An export is one label set in one format. Equal requests share one export (`recipe`), so an unchanged
+sequence is not written again. New labels make earlier exports stale; stale exports stay until they are deleted. Each
 function is part of the caller's transaction and locks the sequence's row first
-(`services/domain/sequences/processing.py`). Its
-bytes are counted against the sequence's owner under the export's id. An export shows all labels of its sequence:
-whoever is signed in may download the finished ones of a sequence that is shown to them, which one with hidden frames is
-to nobody but its owner (`api/visible.py`). Of a playback single files are shown to whoever may look at the sequence.
+(`services/domain/sequences/processing.py`). The bytes count against the sequence's owner under the export's id.
+Signed-in users may download finished exports of sequences that are visible to them. A sequence with hidden frames is
+visible only to its owner, since an export contains all labels (`api/visible.py`). Single files of a playback are
+visible with the sequence.
 """
 
 from collections.abc import Sequence as Listing
@@ -47,7 +47,7 @@ EXPORT = "labeler.export"
 ExportFormat = Literal["nuscenes", "inputs", "kitti", "mesh", "mcap", "rrd", "previews", "playback"]
 FORMATS: tuple[ExportFormat, ...] = get_args(ExportFormat)
 FROM_LABELS_ALONE = ("mesh",)
-LAST = -1  # the priority of what nobody waits for
+LAST = -1  # the priority of jobs without a waiting user
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,10 +67,10 @@ class ExportResult:
 
 
 def start_export(session: Session, sequence: SequenceRow, form: str) -> tuple[Export, Job]:
-    """The export of the labels that count, and its job: those that stand already, or new ones.
+    """Return the export of the active labels and its job, existing or new.
 
-    An export whose job failed or was cancelled is tried again. Raises `unknown_format`,
-    `SequenceDeletedError`, `nothing_to_export`, `QueueDrainingError`.
+    An export whose job failed or was cancelled is retried. Raises `unknown_format`, `SequenceDeletedError`,
+    `nothing_to_export`, `QueueDrainingError`.
     """
     if form not in FORMATS:
         raise Refused("unknown_format", f"{form[:80]!r} is not an export format; the formats are {', '.join(FORMATS)}")
@@ -89,10 +89,10 @@ def start_export(session: Session, sequence: SequenceRow, form: str) -> tuple[Ex
 
 
 def follow_labels(session: Session, sequence: SequenceRow, labels: LabelSet, form: str) -> None:
-    """Have labels that are being published exported without anybody asking, after all that somebody asked for.
+    """Queue an automatic export of labels that are being published, with lower priority than user requests.
 
-    Nothing happens where the queue is draining, or where what was measured is gone: it may be asked for later. The
-    sequence is not locked: whoever deletes it waits for the run that publishes, and then finds the export.
+    If the queue is draining or the measurements were deleted, nothing is queued. The sequence is not locked: deletion
+    waits for the publishing run and then finds the export.
     """
     if has_samples(session, sequence.id, labels.id):
         export = _new_export(labels, form, _recipe(labels, form))
@@ -101,9 +101,9 @@ def follow_labels(session: Session, sequence: SequenceRow, labels: LabelSet, for
 
 
 def write_export(session: Session, attempt: Attempt, made: ExportResult, limit_bytes: int) -> None:
-    """Write down what the job has made, in the transaction of its success; the owner may have `limit_bytes` in all.
+    """Write the job's result in the transaction of its success; `limit_bytes` is the owner's total quota.
 
-    Raises `JobCancelledError` when the export was deleted or is another job's now, `quota_exceeded`.
+    Raises `JobCancelledError` if the export was deleted or belongs to another job, `quota_exceeded`.
     """
     sequence = require_sequence(session, attempt)
     export = exported_by(session, attempt)
@@ -121,7 +121,7 @@ def write_export(session: Session, attempt: Attempt, made: ExportResult, limit_b
 
 
 def exported_by(session: Session, attempt: Attempt) -> Export:
-    """The export that the attempt makes. Raises `JobCancelledError`."""
+    """Return the attempt's export. Raises `JobCancelledError`."""
     export = session.get(Export, attempt.arguments["export_id"], populate_existing=True)
     if export is None or export.job_id != attempt.job_id:
         raise JobCancelledError("its export was deleted, or another job writes it")
@@ -129,9 +129,9 @@ def exported_by(session: Session, attempt: Attempt) -> Export:
 
 
 def begin_export(session: Session, attempt: Attempt) -> Export:
-    """The export that the attempt makes from its beginning, which is thereby of this version of the code.
+    """Return the attempt's export at its start, and assign it to this version of the code.
 
-    Its recipe stays where an export of this version was asked for meanwhile. Raises `JobCancelledError`,
+    Its recipe stays if an export by this version was requested meanwhile. Raises `JobCancelledError`,
     `SequenceDeletedError`.
     """
     export = exported_by(session, attempt)
@@ -149,14 +149,14 @@ def begin_export(session: Session, attempt: Attempt) -> Export:
 def delete_export(session: Session, export: Export) -> None:
     """Delete an export, finished or not; its blobs are collected later. Raises `SequenceDeletedError`."""
     lock_sequence(session, export.sequence_id)
-    with suppress(JobStateError):  # it has ended
+    with suppress(JobStateError):  # the job has ended
         cancel(session, export.job_id, "its export was deleted")
     session.execute(delete(Export).where(Export.id == export.id))
     storage_quota.release(session, export.id, "export deleted")
 
 
 def counting_labels(session: Session, sequence_id: str) -> LabelSet | None:
-    """The labels that count: of several those that were asked for last."""
+    """Return the active labels: the most recently requested set."""
     newest = select(LabelSet).where(LabelSet.sequence_id == sequence_id)
     return session.scalars(newest.order_by(LabelSet.chosen_ns.desc(), LabelSet.id.desc()).limit(1)).one_or_none()
 
@@ -171,7 +171,7 @@ def _new_export(labels: LabelSet, form: str, recipe: str) -> Export:
 
 
 def _enqueued(session: Session, export: Export, context: Context) -> Job:
-    """The job that makes it from now on. Raises `QueueDrainingError`, and writes nothing then."""
+    """Queue and return the job that writes the export. Raises `QueueDrainingError`, and then writes nothing."""
     job = enqueue(session, JobSpec(EXPORT, {"export_id": export.id}), context)
     export.job_id = job.id
     session.add(export)
@@ -185,7 +185,7 @@ def _existing_export(session: Session, sequence: SequenceRow, recipe: str) -> Ex
 
 
 def _exportable_labels(session: Session, sequence: SequenceRow, form: str) -> LabelSet:
-    """Raises `nothing_to_export`."""
+    """Return the labels to export. Raises `nothing_to_export`."""
     labels = counting_labels(session, sequence.id)
     if labels is None:
         raise Refused(

@@ -1,4 +1,4 @@
-"""Why a dataset is not imported."""
+"""Errors of importing a dataset."""
 
 from collections.abc import Sequence
 
@@ -16,5 +16,5 @@ def existing_sequences(names: Sequence[str]) -> Refused:
 
 
 def _shown(names: Sequence[str]) -> str:
-    """The first names, and that there are more; each is cut."""
+    """Return the first names, shortened, and the number of further names."""
     return ", ".join(name[:100] for name in names[:SHOWN]) + (", …" if len(names) > SHOWN else "")

@@ -1,7 +1,7 @@
-"""Files of a dataset that no table names: kept with its import, counted against the owner, and downloaded there.
+"""Files of a dataset that belong to no table: stored with its import, counted against the owner, downloadable.
 
-**Conventions.** They are rows of the import beside those of its scenes, and stay until it is deleted. They belong to
-the dataset and not to a scene: who sees one sequence of an import is not given what may speak of all.
+**Conventions.** They are rows of the import and stay until it is deleted. They belong to the dataset and not to a
+scene: a viewer of one sequence of an import cannot read files that may describe all scenes.
 """
 
 from collections.abc import Sequence
@@ -26,13 +26,13 @@ def keep_file(session: Session, imported: DatasetImport, name: str, blob: Blob) 
 
 
 def kept_files(session: Session, imported: DatasetImport) -> Sequence[ImportedFile]:
-    """The files that are kept, by name."""
+    """Return the import's files, by name."""
     of_import = (ImportedFile.import_id == imported.id, ImportedFile.scene == OF_NO_SCENE)
     return session.scalars(select(ImportedFile).where(*of_import).order_by(ImportedFile.name)).all()
 
 
 def kept_file(session: Session, imported: DatasetImport, name: str) -> tuple[ImportedFile, Blob]:
-    """The file of this name. Raises `not_found`."""
+    """Return the file with this name. Raises `not_found`."""
     row = session.get(ImportedFile, (imported.id, OF_NO_SCENE, name))
     if row is None:
         raise Refused("not_found", f"import {imported.id} has no file {name[:200]!r}")

@@ -1,7 +1,7 @@
-"""The end of an import: which sequences its scenes become, what is counted and what is given back, the draft splits.
+"""The end of an import: the sequences of its scenes, the owner's quota, the draft splits.
 
-**Conventions.** Part of the transaction that writes everything; the run and the import are locked, then the owner, so
-that no sequence of the owner's is deleted between the look at it and the end (`delete_sequence` locks it too).
+**Conventions.** Part of the transaction that writes everything. Run and import are locked, then the owner, so that no
+sequence of the owner is deleted between check and end (`delete_sequence` locks the owner too).
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,8 +26,7 @@ NO_SPLITS = "no_splits"
 
 @dataclass(frozen=True)
 class PublishedScene:
-    """The sequence and the label set that a scene became; `size_bytes` are counted under the label set, 0 where it
-    stood already."""
+    """The sequence and label set of a scene; `size_bytes` count under the label set, 0 if it existed already."""
 
     sequence_id: str
     label_set_id: str
@@ -35,9 +34,9 @@ class PublishedScene:
 
 
 def refuse_existing(session: Session, imported: DatasetImport, names: Sequence[str]) -> Mapping[str, SequenceRow]:
-    """The owner's sequences of these names.
+    """Return the owner's sequences with these names.
 
-    Raises `sequences_exist` where there are any and labels are not to be added to them.
+    Raises `sequences_exist` if there are any and the import does not add labels to them.
     """
     found = dict[str, SequenceRow]()
     for start in range(0, len(names), AT_A_TIME):
@@ -50,7 +49,7 @@ def refuse_existing(session: Session, imported: DatasetImport, names: Sequence[s
 
 
 def sequences_of_scenes(session: Session, imported: DatasetImport) -> list[SequenceRow]:
-    """The sequence of each scene, in their order: one of that name, or a new one; the owner is locked from here on.
+    """Return the sequence of each scene, in order: an existing one with that name, or a new one. Locks the owner.
 
     Raises `sequences_exist`.
     """
@@ -64,14 +63,14 @@ def sequences_of_scenes(session: Session, imported: DatasetImport) -> list[Seque
 
 
 def _new_sequence(imported: DatasetImport, scene: Mapping[str, Any]) -> SequenceRow:
-    """What the import says of all its sequences goes before the region that the dataset says of one."""
+    """Return a new sequence; attributes given for the import take precedence over the dataset's region."""
     facts = dict(imported.facts)
     facts["region"] = facts.get("region") or scene.get("region", "")
     return SequenceRow(owner_id=imported.owner_id, name=scene["name"], **facts)
 
 
 def end_import(session: Session, imported: DatasetImport, made: Sequence[PublishedScene], limit_bytes: int) -> None:
-    """Give an uploaded archive back, count what was made of it, and note which sequences that is.
+    """Release an uploaded archive, count the import's results against the owner, and record its sequences.
 
     Raises `quota_exceeded`.
     """
@@ -93,10 +92,10 @@ def end_import(session: Session, imported: DatasetImport, made: Sequence[Publish
 
 
 def follow_splits(session: Session, imported: DatasetImport) -> tuple[str, ...]:
-    """Put the sequences of an import that has ended into those of the draft splits that the dataset puts them in.
+    """Put the sequences of a finished import into the draft splits given by the dataset; return forbidding codes.
 
-    If the rules forbid the result the splits stay as they are; the codes of what is forbidden, none if they were set.
-    Names of splits other than train, val and test mean nothing here; a dataset without these is `no_splits`.
+    If the rules forbid the result, the splits stay unchanged; if they were set, no codes are returned. Splits other
+    than train, val and test are ignored; a dataset without these gives `no_splits`.
     """
     row = lock_splits(session)
     current = current_splits(session).split.parts

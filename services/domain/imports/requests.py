@@ -1,9 +1,8 @@
-"""Imports of published datasets: of a complete upload or in place, begun again, deleted; cancelled as any run is.
+"""Imports of published datasets: from a complete upload or in place, restarted, deleted; cancelled like any run.
 
-**Conventions.** Each function is part of the caller's transaction. The run's row is locked first, then the import's,
-then what belongs to the owner. The tar's bytes are counted against the owner under its upload's id until the import has
-ended well or was deleted; what was made of it stays then, and is deleted sequence by sequence. Bytes in place are not
-counted.
+**Conventions.** Each function is part of the caller's transaction. Locks are taken in this order: run, import, owner's
+rows. The tar's bytes count against the owner under its upload's id until the import has succeeded or was deleted. The
+imported sequences stay then, and are deleted one by one. Bytes in place are not counted.
 """
 
 from collections.abc import Mapping
@@ -48,7 +47,7 @@ Meaning = Literal["free", "T", "P", "N", "unobserved"]
 
 @dataclass(frozen=True)
 class StatedClasses:
-    """What the numbers (0 to 255) of a label set mean, as its owner states it; `name` is the set's."""
+    """The meaning of a label set's numbers (0 to 255), as stated by its owner; `name` is the set's name."""
 
     name: str
     meanings: Mapping[int, Meaning]
@@ -59,7 +58,7 @@ class StatedClasses:
 
 @dataclass(frozen=True)
 class ImportedFacts:
-    """What is said of every sequence that an import makes; of one that stands already nothing is changed."""
+    """Attributes of every sequence that an import creates; existing sequences are not changed."""
 
     environment: str = ""
     illumination: str = ""
@@ -70,12 +69,13 @@ class ImportedFacts:
 
 @dataclass(frozen=True)
 class NewImport:
-    """The import of the dataset in a complete upload of a tar or zip, or at a `place`, called `name`, or else as its
-    file is.
+    """The import of a dataset in a complete upload (tar or zip) or at a `place`; `name` defaults to the file's name.
 
-    Without `classes` its labels are numbered as ours; `stated` are layout and grid if they are not to be recognised. A
-    scene that is called as a sequence of the owner's is refused, or (`existing` "add") its labels become another label
-    set of that sequence. With `sets_splits` the draft splits follow those of the dataset.
+    - `classes`: numbering of the labels (default: the platform's)
+    - `stated`: layout and grid, if they are not to be detected
+    - `existing`: a scene with the name of one of the owner's sequences is refused, or ("add") its labels become another
+      label set of that sequence
+    - `sets_splits`: the draft splits follow the dataset's splits
     """
 
     upload_id: str = ""
@@ -91,10 +91,10 @@ class NewImport:
 def start_import(
     session: Session, owner: User, new: NewImport, in_place: InPlaceSettings = NOWHERE
 ) -> tuple[DatasetImport, Job]:
-    """Use up the owner's upload, or name the place: its import, and the run that does it.
+    """Consume the owner's upload, or record the place; return its import and the run.
 
-    Whether there is a file at the place is found by the run, on a machine that has the root. Raises `splits_forbidden`,
-    what `uploads.consume` and `requested_dataset` raise, `QueueDrainingError`.
+    The run checks whether the place contains a file, on a machine that has the root. Raises `splits_forbidden`, what
+    `uploads.consume` and `requested_dataset` raise, `QueueDrainingError`.
     """
     if new.sets_splits and not allows(owner.role, ("administrator",)):
         raise splits_forbidden()
@@ -121,7 +121,7 @@ def start_import(
 
 @dataclass(frozen=True)
 class _Archive:
-    """The facts of an archive that the row of its import keeps."""
+    """Columns of an import's row that describe its archive."""
 
     filename: str
     sha256: str
@@ -137,15 +137,15 @@ def _uploaded(session: Session, new: NewImport, owner: User) -> _Archive:
 
 
 def _placed(in_place: InPlaceSettings, asked: RecordingPlace) -> _Archive:
-    """Nothing is known of the file yet: the hash is that of its place."""
+    """Return the archive at a place; its file is not read yet, so the hash is that of the place."""
     place = requested_dataset(in_place, asked)
     return _Archive(place.name, sha256(str(place).encode()).hexdigest(), 0, place=place.as_record())
 
 
 def begin_import_again(session: Session, imported: DatasetImport, reason: str, restarts: int = 0) -> Job:
-    """A new run in the place of this one, which ends cancelled where it has not ended; nothing of it is used.
+    """Replace this run with a new one; the old run is cancelled unless it has ended, and its results are not used.
 
-    Raises `QueueDrainingError`, and `JobStateError` where it has ended well.
+    Raises `QueueDrainingError`, and `JobStateError` if the import has succeeded.
     """
     old = lock_run(session, imported.job_id)
     if old.state == "succeeded":
@@ -160,8 +160,8 @@ def begin_import_again(session: Session, imported: DatasetImport, reason: str, r
 
 
 def delete_import(session: Session, imported: DatasetImport) -> None:
-    """Delete the import, whether it has ended or not, and give its tar's bytes back; its sequences stay."""
-    with suppress(JobStateError):  # it has ended
+    """Delete the import in any state, and release its tar's bytes; its sequences stay."""
+    with suppress(JobStateError):  # the job has ended
         cancel(session, imported.job_id, "its import was deleted")
     session.execute(delete(DatasetImport).where(DatasetImport.id == imported.id))
     if imported.upload_id is not None:
@@ -170,22 +170,21 @@ def delete_import(session: Session, imported: DatasetImport) -> None:
 
 
 def _begun(session: Session, imported: DatasetImport, restarts: int = 0) -> Job:
-    """Raises `QueueDrainingError`."""
+    """Queue and return the import's run. Raises `QueueDrainingError`."""
     run = enqueue_run(session, IMPORT, [JobSpec(KEEP_DATASET)], Context(imported.owner_id))
     run.arguments = {"import_id": imported.id, "code_version": code_version("imports"), RESTARTS: restarts}
     imported.job_id = run.id
     return run
 
 
-# How far an import is, scene by scene.
+# Progress of an import, scene by scene.
 
 
 @dataclass(frozen=True)
 class SceneProgress:
     """A scene and the job that imports it.
 
-    `state` is the job's; `sequence_id` is the sequence with its labels once the whole import has ended well, unless
-    that was deleted since.
+    `state` is the job's; `sequence_id` is set once the whole import has succeeded, unless the sequence was deleted.
     """
 
     ordinal: int
@@ -198,7 +197,7 @@ class SceneProgress:
 
 @dataclass(frozen=True)
 class ImportProgress:
-    """An import, its run, and its scenes: none before the index was made."""
+    """An import, its run, and its scenes (none before the index exists)."""
 
     imported: DatasetImport
     run: Job
@@ -206,17 +205,17 @@ class ImportProgress:
 
     @property
     def done(self) -> int:
-        """The number of scenes that are done."""
+        """The number of finished scenes."""
         return sum(scene.state == "succeeded" for scene in self.scenes)
 
 
 def place_of(imported: DatasetImport) -> RecordingPlace | None:
-    """The place of an archive that is read where it lies."""
+    """Return the place of an archive that is read in place."""
     return None if imported.place is None else RecordingPlace.of_record(imported.place)
 
 
 def progress_of(session: Session, imported: DatasetImport) -> ImportProgress:
-    """How far it is."""
+    """Return the import's progress."""
     run, records = session.get_one(Job, imported.job_id), imported.scenes or []
     states = _states(session, run.id)
     ids = [record["sequence_id"] for record in records if "sequence_id" in record]
@@ -242,10 +241,9 @@ def _states(session: Session, root_id: str) -> Mapping[int, str]:
     return {arguments["scene"]: state for arguments, state in session.execute(jobs)}
 
 
-# The run of an import as its stages see it: which import an attempt works for, and when its run is begun anew.
-#
-# **Conventions.** As `services/domain/sequences/restart.py`: one import is made by one version of the code, so a run
-# that another began ends, and one of the same request takes its place; so does one whose files were removed meanwhile.
+# The run of an import as seen by its stages. As in `services/domain/sequences/restart.py`, one import is made by one
+# version of the code: a run that another version started ends, and a new run of the same request replaces it. The same
+# happens if its files were deleted meanwhile.
 
 
 REMEDY = "Try again later"
@@ -253,10 +251,10 @@ GONE = "its import was deleted, or another run imports the dataset"
 
 
 def import_of_attempt(platform: Platform, attempt: Attempt) -> DatasetImport:
-    """The import that the attempt's run makes, which this version of the code began.
+    """Return the attempt's import, whose run this version of the code started.
 
-    Raises `JobCancelledError` where it was deleted, or another version began it, once it is begun again;
-    `code_changed` where that is not possible now.
+    Raises `JobCancelledError` if the import was deleted, or if another version started the run, which is then
+    restarted; `code_changed` if it cannot be restarted.
     """
     with platform.database.reading() as session:
         begun = session.get_one(Job, attempt.root_id).arguments["code_version"]
@@ -271,9 +269,9 @@ def import_of_attempt(platform: Platform, attempt: Attempt) -> DatasetImport:
 
 
 def begin_run_again(platform: Platform, attempt: Attempt, reason: str) -> None:
-    """Have another run take the place of the attempt's, unless that has ended, is to stop, or its import was deleted.
+    """Replace the attempt's run, unless it has ended, is being cancelled, or its import was deleted.
 
-    So of jobs that ask at once, one begins a run. Raises `QueueDrainingError`, `RestartedTooOftenError`.
+    Of several concurrent jobs only one starts a run. Raises `QueueDrainingError`, `RestartedTooOftenError`.
     """
     with platform.database.transaction() as session:
         old = lock_run(session, attempt.root_id)
@@ -288,7 +286,7 @@ def begin_run_again(platform: Platform, attempt: Attempt, reason: str) -> None:
 
 
 def kept_import(session: Session, attempt: Attempt) -> DatasetImport:
-    """The import, locked until the end of the transaction. Raises `JobCancelledError`."""
+    """Return the import, locked until the end of the transaction. Raises `JobCancelledError`."""
     return _found(session, _made_by(attempt).with_for_update(key_share=True))
 
 

@@ -1,5 +1,5 @@
-"""Who is told of which event, by which channel, in which words.
+"""Notifications: recipients, channels and texts of events.
 
-Read `choices` (what a user wants), `addresses` (where to), `audience` (who may be told), `messages` (the words),
-`spread` (an event becomes deliveries, these become jobs), `phase_clock` (phases open and close).
+Start with `choices` (events chosen by a user), `addresses`, `audience` (permitted recipients), `messages` (texts),
+`spread` (events become deliveries, deliveries become jobs), `phase_clock` (phases open and close).
 """

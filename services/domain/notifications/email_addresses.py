@@ -1,7 +1,7 @@
-"""A user's e-mail address, which is written to once the link that was mailed there was followed by its user.
+"""A user's e-mail address, which receives notifications once the user has followed the mailed link.
 
-**Conventions.** The link's secret is made when it is mailed, kept as a hash, lasts `LASTS_NS` and works for the account
-that asked, once. Setting an address is a mail to somebody who perhaps did not ask for it: `MOST_MAILS` a day.
+**Conventions.** The link's secret is created when it is mailed, stored as a hash, lasts `LASTS_NS`, and works once for
+the requesting account. Setting an address may mail a third party, so an account may send `MOST_MAILS` of them a day.
 """
 
 from hashlib import sha256
@@ -25,7 +25,7 @@ LONGEST = 254
 
 
 def set_address(session: Session, user_id: str, address: str, settings: NotificationSettings) -> EmailAddress:
-    """The user's address, unverified; a link is mailed there.
+    """Set the user's address, unverified, and mail a link to it.
 
     Raises `no_email`, `bad_email_address`, `too_many_verifications`.
     """
@@ -36,7 +36,7 @@ def set_address(session: Session, user_id: str, address: str, settings: Notifica
             "bad_email_address",
             f"{address[:80]!r} is not an e-mail address such as ada@example.org (at most 254 ASCII characters)",
         )
-    session.execute(select(User.id).where(User.id == user_id).with_for_update(key_share=True))  # one at a time
+    session.execute(select(User.id).where(User.id == user_id).with_for_update(key_share=True))  # serialises a user
     mails = select(func.count()).select_from(NotificationEvent).where(NotificationEvent.user_id == user_id)
     mails = mails.where(NotificationEvent.kind == EMAIL_VERIFICATION, NotificationEvent.created_ns > now_ns() - DAY_NS)
     if (session.scalar(mails) or 0) >= MOST_MAILS:
@@ -53,7 +53,7 @@ def set_address(session: Session, user_id: str, address: str, settings: Notifica
 
 
 def remove_address(session: Session, user_id: str) -> None:
-    """Forget the user's address, where there is one."""
+    """Delete the user's address, if any."""
     row = session.get(EmailAddress, user_id)
     if row is not None:
         session.delete(row)
@@ -61,7 +61,7 @@ def remove_address(session: Session, user_id: str) -> None:
 
 
 def new_secret(session: Session, row: EmailAddress) -> str:
-    """The secret of the link that is about to be mailed; those mailed before work no more."""
+    """Return a new secret for the link to be mailed; earlier links become invalid."""
     secret = token_urlsafe(32)
     row.secret_hash, row.expires_ns = _hash(secret), now_ns() + LASTS_NS
     session.flush()
@@ -69,7 +69,7 @@ def new_secret(session: Session, row: EmailAddress) -> str:
 
 
 def verify(session: Session, user_id: str, secret: str) -> EmailAddress:
-    """The user's address, verified by the secret of the link. Raises `email_not_verified`."""
+    """Verify the user's address with the secret of the link. Raises `email_not_verified`."""
     row = session.get(EmailAddress, user_id, with_for_update=True)
     is_right = row is not None and compare_digest(row.secret_hash, _hash(secret)) and row.expires_ns > now_ns()
     if row is None or not is_right:

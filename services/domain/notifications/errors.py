@@ -1,4 +1,4 @@
-"""Refusals of where notifications should be sent."""
+"""Errors of notification targets."""
 
 from stone.errors import StoneError
 

@@ -1,8 +1,8 @@
-"""The words of an event, made when it is sent: of what its reader may see then, or none.
+"""The text of an event, written when it is sent, limited to what its reader may see at that time.
 
-**Conventions.** A message is one sentence and a page. It tells no score, no label and no file: the page does, to whom
-it may. `data` is for programs, and says no more. Texts of others are one line, quoted, at most `LONGEST_NAME` long;
-what chat servers would take for markup or for a call of everybody (`@channel`, `<!here>`) is defused.
+**Conventions.** A message is a sentence and a page, without scores, labels or files: the page shows them to permitted
+readers. `data` is for programs and contains no more. Untrusted texts are quoted on one line of at most `LONGEST_NAME`
+characters; markup and mentions of chat servers (`@channel`, `<!here>`) are defused.
 """
 
 from collections.abc import Callable, Mapping
@@ -24,7 +24,7 @@ HARMLESS = str.maketrans({"<": "‹", ">": "›", "@": "＠", "*": "∗", "`": "
 
 @dataclass(frozen=True)
 class EventWords:
-    """A sentence, and the path of the page that says more."""
+    """A sentence, and the path of the page with details."""
 
     text: str
     path: str
@@ -32,12 +32,12 @@ class EventWords:
 
 
 def message_of(session: Session, event: NotificationEvent) -> EventWords | None:
-    """The event in words; None where what it is about is not there any more."""
+    """Return the text of the event, or None if its subject was deleted."""
     return WORDS[event.kind](session, event)
 
 
 def _quoted(text: str) -> str:
-    """A text of somebody else, as part of a sentence."""
+    """Return an untrusted text, quoted for use in a sentence."""
     return f"“{one_line(text)[:LONGEST_NAME].translate(HARMLESS)}”"
 
 
@@ -125,7 +125,7 @@ def _verification(_session: Session, _event: NotificationEvent) -> EventWords | 
 
 
 def _place(session: Session, phase_id: str) -> tuple[str, str] | None:
-    """`benchmark/phase`, names that need no quotes, and its page."""
+    """Return `benchmark/phase`, names that need no quotes, and its page."""
     phase = session.get(Phase, phase_id)
     benchmark = None if phase is None else session.get(Benchmark, phase.benchmark_id)
     if phase is None or benchmark is None:

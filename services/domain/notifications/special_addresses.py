@@ -1,6 +1,6 @@
 """Internet addresses that belong to no public host: the special-purpose registries of IANA, as a table.
 
-**Conventions.** The table holds the registries' rows (RFC 6890) of 18 July 2026, globally reachable or not, since no
+**Conventions.** The table contains the registries' rows (RFC 6890) of 18 July 2026, globally reachable or not, since no
 row is the address of a host. A row within another row is left out:
 https://www.iana.org/assignments/iana-ipv4-special-registry and
 https://www.iana.org/assignments/iana-ipv6-special-registry. Multicast and 6bone are added. IPv6 is public within the

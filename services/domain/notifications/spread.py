@@ -1,10 +1,9 @@
-"""Events become deliveries, one for each user and channel; a delivery that is due becomes a job.
+"""Spreads events: an event becomes a delivery for each user and channel; a due delivery becomes a job.
 
-**Conventions.** An event is spread by one transaction that first claims it, so each is spread once; the jobs of its
-deliveries are queued in the same. A delivery belongs to its job while it is `queued`; the job that did not get through
-leaves it `waiting` until `due_ns`. A job that ended without a word (its process was lost too often, somebody cancelled
-it) is found here. Pauses grow as Standard Webhooks recommends: with `retry_s` of 5 s they are 5 s, 5 min, 30 min, 2 h,
-5 h, 10 h, 14 h, 20 h, 24 h.
+**Conventions.** One transaction claims an event, spreads it and queues the jobs of its deliveries, so each event is
+spread once. While a delivery is `queued` it belongs to its job; a failed job leaves it `waiting` until `due_ns`. A job
+that ended without a result (its process was lost too often, or it was cancelled) is detected here. Pauses grow as
+Standard Webhooks recommends: with `retry_s` of 5 s they are 5 s, 5 min, 30 min, 2 h, 5 h, 10 h, 14 h, 20 h, 24 h.
 """
 
 from collections.abc import Collection, Iterator, Mapping
@@ -43,12 +42,12 @@ AT_A_TIME = 100
 
 
 def pause_ns(tries: int, retry_s: float) -> int:
-    """How long to wait after so many tries (1 or more, fewer than `MOST_TRIES`)."""
+    """Return the pause after this number of tries (1 or more, fewer than `MOST_TRIES`)."""
     return int(PAUSES[tries - 1] * retry_s * 1e9)
 
 
 def spread_events(platform: Platform) -> int:
-    """Make deliveries of events that have none yet; how many events."""
+    """Create the deliveries of new events; return the number of events."""
     unspread = select(NotificationEvent.id).where(NotificationEvent.spread_ns.is_(None))
     with platform.database.reading() as session:
         found = session.scalars(unspread.order_by(NotificationEvent.id).limit(AT_A_TIME)).all()
@@ -56,7 +55,7 @@ def spread_events(platform: Platform) -> int:
 
 
 def queue_due(platform: Platform) -> int:
-    """Queue jobs for deliveries whose pause is over; how many."""
+    """Queue jobs for deliveries whose pause is over; return their number."""
     due = select(NotificationDelivery.id).where(
         NotificationDelivery.state == "waiting", NotificationDelivery.due_ns <= now_ns()
     )
@@ -66,9 +65,9 @@ def queue_due(platform: Platform) -> int:
 
 
 def take_back_lost(platform: Platform) -> int:
-    """Have deliveries tried again whose job ended without a word; how many.
+    """Retry deliveries whose job ended without a result; return their number.
 
-    Only those that are queued longest are looked at, however many there are: all before them are sent first.
+    Only the deliveries that are queued longest are checked: jobs run in order.
     """
     queued = select(NotificationDelivery.id, NotificationDelivery.job_id).where(NotificationDelivery.state == "queued")
     longest = queued.order_by(NotificationDelivery.due_ns).limit(AT_A_TIME).subquery()
@@ -79,7 +78,7 @@ def take_back_lost(platform: Platform) -> int:
 
 
 def forget_told(platform: Platform) -> int:
-    """Delete events older than deliveries are kept, with theirs, some a turn; how many."""
+    """Delete events older than the retention of deliveries, a limited number per turn; return their number."""
     old = NotificationEvent.created_ns <= now_ns() - int(platform.settings.notifications.kept_s * 1e9)
     some = select(NotificationEvent.id).where(old).limit(AT_A_TIME)
     with platform.database.transaction() as session:
@@ -130,7 +129,7 @@ def _take_back(platform: Platform, delivery_id: str, is_cancelled: bool) -> bool
 
 
 def missed(row: NotificationDelivery, answer: str, retry_s: float) -> None:
-    """Note a try that did not get through: it waits for the next, or is dead after the last."""
+    """Record a failed try: the delivery waits for the next try, or is dead after the last."""
     row.tries, row.answer = row.tries + 1, answer[:300]
     if row.tries < MOST_TRIES:
         row.state, row.due_ns = "waiting", now_ns() + pause_ns(row.tries, retry_s)
@@ -138,15 +137,14 @@ def missed(row: NotificationDelivery, answer: str, retry_s: float) -> None:
         row.state, row.ended_ns = "dead", now_ns()
 
 
-# Who is told of an event: asked when deliveries are made of it, and again when each is sent.
-#
-# **Conventions.** An event of a user is told to them, one of a team to whoever is in it then, any other to everybody
-# with an account. Somebody who was shut out, has left the team or does not want it any more is told nothing, whenever
-# the event was. What the event is about may be gone meanwhile: then there are no words for it (`messages`).
+# The audience of an event, computed when deliveries are created and again when each is sent. An event of a user goes to
+# that user, an event of a team to its current members, any other event to every account. Deactivated users, former
+# members and users who no longer want it are excluded. If the event's subject was deleted, there is no text
+# (`messages`).
 
 
 def audience_of(session: Session, event: NotificationEvent) -> Iterator[tuple[str, str]]:
-    """(user, channel) of whoever is to be told now."""
+    """Yield (user, channel) of the current audience."""
     if event.kind in UNASKED:
         if event.user_id is not None:
             yield event.user_id, "email"
@@ -156,7 +154,7 @@ def audience_of(session: Session, event: NotificationEvent) -> Iterator[tuple[st
 
 
 def is_to_be_told(session: Session, event: NotificationEvent, user_id: str, channel: str) -> bool:
-    """Whether the user is still in the audience of the event by this channel."""
+    """Return whether the user is still in the event's audience on this channel."""
     if event.kind in UNASKED:
         is_active = select(User.is_active).where(User.id == user_id)
         return event.user_id == user_id and bool(session.scalar(is_active))
@@ -176,7 +174,7 @@ def _chosen(event: NotificationEvent) -> Select[str, str]:
     return chosen
 
 
-# What a user wants to be told of, and by which channel: nothing, until they say so.
+# A user's chosen events and channels; none by default.
 
 
 Choices = Mapping[str, Collection[str]]
@@ -184,33 +182,31 @@ Choices = Mapping[str, Collection[str]]
 
 
 def choices_of(session: Session, user_id: str) -> dict[str, list[str]]:
-    """The kinds that the user chose by channel, in the order of `EVENTS`."""
+    """Return the user's chosen kinds by channel, in the order of `EVENTS`."""
     rows = session.scalars(select(NotificationChoice).where(NotificationChoice.user_id == user_id))
     chosen = {(row.channel, row.kind) for row in rows}
     return {channel: [kind for kind in EVENTS if (channel, kind) in chosen] for channel in CHANNELS}
 
 
 def choose(session: Session, user_id: str, choices: Choices) -> None:
-    """Put these choices in place of the user's before."""
+    """Replace the user's choices."""
     session.execute(delete(NotificationChoice).where(NotificationChoice.user_id == user_id))
     rows = [(kind, channel) for channel, kinds in choices.items() for kind in sorted(set(kinds))]
     session.add_all(NotificationChoice(user_id=user_id, kind=kind, channel=channel) for kind, channel in rows)
     session.flush()
 
 
-# Phases that open and close: found by the clock, each moment one event.
-#
-# **Conventions.** An event's key names phase and moment, so however many sweepers look, however often, there is one. A
-# moment that was moved, and comes, is another one. A phase without a date opens as it is made, of which nobody is
-# told. Moments more than `LATEST_NS` ago are told to nobody: a platform that slept for weeks does not wake everybody
-# up.
+# Phases that open and close, detected by the clock: one event per moment. The event's key contains phase and moment, so
+# any number of sweepers records it once; a rescheduled moment is a new event. A phase without a date opens at its
+# creation, without an event. Moments more than `LATEST_NS` ago are skipped, so a platform that was off for weeks sends
+# no outdated notifications.
 
 
 LATEST_NS = 2 * 86_400 * 10**9
 
 
 def tell_phases(platform: Platform) -> int:
-    """Record what opened and closed lately; how many moments were new."""
+    """Record recent openings and closings; return the number of new events."""
     now = now_ns()
     moments: list[tuple[str, str, int]] = []
     with platform.database.reading() as session:

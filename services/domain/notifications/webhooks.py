@@ -1,8 +1,8 @@
 """A user's webhook: its URL, its secret, and whether it works.
 
-**Conventions.** The secret is made here, in the form of Standard Webhooks (`whsec_` and base64 of 32 random bytes), is
-told once, and anew with every new URL. One that fails for long is switched off, and its owner told; a new URL or a new
-secret switches it on.
+**Conventions.** The secret is generated here in the form of Standard Webhooks (`whsec_` and base64 of 32 random bytes).
+It is shown once, and replaced with every new URL. A webhook that fails for long is disabled and its owner notified; a
+new URL or a new secret enables it.
 """
 
 from base64 import b64encode
@@ -27,7 +27,7 @@ SECRET_BYTES = 32
 
 
 def set_webhook(session: Session, user_id: str, url: str, settings: NotificationSettings) -> Webhook:
-    """The user's webhook at this URL, with a new secret. Raises `BadWebhookUrlError`."""
+    """Set the user's webhook to this URL, with a new secret. Raises `BadWebhookUrlError`."""
     checked_url(url, settings)
     row = session.get(Webhook, user_id, with_for_update=True) or Webhook(user_id=user_id)
     row.url, row.created_ns = url, now_ns()
@@ -36,7 +36,7 @@ def set_webhook(session: Session, user_id: str, url: str, settings: Notification
 
 
 def rotate_secret(session: Session, user_id: str) -> Webhook:
-    """The user's webhook with a new secret; the old one signs nothing any more. Raises `no_webhook`."""
+    """Replace the secret of the user's webhook; the old secret is no longer used. Raises `no_webhook`."""
     row = session.get(Webhook, user_id, with_for_update=True)
     if row is None:
         raise Refused("no_webhook", "you have no webhook yet; set its URL first")
@@ -44,7 +44,7 @@ def rotate_secret(session: Session, user_id: str) -> Webhook:
 
 
 def remove_webhook(session: Session, user_id: str) -> None:
-    """Forget the user's webhook, where there is one."""
+    """Delete the user's webhook, if any."""
     row = session.get(Webhook, user_id)
     if row is not None:
         session.delete(row)
@@ -52,12 +52,12 @@ def remove_webhook(session: Session, user_id: str) -> None:
 
 
 def note_taken(session: Session, user_id: str, url: str) -> None:
-    """Note that the webhook took a delivery."""
+    """Record that the webhook accepted a delivery."""
     session.execute(update(Webhook).where(Webhook.user_id == user_id, Webhook.url == url).values(failing_ns=None))
 
 
 def note_refused(session: Session, user_id: str, url: str, patience_s: float) -> None:
-    """Note that the webhook did not take a delivery; after `patience_s` of this it is switched off."""
+    """Record that the webhook rejected a delivery; after `patience_s` of rejections it is disabled."""
     of_user = (Webhook.user_id == user_id, Webhook.url == url)
     now = now_ns()
     session.execute(update(Webhook).where(*of_user, Webhook.failing_ns.is_(None)).values(failing_ns=now))
@@ -67,7 +67,7 @@ def note_refused(session: Session, user_id: str, url: str, patience_s: float) ->
 
 
 def switch_off(session: Session, user_id: str, url: str) -> None:
-    """Send nothing there any more, until the user sets it again; they are told, once."""
+    """Disable the webhook until the user sets it again, and notify the user once."""
     working = update(Webhook).where(Webhook.user_id == user_id, Webhook.url == url, Webhook.disabled_ns.is_(None))
     if rows_changed(session, working.values(disabled_ns=now_ns())):
         record(session, NewEvent(WEBHOOK_DISABLED, "", user_id=user_id))
@@ -80,19 +80,17 @@ def _renewed(session: Session, row: Webhook) -> Webhook:
     return row
 
 
-# Which URLs and which Internet addresses webhooks are sent to.
-#
-# **Conventions.** A URL is anybody's who has an account. What it resolves to is judged when it is connected to, and
-# the judged address is what is connected to (`services/maintenance/notifications/channels.py`): a name that resolves
-# otherwise a moment later leads nowhere else. Allowed are addresses of public hosts
-# (`services/domain/notifications/special_addresses.py`), and addresses in networks that the administrator names.
+# Allowed URLs and Internet addresses of webhooks. Any account may set a URL. Its host is resolved and checked at
+# connection time, and the checked address is used (`services/maintenance/notifications/channels.py`), so a later change
+# of the name has no effect. Allowed are addresses of public hosts
+# (`services/domain/notifications/special_addresses.py`) and addresses in networks named by the administrator.
 
 
 LONGEST_URL = 1000
 
 
 def checked_url(url: str, settings: NotificationSettings) -> SplitResult:
-    """The parts of a URL that may be sent to, as far as it says itself. Raises `BadWebhookUrlError`."""
+    """Return the parts of an allowed URL, judged by its text. Raises `BadWebhookUrlError`."""
     if len(url) > LONGEST_URL or not url.isascii() or not url.isprintable() or " " in url or "\\" in url:
         raise BadWebhookUrlError(
             f"a URL has at most {LONGEST_URL} characters, all of them printable ASCII without blanks"
@@ -116,14 +114,14 @@ def checked_url(url: str, settings: NotificationSettings) -> SplitResult:
 
 
 def is_allowed(address: Address, settings: NotificationSettings) -> bool:
-    """Whether requests may be sent to this address."""
+    """Return whether requests may be sent to this address."""
     if any(address in ip_network(network) for network in settings.networks):
         return True
     return is_public(address)
 
 
 def _refuse_literal(host: str, settings: NotificationSettings) -> None:
-    """An address that stands in the URL itself is refused at once; a name is resolved when it is sent to."""
+    """Refuse a forbidden address in the URL itself; names are resolved when a notification is sent."""
     try:
         address = ip_address(host)
     except ValueError:

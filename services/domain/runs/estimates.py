@@ -1,4 +1,4 @@
-"""The one estimate of the seconds that runs have left, of which every page, list, event and command shows the same."""
+"""Estimates of the remaining seconds of runs, the same for every page, list, event and command."""
 
 import json
 from collections import defaultdict
@@ -48,11 +48,9 @@ from services.runtime.jobs.specs import queue_of
 from services.runtime.orm import Job, LabelSet, Queue, Recording, SubmissionRow, Worker
 from services.runtime.orm.base import now_ns
 
-# How the queues stand in which runs wait: who works there, who else waits, and which of them are paused.
-#
-# **Conventions.** Statements are kept; their number grows with that of the queues and urgencies only. Owners at work
-# are hopped to one after another down the index, each looked at until one of their jobs is urgent enough: they may
-# have hundreds of jobs at work.
+# The state of the queues: their workers, competing owners, and pauses. Statements are cached; their number grows only
+# with the number of queues and urgencies. The query hops along the index from owner to owner, because an owner may have
+# hundreds of running jobs.
 
 
 FRESH_NS = 60 * 10**9
@@ -60,20 +58,20 @@ FRESH_NS = 60 * 10**9
 
 @dataclass(frozen=True)
 class QueueFacts:
-    """Of each queue the number of worker processes, and with each urgency the owners who are no less urgent there."""
+    """Worker processes by queue, rivals by queue and urgency (owners of no less urgent jobs), and paused queues."""
 
     workers: Mapping[str, int]
     rivals: Mapping[tuple[str, int], Set[str]]
     paused: frozenset[str]
 
     def share(self, queue: str, owner_id: str, priority: int) -> float:
-        """The workers that a run of this owner can have: the queue's are shared with who is no less urgent."""
+        """Return the workers available to a run of this owner: the queue's workers shared with its rivals."""
         others = self.rivals[queue, priority] - {owner_id}
         return max(1, self.workers[queue]) / (1 + len(others))
 
 
 def queue_facts(session: Session, asked: Iterable[tuple[str, int]]) -> QueueFacts:
-    """Of these queues, with these urgencies; of paused ones all."""
+    """Return the facts of these queues and urgencies, and all paused queues."""
     wanted = sorted(set(asked))
     queues = sorted({queue for queue, _ in wanted})
     paused = frozenset(row.name for row in _paused().rows(session, {}))
@@ -81,13 +79,13 @@ def queue_facts(session: Session, asked: Iterable[tuple[str, int]]) -> QueueFact
 
 
 def _workers(session: Session, queues: list[str]) -> dict[str, int]:
-    """The worker processes that were heard of late and listen to each queue."""
+    """Return the number of workers per queue with a recent heartbeat."""
     heard = [row.queues.split(",") for row in _heard().rows(session, {})]
     return {queue: sum(queue in listened for listened in heard) for queue in queues}
 
 
 def _rivals(session: Session, wanted: list[tuple[str, int]], queues: list[str]) -> dict[tuple[str, int], Set[str]]:
-    """By queue and urgency, the owners with a job there that is no less urgent, and runs or may run."""
+    """Return, by queue and urgency, the owners with a running or ready job that is equally or more urgent."""
     waiting = {queue: owners_waiting(queue).rows(session, {}) for queue in queues}
     rivals = dict[tuple[str, int], Set[str]]()
     for queue, priority in wanted:
@@ -110,7 +108,7 @@ def _paused() -> KeptSelect:
 
 @cache
 def _owners_at_work() -> KeptSelect:
-    """The owners with a job that runs in the queue and is no less urgent."""
+    """Return the statement of owners with a running job in the queue that is equally or more urgent."""
     owners = select(_next_owner().label("owner_id")).cte("owners", recursive=True)
     owners = owners.union_all(select(_next_owner(owners)).where(owners.c.owner_id.is_not(None)))
     job = aliased(Job)
@@ -119,7 +117,7 @@ def _owners_at_work() -> KeptSelect:
 
 
 def _next_owner(after: CTE | None = None) -> ScalarSelect[str]:
-    """The first owner with a job that runs in the queue, or the first who follows."""
+    """Return the first owner with a running job in the queue, or the next owner."""
     job = aliased(Job)
     found = select(job.owner_id).where(*_runs_there(job)).order_by(job.owner_id).limit(literal_column("1"))
     if after is not None:
@@ -131,26 +129,24 @@ def _runs_there(job: type[Job]) -> tuple[ColumnElement[bool], ...]:
     return job.queue == parameter("queue"), job.state == RUNNING
 
 
-# Runs that have not ended as rows: what their estimates read of them.
-#
-# **Conventions.** Statements are kept: a list of fifty runs asks each of them once.
+# Rows of unfinished runs. Statements are cached: a list of fifty runs executes each of them once.
 
 
 MOST_OLDER = 50
-MOST_READ = 1000  # arguments that are kept as read
+MOST_READ = 1000  # parsed arguments in the cache
 COLUMNS = (Job.id, Job.owner_id, Job.kind, Job.queue, Job.priority, cast(Job.arguments, String))
 IS_ALIVE_RUN = (Job.id == Job.root_id, Job.state.in_([QUEUED, RUNNING]))
 
 
 class RunInputs(NamedTuple):
-    """What a labelling is of: its recordings, its calibration, and whether it ends with labels."""
+    """The inputs of a labelling run: recordings, calibration, and whether it ends with labels."""
 
     recording_ids: tuple[str, ...]
     makes_labels: bool
 
 
 class AliveRow(NamedTuple):
-    """A run that has not ended; `inputs` of a labelling alone."""
+    """An unfinished run; only a labelling run has `inputs`."""
 
     id: str
     owner_id: str
@@ -161,14 +157,14 @@ class AliveRow(NamedTuple):
 
 
 def alive_rows(session: Session, job_ids: Sequence[str]) -> list[AliveRow]:
-    """Those of the jobs that are runs and have not ended."""
-    session.flush()  # kept statements see what was written, not what is to be
+    """Return the jobs that are unfinished runs."""
+    session.flush()  # cached statements see only flushed rows
     rows = _of_ids(places_for(len(job_ids))).rows(session, numbered(job_ids)) if job_ids else ()
     return [_alive_row(row) for row in rows]
 
 
 def older_of_the_same(session: Session, runs: Iterable[AliveRow]) -> list[AliveRow]:
-    """Alive labellings that the same owners asked for before the newest of these, which are done first."""
+    """Return unfinished labelling runs that the same owners requested earlier; these run first."""
     owners = sorted({run.owner_id for run in runs})
     if not owners:
         return []
@@ -203,14 +199,12 @@ def _inputs(arguments: str) -> RunInputs:
     return RunInputs(recording_ids_of(read), "label" in read.get("stages", ["label"]))
 
 
-# What alive runs have to do, and how many workers they can have: read for many at once.
-#
-# **Conventions.** The number of statements does not grow with the number of runs, only with that of their queues.
-# Times of jobs are those of their last attempt. A job that is its own run is a run of one stage.
+# The work and workers of unfinished runs, read for many at once. The number of statements grows with the number of
+# queues, not runs. Times of jobs refer to their last attempt. A job that is its own run is a run with one stage.
 
 
 class AliveRun(NamedTuple):
-    """A run, its work and the queue in which it waits most; `is_paused` where no job of it may start."""
+    """A run, its work and the queue in which it mostly waits; `is_paused` if none of its jobs may start."""
 
     run: AliveRow
     work: RunWorkload
@@ -219,7 +213,7 @@ class AliveRun(NamedTuple):
 
 
 class RunStages(NamedTuple):
-    """The stages of a run in the order in which their first jobs were made, and the frames that it found, if it did."""
+    """The stages of a run in the order of their first jobs, and the frames after synchronisation, if known."""
 
     stages: tuple[StageWork, ...] = ()
     frames: int | None = None
@@ -229,11 +223,11 @@ NOT_BEGUN = RunStages()
 
 
 def alive_runs(session: Session, runs: Sequence[AliveRow], at_ns: int) -> list[AliveRun]:
-    """The runs as they stand at `at_ns`."""
+    """Return the state of the runs at `at_ns`."""
     found = stages_of(session, [run.id for run in runs], at_ns)
     queues = {run.id: _queue_of(run, found.get(run.id, NOT_BEGUN).stages) for run in runs}
     facts = queue_facts(session, [(queues[run.id], run.priority) for run in runs])
-    share = cache(facts.share)  # which many runs of a list have in common
+    share = cache(facts.share)  # shared by many runs of a list
     workers = {run.id: share(queues[run.id], run.owner_id, run.priority) for run in runs}
     works = _workloads(session, runs, found, workers)
     return [
@@ -243,12 +237,12 @@ def alive_runs(session: Session, runs: Sequence[AliveRow], at_ns: int) -> list[A
 
 
 def _waits_for(work: RunWorkload, queue: str, paused: Set[str]) -> bool:
-    """Whether one of these queues is among those in which it has jobs left."""
+    """Return whether the run has jobs left in one of these queues."""
     return bool(paused) and bool(paused & ({queue_of(stage.kind) for stage in work.stages if stage.left} or {queue}))
 
 
 def stages_of(session: Session, root_ids: Sequence[str], at_ns: int) -> Mapping[str, RunStages]:
-    """The stages of each run that has jobs."""
+    """Return the stages of each run that has jobs."""
     rows = _counts(places_for(len(root_ids))).rows(session, numbered(root_ids))
     running = _running_jobs(session, list(dict.fromkeys(row[0] for row in rows if row[2])), at_ns)
     stages, frames = defaultdict[str, list[StageWork]](list), dict[str, int]()
@@ -261,7 +255,7 @@ def stages_of(session: Session, root_ids: Sequence[str], at_ns: int) -> Mapping[
 
 
 def _running_jobs(session: Session, root_ids: Sequence[str], at_ns: int) -> dict[tuple[str, str], list[RunningJob]]:
-    """By run and kind, of the runs that have some."""
+    """Return the running jobs by run and kind."""
     running = defaultdict[tuple[str, str], list[RunningJob]](list)
     rows = _at_work(places_for(len(root_ids))).rows(session, numbered(root_ids)) if root_ids else ()
     for root_id, kind, started_ns, done, total in rows:
@@ -272,7 +266,7 @@ def _running_jobs(session: Session, root_ids: Sequence[str], at_ns: int) -> dict
 
 @cache
 def _counts(places: int) -> KeptSelect:
-    """Of runs by their ids: jobs by kind, counted, with the frames that synchronisation found."""
+    """Return the statement that counts jobs by kind and synchronised frames for these run ids."""
 
     def counted(state: str) -> ColumnElement[int]:
         return func.sum(case((Job.state == state, 1), else_=0))
@@ -288,7 +282,7 @@ def _counts(places: int) -> KeptSelect:
 
 @cache
 def _at_work(places: int) -> KeptSelect:
-    """Of runs by their ids: the jobs that run."""
+    """Return the statement of running jobs for these run ids."""
     at_work = select(Job.root_id, Job.kind, Job.started_ns, Job.done, Job.total).where(Job.state == RUNNING)
     return KeptSelect(at_work.where(Job.root_id.in_(numbered_parameters(places)), Job.queue != ""))
 
@@ -296,7 +290,7 @@ def _at_work(places: int) -> KeptSelect:
 def _workloads(
     session: Session, runs: Sequence[AliveRow], found: Mapping[str, RunStages], workers: Mapping[str, float]
 ) -> list[RunWorkload]:
-    """What each has to do."""
+    """Return the workload of each run."""
     inputs = [run.inputs for run in runs if run.inputs]
     lengths = _recorded_s(session, sorted({one for made_of in inputs for one in made_of.recording_ids}))
 
@@ -323,7 +317,7 @@ def _lengths(places: int) -> KeptSelect:
 
 
 def _queue_of(run: AliveRow, stages: Sequence[StageWork]) -> str:
-    """The queue whose workers decide how long it takes: of a labelling the labeler's."""
+    """Return the queue that determines the run's duration: for a labelling run the labeler's."""
     if run.queue or run.kind == LABELLING:
         return run.queue or queue_of(FUSE)
     left = [stage for stage in stages if stage.left]
@@ -335,10 +329,10 @@ IMPORT, SCENE = "dataset.import", "labeler.import_scene"
 
 
 def time_left(session: Session, job_ids: Sequence[str]) -> Mapping[str, int]:
-    """Seconds left by id, rounded up, of those of the jobs that are runs, alive, and of which it can be told.
+    """Return the remaining seconds, rounded up, by id of the unfinished runs that have an estimate.
 
-    A job within a run has none: its run's is the estimate. Nor has a run while a queue that it needs is paused, or a
-    labelling until its first job is done.
+    Jobs within a run have no estimate of their own. A run has none while a queue that it needs is paused, and a
+    labelling run has none until its first job is done.
     """
     runs = alive_rows(session, job_ids)
     if not runs:
@@ -362,7 +356,7 @@ def _of_others(session: Session, runs: list[AliveRow]) -> dict[str, int]:
 
 
 def _ahead_s(alive: Sequence[AliveRun], left: Mapping[str, float | None]) -> dict[str, float]:
-    """By run, the seconds that older runs of the same owner have left in its queue, whose jobs are taken first."""
+    """Return, by run, the seconds that older runs of the same owner in its queue take; their jobs run first."""
     sums, ahead_s = defaultdict[tuple[str, str, int], float](float), dict[str, float]()
     for one in sorted(alive, key=lambda one: one.run.id):
         same = (one.queue, one.run.owner_id, one.run.priority)
@@ -372,27 +366,26 @@ def _ahead_s(alive: Sequence[AliveRun], left: Mapping[str, float | None]) -> dic
 
 
 def _is_untold(one: AliveRun) -> bool:
-    """Whether it cannot be told: a queue is paused, or an import has not read yet which scenes there are."""
+    """Return whether no estimate is possible: a queue is paused, or an import has not listed its scenes yet."""
     scenes = any(stage.kind == SCENE for stage in one.work.stages)
     return one.is_paused or (one.run.kind == IMPORT and not scenes)
 
 
 def _is_without_basis(one: AliveRun) -> bool:
-    """Whether it is a labelling none of whose jobs is done: what other recordings took may be ten times off for it."""
+    """Return whether this is a labelling run without a finished job; other recordings may differ tenfold."""
     return one.run.kind == LABELLING and not any(stage.done for stage in one.work.stages)
 
 
 def _of_scores(session: Session, runs: list[AliveRow]) -> dict[str, int]:
-    """As the submission's page says it."""
+    """Return the estimates shown on the submissions' pages."""
     if not runs:
         return {}
     scored = select(SubmissionRow).where(SubmissionRow.job_id.in_([run.id for run in runs]))
     return expected_of(session, session.scalars(scored).all())
 
 
-# What the jobs of a kind of run took in the last of them that succeeded.
-#
-# **Conventions.** Times of jobs are those of their last attempt. Statements are kept.
+# Durations of the jobs of the last successful runs of a kind. Times of jobs refer to their last attempt. Statements are
+# cached.
 
 
 RECENT_RUNS = 3
@@ -401,7 +394,7 @@ BUSY = func.coalesce(Job.finished_ns - Job.started_ns, 0)
 
 
 def pace_of(session: Session, kind: str) -> Pace:
-    """What jobs took in the last runs of this kind that succeeded."""
+    """Return the durations of jobs in the last successful runs of this kind."""
     root_ids = [row.id for row in _newest().rows(session, {"kind": kind})]
     found = _took().rows(session, numbered(root_ids)) if root_ids else ()
     rows = [row for row in found if row[2]]
@@ -419,7 +412,7 @@ def pace_of(session: Session, kind: str) -> Pace:
 
 
 def _pace_of_synchronisation(session: Session, busy_s: Mapping[str, float]) -> dict[str, float]:
-    """Seconds per recorded second, of the runs whose labels tell how long they were recorded."""
+    """Return seconds per recorded second, from runs whose labels have the recorded duration."""
     rows = _lasted().rows(session, numbered(list(busy_s))) if busy_s else ()
     lasted_s = {row.job_id: row.duration_ns / 1e9 for row in rows if row.duration_ns}
     if not lasted_s:
@@ -429,7 +422,7 @@ def _pace_of_synchronisation(session: Session, busy_s: Mapping[str, float]) -> d
 
 @cache
 def _newest() -> KeptSelect:
-    """The last runs of a kind that succeeded, of those that were begun last."""
+    """Return the statement of a kind's most recently started successful runs."""
     newest = select(Job.id, Job.state).where(Job.id == Job.root_id, Job.kind == parameter("kind"))
     looked_at = newest.order_by(Job.id.desc()).limit(literal_column(str(LOOKED_AT))).subquery()
     ended = select(looked_at.c.id).where(looked_at.c.state == "succeeded").order_by(looked_at.c.id.desc())
@@ -438,9 +431,9 @@ def _newest() -> KeptSelect:
 
 @cache
 def _took() -> KeptSelect:
-    """By run and kind, how many jobs succeeded and what they took.
+    """Return the statement that sums number and duration of succeeded jobs, by run and kind.
 
-    The state is no condition: SQLite would read all jobs that ever succeeded for it.
+    The state is not in the condition: SQLite would then read all jobs that ever succeeded.
     """
     ended = and_(Job.state == "succeeded", Job.finished_ns.is_not(None))
     counted = (func.sum(case((ended, 1), else_=0)), cast(func.sum(case((ended, BUSY), else_=0)), BigInteger))

@@ -1,15 +1,16 @@
-"""Estimate of the time that a run has left, from what its jobs took and what such jobs took before.
+"""Estimate of a run's remaining time, from the durations of its own jobs and of similar earlier jobs.
 
 **Conventions.** The stages of a run are done in layers, one after the other. With `W` workers a layer takes
 
     max(Σ seconds of its jobs / W, its longest job)   to   Σ seconds of its jobs / W + (1 − 1/W) · its longest job,
 
-the bounds of list scheduling (Graham, Bounds on Multiprocessing Timing Anomalies, 1969); the middle is taken. A job of
-a kind takes `c = (w·s·p + Σ busy) / (w + done)`: `w = JOB_WEIGHT` jobs as before (`p`, the platform's last runs, else
-`TYPICAL`) and the run's own that are done. `s = Σ busy / Σ p` over the run's done jobs tells a slower machine or a
-denser LiDAR; it is 1 while none is done. Tiles of the surface differ a hundredfold, and the first ones are the margin
-of the map: they take `N·s·p` together, whatever the first took, and have no say in `s`. Times are seconds. There is no
-clock and no database here: the estimate is calibrated by replay (`python -m benchmarks.time_left`).
+the bounds of list scheduling (Graham, Bounds on Multiprocessing Timing Anomalies, 1969); the estimate is the middle. A
+job of a kind takes `c = (w·s·p + Σ busy) / (w + done)`: `w = JOB_WEIGHT` earlier jobs (`p`, from the platform's last
+runs, else `TYPICAL`) and the run's own finished jobs. `s = Σ busy / Σ p` over the run's finished jobs scales for a
+slower machine or a denser LiDAR; it is 1 while none is finished. Tiles of the surface differ a hundredfold, and the
+first tiles are the margin of the map. They therefore take `N·s·p` together, whatever the first tiles took, and do not
+contribute to `s`. Times are in seconds. This module uses no clock and no database: replay calibrates the estimate
+(`python -m benchmarks.time_left`).
 """
 
 from collections.abc import Iterable, Mapping
@@ -23,22 +24,22 @@ SYNCHRONISE, CHECK, PARTS = "ingest.synchronise", "ingest.check", "labeler.parts
 FUSE, SURFACE, REFERENCE, FRAMES = "labeler.fuse", "labeler.surface", "labeler.reference", "labeler.frames"
 MAP, PICTURES, PUBLISH = "labeler.map", "labeler.pictures", "labeler.publish"
 LAYERS = ((SYNCHRONISE,), (PARTS,), (CHECK, FUSE, SURFACE), (REFERENCE,), (FRAMES, MAP, PICTURES), (PUBLISH,))
-"""Of a labelling. Any other run has the kinds of its own jobs, one after the other."""
+"""Layers of a labelling run. Any other run has its own kinds of jobs, one after the other."""
 OF_LABELLING = frozenset(kind for layer in LAYERS for kind in layer)
 SHARES = (FUSE, FRAMES, "labeler.export")
-"""The kinds whose progress counts frames, which take about the same time each."""
+"""Kinds whose progress counts frames of similar duration."""
 UNEVEN = (SURFACE,)
 LEAST_UNEVEN = 0.25
 LEAST_SHARE = 0.1
 SHARE_WEIGHT = 0.6
 JOB_WEIGHT = 3.0
 OVERDUE = 0.5
-"""Of a job that is beyond its time, this share of what it took is expected to come."""
+"""An overdue job is expected to take this share of its elapsed time more."""
 FRAMES_HZ = 10.0
 FRAMES_PER_PART = 60
-MOST_PLANS = 1000  # of labellings, by the number of their parts, that are kept
+MOST_PLANS = 1000  # cached plans of labelling runs, by their number of parts
 UNKNOWN_LENGTH_S = 60.0
-"""Of a recording that was registered before its length was kept."""
+"""Assumed length of recordings registered by versions that did not store it."""
 
 TYPICAL: Mapping[str, float] = {
     SYNCHRONISE: 0.2,
@@ -52,19 +53,19 @@ TYPICAL: Mapping[str, float] = {
     PICTURES: 1.2,
     PUBLISH: 0.3,
 }
-"""Seconds of a job by kind, where the platform has not labelled yet; of synchronisation per recorded second."""
+"""Typical seconds of a job by kind, before the platform's first run; for synchronisation per recorded second."""
 TYPICAL_TILES = 1.8
 
 
 class RunningJob(NamedTuple):
-    """A job that runs: since when, and the share of it that is done where its units are frames, else None."""
+    """A running job: elapsed seconds, and its finished share if its units are frames, else None."""
 
     elapsed_s: float
     share: float | None = None
 
 
 class StageWork(NamedTuple):
-    """The jobs of one kind of a run; `busy_s` is what the `done` ones took together."""
+    """The jobs of one kind of a run; `busy_s` is the total duration of the `done` jobs."""
 
     kind: str
     queued: int = 0
@@ -81,10 +82,12 @@ NOTHING = StageWork("")
 
 
 class RunWorkload(NamedTuple):
-    """A run as it stands: `kind` of the run, the stages in the order in which their first jobs were made.
+    """The state of a run: its `kind` and its stages in the order of their first jobs.
 
-    `recorded_s` is the length of its recordings, `frames` those that synchronisation found; each None where unknown.
-    Without `makes_labels` it ends with synchronisation. `workers` is the number of them that it can have.
+    - `recorded_s`: length of its recordings, None if unknown
+    - `frames`: frames after synchronisation, None if unknown
+    - `makes_labels`: if False, the run ends with synchronisation
+    - `workers`: number of available workers
     """
 
     kind: str
@@ -101,14 +104,14 @@ class RunWorkload(NamedTuple):
 
 @dataclass(frozen=True)
 class Pace:
-    """What jobs took in the last runs of the kind, by kind; of synchronisation per recorded second."""
+    """Seconds of jobs in the last runs of the kind, by kind; for synchronisation per recorded second."""
 
     seconds: Mapping[str, float] = field(default_factory=dict)
     tiles_per_part: float | None = None
 
     @cached_property
     def expected_s(self) -> Mapping[str, float]:
-        """By kind, with what is typical where the last runs do not tell."""
+        """Seconds by kind, with typical values for kinds without earlier jobs."""
         return {**TYPICAL, **self.seconds}
 
     @property
@@ -117,7 +120,7 @@ class Pace:
 
 
 def seconds_left(work: RunWorkload, pace: Pace) -> float | None:
-    """The seconds until the run ends; None where nothing tells how long its jobs take."""
+    """Return the seconds until the run ends; None if the duration of its jobs is unknown."""
     stages = {stage.kind: stage for stage in (*work.stages, *_to_come(work, pace))}
     expected_s = _expected_s(work, pace)
     scale = _scale(work, expected_s)
@@ -140,13 +143,13 @@ def seconds_left(work: RunWorkload, pace: Pace) -> float | None:
 
 
 def _layer_s(sum_s: float, longest_s: float, workers: float) -> float:
-    """Midway between the bounds of list scheduling."""
+    """Return the middle of the bounds of list scheduling."""
     mean_s, others = sum_s / workers, 1 - 1 / workers if workers > 1 else 0.0
     return (max(mean_s, longest_s) + mean_s + others * longest_s) / 2
 
 
 def _layers(work: RunWorkload) -> Iterable[tuple[str, ...]]:
-    """Kinds that are worked on at the same time, one group after the other."""
+    """Yield groups of kinds that run at the same time, one group after the other."""
     if work.kind != LABELLING:
         return [(stage.kind,) for stage in work.stages]
     others = [(stage.kind,) for stage in work.stages if stage.kind not in OF_LABELLING]
@@ -154,13 +157,13 @@ def _layers(work: RunWorkload) -> Iterable[tuple[str, ...]]:
 
 
 def rounded_s(seconds: float) -> int:
-    """Rounded up, as far as it is worth: to 1 s up to 15 s, 5 s up to a minute, 10 s up to 5 min, then 1 and 5 min."""
+    """Round up to a sensible step: 1 s up to 15 s, 5 s up to a minute, 10 s up to 5 min, then 1 and 5 min."""
     step = next((step for limit, step in ((15, 1), (60, 5), (300, 10), (3600, 60)) if seconds <= limit), 300)
     return max(1, ceil(seconds / step) * step)
 
 
 def _to_come(work: RunWorkload, pace: Pace) -> Iterable[StageWork]:
-    """The stages of a labelling that are not queued yet, because those before tell which there are."""
+    """Return the stages of a labelling run that are not queued yet, because earlier stages determine them."""
     known = [stage.kind for stage in work.stages]
     if work.kind != LABELLING or FUSE in known or not known:
         return ()
@@ -174,19 +177,19 @@ def _to_come(work: RunWorkload, pace: Pace) -> Iterable[StageWork]:
 
 @lru_cache(MOST_PLANS)
 def _of_labelling(parts: int, tiles: int) -> tuple[StageWork, ...]:
-    """The stages after synchronisation, of which nothing has begun."""
+    """Return the stages after synchronisation, before their start."""
     counts = {CHECK: 1, PARTS: 1, FUSE: parts, SURFACE: tiles, REFERENCE: 1, FRAMES: parts}
     counts |= {MAP: 1, PICTURES: 1, PUBLISH: 1}
     return tuple(StageWork(kind, queued=count) for kind, count in counts.items() if count)
 
 
 def _expected_s(work: RunWorkload, pace: Pace) -> Mapping[str, float]:
-    """What a job took before, by kind; of synchronisation one of recordings as long as these."""
+    """Return the expected seconds of a job by kind; for synchronisation with the length of these recordings."""
     return {**pace.expected_s, SYNCHRONISE: pace.expected_s[SYNCHRONISE] * work.length_s}
 
 
 def _scale(work: RunWorkload, expected_s: Mapping[str, float]) -> float:
-    """How much longer this run's jobs take than such jobs did, by those that are done; 1 while none tells."""
+    """Return the ratio of this run's job durations to the expected durations; 1 while no job is done."""
     busy_s = before_s = 0.0
     for stage in work.stages:
         if stage.kind in expected_s and stage.kind not in UNEVEN:
@@ -196,7 +199,7 @@ def _scale(work: RunWorkload, expected_s: Mapping[str, float]) -> float:
 
 
 def _job_s(stage: StageWork, work: RunWorkload, before_s: float | None, scale: float) -> float | None:
-    """The seconds of a job of the stage; None where neither this run nor one before tells."""
+    """Return the seconds of a job of the stage; None if neither this run nor an earlier run has a duration."""
     if before_s is not None:
         if stage.kind in UNEVEN:
             return scale * before_s
@@ -211,7 +214,7 @@ def _job_s(stage: StageWork, work: RunWorkload, before_s: float | None, scale: f
 
 
 def _stage_s(stage: StageWork, own_s: float) -> tuple[float, float]:
-    """The seconds of the jobs that run or wait, and of the longest."""
+    """Return the total seconds of the running and waiting jobs, and the seconds of the longest."""
     queued_s, longest_s = (_queued_s(stage, own_s), own_s) if stage.queued else (0.0, 0.0)
     if not stage.running:
         return queued_s, longest_s
@@ -220,7 +223,7 @@ def _stage_s(stage: StageWork, own_s: float) -> tuple[float, float]:
 
 
 def _queued_s(stage: StageWork, own_s: float) -> float:
-    """The seconds of the jobs that wait: of uneven ones what the others left of the sum of all."""
+    """Return the seconds of the waiting jobs; for uneven jobs the remainder of the stage's expected sum."""
     if stage.kind not in UNEVEN:
         return stage.queued * own_s
     others_s = stage.busy_s + sum(max(own_s, job.elapsed_s) for job in stage.running)
@@ -229,7 +232,7 @@ def _queued_s(stage: StageWork, own_s: float) -> float:
 
 
 def _running_s(kind: str, job: RunningJob, own_s: float) -> float:
-    """By what such jobs take and, where its progress counts frames, `SHARE_WEIGHT` of it by that."""
+    """Return the remaining seconds of a running job; frame progress, if counted, has weight `SHARE_WEIGHT`."""
     usual_s = max(own_s - job.elapsed_s, OVERDUE * job.elapsed_s)
     if kind not in SHARES or job.share is None or job.share < LEAST_SHARE:
         return usual_s

@@ -1,7 +1,7 @@
 """Calibrations in the database: immutable, versioned by owner and name, deduplicated by content.
 
-**Conventions.** Part of the caller's transaction; the owner's row is locked first, so that two files at once become
-versions one after another. The bytes lie in the store before (`blobs.prepare`).
+**Conventions.** Part of the caller's transaction. The owner's row is locked first, so that concurrent files become
+consecutive versions. The bytes are stored before the transaction (`blobs.prepare`).
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ ALWAYS = Validity()
 
 @dataclass(frozen=True)
 class ReadCalibration:
-    """A calibration file that was read and accepted: what its list entry shows."""
+    """A parsed and accepted calibration file, with the content of its list entry."""
 
     name: str
     filename: str
@@ -39,9 +39,10 @@ class ReadCalibration:
 def add_calibration(
     session: Session, owner_id: str, read: ReadCalibration, blob: PreparedBlob
 ) -> tuple[CalibrationRow, bool]:
-    """The next version of the owner's calibrations of this name, or the one that says the same already; is it new.
+    """Add the next version of the owner's calibration with this name; return its row and whether it is new.
 
-    The same bytes for another time are another version: what was said of one is never changed.
+    If a version has equal content and validity, it is returned instead. Equal bytes with another validity are another
+    version, since versions never change.
     """
     session.execute(select(User.id).where(User.id == owner_id).with_for_update(key_share=True))
     same = select(CalibrationRow).where(

@@ -1,7 +1,7 @@
-"""Which recordings a run is made of, and offsets of their clocks that its owner knows.
+"""The recordings of a run, and clock offsets given by their owner.
 
-**Conventions.** Recordings of one content are one, whatever they are called; the first that was added stands for them.
-Members of a run are told apart by their names, so no two are called alike. An offset is added to a recording's times.
+**Conventions.** Recordings with equal content count once, whatever their names; the first one is used. A run's
+recordings are identified by their names, which must differ. An offset is added to a recording's times.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ REGISTERED = "registered"
 
 
 def chosen_recordings(session: Session, sequence: SequenceRow, ids: Sequence[str]) -> tuple[Recording, ...]:
-    """The registered recordings of the sequence with these ids, or all of them, in the order in which they were added.
+    """Return the registered recordings with these ids, or all of the sequence's, in the order of their creation.
 
     Raises `unknown_recording`, `no_recording`, `recordings_named_alike`.
     """
@@ -36,7 +36,7 @@ def chosen_recordings(session: Session, sequence: SequenceRow, ids: Sequence[str
 
 
 def offsets_by_name(recordings: Sequence[Recording], given_ns: Mapping[str, int]) -> dict[str, int]:
-    """The offsets by name of recording; they are given by id or name. Raises `bad_clock_offset`."""
+    """Return the offsets by recording name; `given_ns` has ids or names as keys. Raises `bad_clock_offset`."""
     if given_ns and len(recordings) == 1:
         raise Refused(
             "bad_clock_offset",
@@ -61,7 +61,7 @@ def offsets_by_name(recordings: Sequence[Recording], given_ns: Mapping[str, int]
 
 
 def recording_ids_of(arguments: Mapping[str, Any]) -> tuple[str, ...]:
-    """The recordings that a run with these arguments reads; an earlier version named one."""
+    """Return the ids of the recordings that a run with these arguments reads; an earlier version stored one id."""
     named = arguments.get("recording_ids") or [arguments.get("recording_id")]
     return tuple(one for one in named if one is not None)
 

@@ -1,9 +1,9 @@
 """Allowed label settings and their bounds: the profile, and parameters by dotted name.
 
-**Conventions.** A name is a path into the labeler's `LabelParameters` (`reference.alpha`). Only what decides quality
-is here; what decides cost without end (a cell of a millimetre) or the lattice that neighbouring tiles share is not.
-A whole number's bounds are integers. The labeler applies the choices; tests hold names, bounds and defaults against it.
-Label workers load this module, and so it imports nothing of the database.
+**Conventions.** A name is a path into the labeler's `LabelParameters` (`reference.alpha`). Only parameters that affect
+quality are allowed. Parameters with unbounded cost (a cell of a millimetre) and the lattice shared by neighbouring
+tiles are excluded. A whole number's bounds are integers. The labeler applies the choices; tests compare names, bounds
+and defaults with the labeler. Label workers load this module, so it imports no database code.
 """
 
 from collections.abc import Mapping
@@ -54,12 +54,12 @@ LEAVING_OUT = ("reference.outlier_ratio", "reference.clean_mads")
 
 
 def default_of(profile: str, name: str) -> float:
-    """The value that a run of the profile uses unless another is chosen."""
+    """Return the profile's default value of a parameter."""
     return OF_PROFILE.get(profile, {}).get(name, DEFAULTS[name])
 
 
 def check_choices(profile: str, parameters: Mapping[str, object]) -> None:
-    """Raises `bad_parameter` for the first choice that is unknown, of the wrong kind or out of bounds."""
+    """Raise `bad_parameter` for the first choice that is unknown, of the wrong type or out of bounds."""
     if profile not in PROFILES:
         raise Refused(
             "bad_parameter",
@@ -90,7 +90,7 @@ def _check_value(name: str, value: object) -> None:
             f"{str(name)[:80]!r} cannot be {str(value)[:80]!r}; expected a {'whole ' if is_whole else ''}number "
             f"from {low:g} to {high:g}",
         )
-    if not low <= value <= high:  # false for NaN too
+    if not low <= value <= high:  # also rejects NaN
         raise Refused(
             "bad_parameter",
             f"{str(name)[:80]!r} cannot be {str(value)[:80]!r}; the value must be between {low:g} and {high:g}",

@@ -1,8 +1,8 @@
-"""Comparisons of two label sets of a sequence: asked for, made by a job, written down once.
+"""Comparisons of two label sets of a sequence: requested, computed by a job, stored once.
 
-**Conventions.** Frames are those of equal stamps in whole microseconds, since published datasets keep no nanoseconds.
-Equal requests are one comparison, for label sets never change; one
-whose job failed or was cancelled is tried again. Each function is part of the caller's transaction.
+**Conventions.** Frames are matched by equal stamps in whole microseconds, since published datasets lack nanoseconds.
+Equal requests share one comparison, because label sets never change; a comparison whose job failed or was cancelled is
+retried. Each function is part of the caller's transaction.
 """
 
 import json
@@ -39,7 +39,7 @@ NS_PER_US = 1000
 
 @dataclass(frozen=True)
 class StoredLabelFile:
-    """A frame's label file: a range of an object, and what it hashes to."""
+    """A frame's label file: a range of an object, and its hash."""
 
     token: str
     object_key: str
@@ -49,7 +49,7 @@ class StoredLabelFile:
 
     @property
     def span(self) -> tuple[int, int]:
-        """The half-open range of the object's bytes."""
+        """The half-open byte range within the object."""
         return self.offset_bytes, self.offset_bytes + self.length_bytes
 
 
@@ -62,7 +62,7 @@ class StoredPair:
 
 
 def start_comparison(session: Session, sequence: SequenceRow, a_id: str, b_id: str) -> tuple[LabelComparison, Job]:
-    """The comparison of A and B and its job: those that stand already, or new ones.
+    """Return the comparison of A and B and its job, existing or new.
 
     Raises `unknown_label_set`, `same_label_set`, `grids_differ`, `SequenceDeletedError`, `QueueDrainingError`.
     """
@@ -88,13 +88,13 @@ def start_comparison(session: Session, sequence: SequenceRow, a_id: str, b_id: s
 
 
 def _require_one_grid(session: Session, a_id: str, b_id: str) -> None:
-    """Raises `grids_differ`."""
+    """Raise `grids_differ` if the two label sets have different grids."""
     a, b = (recorded_grid(session.get_one(LabelSet, label_set_id).grid) for label_set_id in (a_id, b_id))
     require_one_geometry(a, b)
 
 
 def compared_by(session: Session, attempt: Attempt) -> LabelComparison:
-    """The comparison that the attempt makes. Raises `JobCancelledError`."""
+    """Return the attempt's comparison. Raises `JobCancelledError`."""
     found = session.get(LabelComparison, attempt.arguments["comparison_id"], populate_existing=True)
     if found is None or found.job_id != attempt.job_id:
         raise JobCancelledError("its comparison was deleted, or another job computes it")
@@ -102,7 +102,7 @@ def compared_by(session: Session, attempt: Attempt) -> LabelComparison:
 
 
 def write_comparison(session: Session, attempt: Attempt, record: Mapping[str, Any]) -> None:
-    """Write down what the job has counted, in the transaction of its success. Raises `JobCancelledError`."""
+    """Write the job's counts in the transaction of its success. Raises `JobCancelledError`."""
     comparison = compared_by(session, attempt)
     comparison.record, comparison.finished_ns = dict(record), now_ns()
     owner_id = session.get_one(SequenceRow, comparison.sequence_id).owner_id
@@ -110,14 +110,14 @@ def write_comparison(session: Session, attempt: Attempt, record: Mapping[str, An
 
 
 def stored_pairs(session: Session, comparison: LabelComparison) -> list[StoredPair]:
-    """The frames that both label sets have, in the order of A."""
+    """Return the frames that both label sets have, in the order of A."""
     of_b = _by_microsecond(session, comparison.b_id)
     of_a = _by_microsecond(session, comparison.a_id)
     return [StoredPair(file, of_b[stamp_us]) for stamp_us, file in of_a.items() if stamp_us in of_b]
 
 
 def stored_pair(session: Session, comparison: LabelComparison, token: str) -> StoredPair | None:
-    """The pair of one frame, named by its token in A or in B, which may differ; None where either has none of it."""
+    """Return the pair of a frame with this token in A or in B (tokens may differ), or None if one set lacks it."""
     ids = (comparison.a_id, comparison.b_id)
     named = select(LabelledFrameRow.stamp_ns).where(LabelledFrameRow.token == token)
     stamp_ns = session.scalar(named.where(LabelledFrameRow.label_set_id.in_(ids)).limit(1))
@@ -129,7 +129,7 @@ def stored_pair(session: Session, comparison: LabelComparison, token: str) -> St
 
 
 def stored_frame(session: Session, labels: LabelSet, token: str) -> StoredLabelFile | None:
-    """A frame of a label set, named by its token in any set of the sequence; None if the set has none of it."""
+    """Return a frame of a label set by its token in any set of the sequence, or None if the set lacks it."""
     named = select(LabelledFrameRow.stamp_ns).join(LabelSet, LabelSet.id == LabelledFrameRow.label_set_id)
     of_sequence = named.where(LabelledFrameRow.token == token, LabelSet.sequence_id == labels.sequence_id)
     stamp_ns = session.scalar(of_sequence.limit(1))
@@ -138,7 +138,7 @@ def stored_frame(session: Session, labels: LabelSet, token: str) -> StoredLabelF
 
 
 def _frame_at(session: Session, label_set_id: str, stamp_ns: int) -> LabelledFrameRow | None:
-    """The first frame of the set in the microsecond of this stamp."""
+    """Return the first frame of the set in the microsecond of this stamp."""
     first_ns = stamp_ns // NS_PER_US * NS_PER_US
     same = LabelledFrameRow.stamp_ns.between(first_ns, first_ns + NS_PER_US - 1)
     frames = select(LabelledFrameRow).where(LabelledFrameRow.label_set_id == label_set_id, same)
@@ -146,7 +146,7 @@ def _frame_at(session: Session, label_set_id: str, stamp_ns: int) -> LabelledFra
 
 
 def _by_microsecond(session: Session, label_set_id: str) -> dict[int, StoredLabelFile]:
-    """The label files of a set by the whole microsecond of their stamp, in the order of frames; the first of each."""
+    """Return the label files of a set by whole microsecond, in the order of frames; the first file of each."""
     frames = (
         select(LabelledFrameRow, Blob.object_key)
         .join(Artefact, Artefact.id == LabelledFrameRow.pack_id)
@@ -175,7 +175,7 @@ def _existing_comparison(session: Session, a_id: str, b_id: str) -> LabelCompari
 
 
 def _require_label_set(session: Session, sequence: SequenceRow, label_set_id: str) -> None:
-    """Raises `unknown_label_set`."""
+    """Return the label set of the sequence. Raises `unknown_label_set`."""
     found = session.get(LabelSet, label_set_id)
     if found is None or found.sequence_id != sequence.id:
         raise Refused(

@@ -1,4 +1,4 @@
-"""Activation of a label set: it counts from then on, in the place of the one that was made or activated last."""
+"""Activation of a label set: it replaces the set that was created or activated last."""
 
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
@@ -9,7 +9,7 @@ from services.runtime.orm.base import now_ns
 
 
 def activate_label_set(session: Session, labels: LabelSet) -> None:
-    """Have the label set count; part of the caller's transaction. Raises `SequenceDeletedError`."""
+    """Activate the label set in the caller's transaction. Raises `SequenceDeletedError`."""
     lock_sequence(session, labels.sequence_id)
     last = select(func.max(LabelSet.chosen_ns)).where(LabelSet.sequence_id == labels.sequence_id)
     labels.chosen_ns = max(now_ns(), (session.scalar(last) or 0) + 1)

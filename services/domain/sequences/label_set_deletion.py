@@ -1,4 +1,4 @@
-"""Deletion of label sets: one is refused while something relies on it; the sweeper deletes unused sets, oldest first.
+"""Deletion of label sets: refused while other objects rely on the set; the sweeper deletes unused sets, oldest first.
 
 **Conventions.** Each function is part of the caller's transaction. Deleting a set deletes its comparisons, its
 automatic playback and the previews of its recipe; the storage quota of the sequence's owner gets their bytes back.
@@ -53,7 +53,7 @@ def delete_label_set(session: Session, labels: LabelSet) -> None:
     subjects = [labels.id]
     for comparison_id, job_id in session.execute(gone).all():
         subjects.append(comparison_id)
-        with suppress(JobStateError):  # it has ended
+        with suppress(JobStateError):  # the job has ended
             cancel(session, job_id, "a label set of its comparison was deleted")
     shown = (Preview.sequence_id == sequence.id, Preview.recording_id.is_(None), Preview.recipe == labels.recipe)
     preview_bytes = sum(session.scalars(delete(Preview).where(*shown).returning(Preview.size_bytes)))

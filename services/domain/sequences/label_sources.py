@@ -1,10 +1,10 @@
-"""What the samples of a label set are read from: the recording it was made of, or the source that was imported with it.
+"""The source of a label set's samples: the recordings from which it was made, or the imported source.
 
-**Conventions.** A label set is imported where it has the artefact `source/index.npz`: the index of the files of its
-scene as they were published (`services/runtime/store/packs.py`), which lie in `source/000000.pack` and on; its labels
-are among them only if their files are of another layout than ours. Files of an archive that was imported in place stay
-there: `source/placed.npz` says where they lie in it, and the label set's `source_place` where it lies. Samples come
-from the source and never from a recording, whatever its sequence has beside.
+**Conventions.** A label set is imported if it has the artefact `source/index.npz`: the index of its scene's published
+files (`services/runtime/store/packs.py`), which are in `source/000000.pack` and following packs. Its labels are among
+these files only if their layout differs from the platform's. Files of an archive imported in place stay there:
+`source/placed.npz` has their offsets in the archive, and the label set's `source_place` its location. Samples of an
+imported label set always come from its source, even if its sequence has recordings.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ SOURCE_INDEX, SOURCE_PLACED = f"{SOURCE}/index.npz", f"{SOURCE}/placed.npz"
 
 @dataclass(frozen=True)
 class LocatedSource:
-    """The objects of the store that hold a source; of one in place also the index of its files, and its archive."""
+    """The objects of a source in the store; for a source in place also the index of its files, and its archive."""
 
     index_key: str
     pack_keys: tuple[str, ...]
@@ -34,13 +34,13 @@ def is_imported(session: Session, label_set_id: str) -> bool:
 
 
 def has_samples(session: Session, sequence_id: str, label_set_id: str) -> bool:
-    """Whether what its sensors measured is still there: its source, or else a recording of its sequence."""
+    """Return whether the sensor data still exist: the source, or else a recording of the sequence."""
     registered = select(Recording.id).where(Recording.sequence_id == sequence_id, Recording.state == "registered")
     return is_imported(session, label_set_id) or session.scalar(registered.limit(1)) is not None
 
 
 def located_source(session: Session, label_set_id: str) -> LocatedSource | None:
-    """The objects that hold the source of an imported label set; None of one that was made here."""
+    """Return the objects of an imported label set's source; None for a label set made by the platform."""
     of_labels = select(Artefact.name, Blob.object_key).join(Blob, Blob.sha256 == Artefact.blob_sha256)
     of_source = of_labels.where(Artefact.label_set_id == label_set_id, Artefact.name.like(f"{SOURCE}/%"))
     keys = {name: key for name, key in session.execute(of_source)}

@@ -1,9 +1,9 @@
-"""Recordings that are added to a labelled sequence later: it is processed again by itself, with its last request.
+"""Recordings added to a labelled sequence: it is automatically processed again, with its last request.
 
-**Conventions.** What is due is read from the rows each time and remembered nowhere, so that nothing is lost with a
-process: labels are there, the last run has ended and was meant to take all recordings, one was registered that it had
-not, and none is still being read. So of recordings that are added at once one run is made, of one that is refused none,
-and one that fails is not tried again.
+**Conventions.** Due sequences are computed from the rows each time, so no state is lost with a process. A sequence is
+due if it has labels, its last run has ended and used all recordings, a registered recording was not in that run, and no
+recording is still being read. Recordings added together thus cause one run, a refused recording causes none, and a
+failed run is not retried.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -30,14 +30,14 @@ from services.runtime.platform import Platform
 from stone.errors import PlatformFaultError, StoneError
 
 AT_A_TIME = 500
-"""Recordings that a turn looks at."""
+"""Recordings checked per turn."""
 
 log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True)
 class LaterRecordings:
-    """Names of registered recordings that the labels of a sequence were not made of; `why_not` where no run is due."""
+    """Names of registered recordings that are not in the sequence's labels; `why_not` is set if no run is due."""
 
     names: tuple[str, ...]
     why_not: str = ""
@@ -45,13 +45,13 @@ class LaterRecordings:
 
 @dataclass
 class SequenceWalk:
-    """After which sequence, in the order of ids, the next turn looks on; "" begins again."""
+    """The sequence, in the order of ids, after which the next turn continues; "" restarts."""
 
     after: str = ""
 
 
 def follow_recordings(platform: Platform, walk: SequenceWalk | None = None) -> int:
-    """Have sequences processed again to which recordings were added, some in a turn; how many runs were started."""
+    """Process sequences with added recordings again, a limited number per turn; return the number of started runs."""
     walk = walk or SequenceWalk()
     with platform.database.reading() as session:
         due = [sequence_id for sequence_id in _with_several(session, walk) if _lacks(session, sequence_id)]
@@ -59,7 +59,7 @@ def follow_recordings(platform: Platform, walk: SequenceWalk | None = None) -> i
 
 
 def later_recordings(session: Session, sequence: SequenceRow, labels: LabelSet) -> LaterRecordings | None:
-    """The recordings that these labels of the sequence were not made of; None where there are none to be meant."""
+    """Return the recordings that are missing in these labels; None if no recording is missing."""
     names = _unused(session, sequence.id, session.get(Job, labels.job_id))
     if not names:
         return None
@@ -76,7 +76,7 @@ def later_recordings(session: Session, sequence: SequenceRow, labels: LabelSet) 
 
 
 def _processed_again(platform: Platform, sequence_id: str) -> bool:
-    """Whether a run was started; not where that is refused, which is looked at again in the next turn."""
+    """Return whether a run was started; if it is refused, the next turn tries again."""
     try:
         with platform.database.transaction() as session:
             sequence = lock_sequence(session, sequence_id)
@@ -96,18 +96,18 @@ def _processed_again(platform: Platform, sequence_id: str) -> bool:
 
 
 def _with_several(session: Session, walk: SequenceWalk) -> list[str]:
-    """The sequences of the next recordings that have several of them; the walk goes on."""
+    """Return the sequences with several recordings among the next recordings, and advance the walk."""
     ordered = select(Recording.sequence_id).where(Recording.sequence_id > walk.after).order_by(Recording.sequence_id)
     found = list(session.scalars(ordered.limit(AT_A_TIME)))
     is_last = len(found) < AT_A_TIME
-    if not is_last and found[0] != found[-1]:  # the last may go on
+    if not is_last and found[0] != found[-1]:  # the last sequence may continue beyond the limit
         found = [sequence_id for sequence_id in found if sequence_id != found[-1]]
     walk.after = "" if is_last else found[-1]
     return sorted({one for one, other in pairwise(found) if one == other})
 
 
 def _lacks(session: Session, sequence_id: str) -> bool:
-    """Whether its newest labels were made before one of its recordings: quick to say, looked at again under locks."""
+    """Return whether a recording is newer than the sequence's newest labels; a cheap check, repeated under locks."""
     newest = select(LabelSet).where(LabelSet.sequence_id == sequence_id).order_by(LabelSet.id.desc()).limit(1)
     labels = session.scalars(newest).one_or_none()
     return labels is not None and bool(_unused(session, sequence_id, session.get(Job, labels.job_id)))
@@ -121,9 +121,9 @@ def _last_run(session: Session, sequence_id: str) -> Job | None:
 
 
 def _unused(session: Session, sequence_id: str, run: Job | None) -> tuple[str, ...]:
-    """Names of the registered recordings that the run had not.
+    """Return the names of the registered recordings that the run did not use.
 
-    None of a run whose owner named those that are meant, and of labels that were made of no recording.
+    Empty if the run's owner selected recordings, or if the labels were made without recordings.
     """
     if (
         run is None
@@ -139,7 +139,7 @@ def _unused(session: Session, sequence_id: str, run: Job | None) -> tuple[str, .
 
 
 def _contents(session: Session, arguments: Mapping[str, Any]) -> set[str]:
-    """Hashes of what the run was made of; an earlier version kept none in its arguments."""
+    """Return the hashes of the run's recordings; runs of an earlier version have no hashes in their arguments."""
     known: Sequence[str] | None = arguments.get("recording_sha256s")
     if known is not None:
         return set(known)

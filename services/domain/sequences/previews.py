@@ -1,7 +1,7 @@
 """Previews: pictures and pages of a recording or of a processed sequence.
 
-**Conventions.** Their bytes are stored first (`prepared_previews`), outside transactions; the rows come in the caller's
-transaction, in the place of those that were there. The files stay in the run's workspace until it is collected.
+**Conventions.** The bytes are stored first (`prepared_previews`), outside transactions. The rows are written in the
+caller's transaction and replace the existing rows. The files stay in the run's workspace until it is collected.
 """
 
 from collections.abc import Iterable
@@ -23,7 +23,7 @@ MOST_PREVIEWS = 64
 
 @dataclass(frozen=True)
 class PreparedPreview:
-    """A picture whose bytes are stored; whoever makes its row links its blob first."""
+    """A picture with stored bytes; link its blob before writing its row."""
 
     name: str
     media_type: str
@@ -32,7 +32,7 @@ class PreparedPreview:
 
 @dataclass(frozen=True)
 class PreviewSubject:
-    """The subject of previews: a recording, else (by `recipe`) what was made of the sequence."""
+    """The subject of previews: a recording, or (by `recipe`) the results of the sequence."""
 
     sequence_id: str
     recording_id: str | None = None
@@ -42,14 +42,14 @@ class PreviewSubject:
 def prepared_previews(
     platform: Platform, work: Path, drawn: Iterable[tuple[str, str, bytes]]
 ) -> tuple[PreparedPreview, ...]:
-    """Store (name, media type, bytes), one after the other; the first `MOST_PREVIEWS` of them."""
+    """Store (name, media type, bytes), one after the other; at most `MOST_PREVIEWS`."""
     folder = work / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     return tuple(_prepared(platform, folder, *one) for one, _ in zip(drawn, range(MOST_PREVIEWS), strict=False))
 
 
 def replace_previews(session: Session, shown: PreviewSubject, previews: Iterable[PreparedPreview]) -> None:
-    """Make these the previews of `shown`; their blobs are linked already.
+    """Replace the previews of `shown`; the new blobs are already linked.
 
     Their bytes count against the sequence's owner, under the recording's id, or the sequence's id if there is none.
     """

@@ -1,8 +1,7 @@
 """Processing of a sequence: register recordings, run the pipeline, delete.
 
 **Conventions.** Each function is part of the caller's transaction and locks the sequence's row first, then the rows of
-runs; a stage that ends locks its run first and never the sequence. The work itself is done by the services' stages,
-which are named here by kind only.
+runs. A stage that ends locks only its run. The services' stages do the work; this module refers to them only by kind.
 """
 
 from collections.abc import Mapping
@@ -56,12 +55,14 @@ ALIVE = Job.state.not_in(TERMINAL)
 
 @dataclass(frozen=True)
 class ProcessRequest:
-    """Choices for processing a sequence; `parameters` by dotted name (bounds in `label_choices.py`).
+    """Choices for processing a sequence.
 
-    `topics` are those of the platform's profile; the two topics named here go before them. `ground` is "given" by the
-    calibration, or "auto": measured, and the height of the LiDAR's mount taken from it, and a tilt beyond terrain's.
-    Without `recording_ids` all registered recordings are meant, those too that are added later. `clock_offsets_ns`, by
-    id or name of recording, are taken instead of measured ones.
+    - `parameters`: by dotted name (bounds in `label_choices.py`)
+    - `topics`: from the platform's profile; `odometry_topic` and `lidar_topic` take precedence
+    - `ground`: "given" by the calibration, or "auto": measure the height of the LiDAR's mount, and a tilt beyond
+      terrain's
+    - `recording_ids`: default: all registered recordings, also later ones
+    - `clock_offsets_ns`: by id or name of recording; they replace measured offsets
     """
 
     profile: str = DEFAULT_PROFILE
@@ -78,7 +79,7 @@ class ProcessRequest:
 
 @dataclass(frozen=True)
 class Ingredients:
-    """What a sequence is made of; `offsets_ns` by name of recording."""
+    """The inputs of a sequence's labels; `offsets_ns` by name of recording."""
 
     calibration: CalibrationRow
     recordings: tuple[Recording, ...]
@@ -86,13 +87,13 @@ class Ingredients:
 
 
 def register(session: Session, recording: Recording) -> Job:
-    """Have a received recording read and kept. Raises `SequenceDeletedError`, `QueueDrainingError`."""
+    """Queue the job that reads and stores a received recording. Raises `SequenceDeletedError`, `QueueDrainingError`."""
     sequence = lock_sequence(session, recording.sequence_id)
     return enqueue(session, JobSpec(REGISTER, {"recording_id": recording.id}), _context(sequence))
 
 
 def start_processing(session: Session, sequence: SequenceRow, request: ProcessRequest) -> Job:
-    """The run that makes what is asked for: a new one, the one that is at it, or the one that has made it already.
+    """Return the run for this request: a new run, the current one, or one that has already succeeded.
 
     Raises `bad_parameter`, `bad_stages`, `SequenceDeletedError`, `no_calibration`, `no_recording`,
     `RecordingPendingError`, `unknown_recording`, `recordings_named_alike`, `bad_clock_offset`,
@@ -117,15 +118,14 @@ def start_processing(session: Session, sequence: SequenceRow, request: ProcessRe
 
 
 def delete_sequence(session: Session, sequence: SequenceRow) -> None:
-    """Delete the sequence: its jobs are told to stop, its recordings, label sets and exports are gone with it.
+    """Delete the sequence: cancel its jobs and delete its recordings, label sets and exports.
 
-    The row stays for the jobs that name it. Blobs that nothing names any more are collected later. Raises
-    `SequenceDeletedError`.
+    The row stays for jobs that refer to it. Unreferenced blobs are collected later. Raises `SequenceDeletedError`.
     """
     sequence = lock_sequence(session, sequence.id)
     alive = select(Job.id).where(Job.sequence_id == sequence.id, Job.id == Job.root_id, ALIVE)
     for root_id in session.scalars(alive).all():
-        with suppress(JobStateError):  # it ended while we waited for its row
+        with suppress(JobStateError):  # the job ended while this transaction waited for its row
             cancel(session, root_id, "its sequence was deleted")
     session.execute(delete(Preview).where(Preview.sequence_id == sequence.id))
     held = select(RecordingFile.upload_id).join(Recording).where(Recording.sequence_id == sequence.id)
@@ -136,7 +136,7 @@ def delete_sequence(session: Session, sequence: SequenceRow) -> None:
     subjects = [sequence.id, *(subject for rows in counted for subject in session.scalars(rows))]
     session.execute(delete(Export).where(Export.sequence_id == sequence.id))
     session.execute(delete(Recording).where(Recording.sequence_id == sequence.id))
-    storage_quota.lock_owner(session, sequence.owner_id)  # recordings before their owner's quota, as everywhere
+    storage_quota.lock_owner(session, sequence.owner_id)  # lock recordings before their owner's quota, as everywhere
     subjects += session.scalars(delete(LabelSet).where(LabelSet.sequence_id == sequence.id).returning(LabelSet.id))
     for subject_id in subjects:
         storage_quota.release(session, subject_id or "", "sequence deleted")
@@ -145,9 +145,9 @@ def delete_sequence(session: Session, sequence: SequenceRow) -> None:
 
 
 def lock_sequence(session: Session, sequence_id: str) -> SequenceRow:
-    """The sequence's row, locked until the end of the transaction. Raises `SequenceDeletedError`.
+    """Return the sequence's row, locked until the end of the transaction. Raises `SequenceDeletedError`.
 
-    The weaker lock lets rows that refer to it be inserted meanwhile, so that no two transactions wait for each other.
+    The weak lock allows inserts of rows that refer to the sequence, which prevents deadlocks.
     """
     locked = select(SequenceRow).where(SequenceRow.id == sequence_id).with_for_update(key_share=True)
     sequence = session.scalars(locked.execution_options(populate_existing=True)).one()
@@ -157,7 +157,7 @@ def lock_sequence(session: Session, sequence_id: str) -> SequenceRow:
 
 
 def pending_recordings(session: Session, sequence: SequenceRow) -> int:
-    """How many of its recordings are still being read."""
+    """Return the number of its recordings that are still being read."""
     pending = select(func.count()).where(Job.sequence_id == sequence.id, Job.kind == REGISTER, ALIVE)
     return session.scalar(pending) or 0
 
@@ -167,7 +167,7 @@ def _context(sequence: SequenceRow) -> Context:
 
 
 def checked_inputs(session: Session, sequence: SequenceRow, request: ProcessRequest) -> Ingredients:
-    """The calibration it pins, and the recordings that are meant. Raises as `start_processing`."""
+    """Return the sequence's calibration and the requested recordings. Raises as `start_processing`."""
     if sequence.calibration_id is None:
         raise Refused("no_calibration", f"sequence {sequence.id} has no calibration; assign a calibration first")
     if count := pending_recordings(session, sequence):
@@ -197,13 +197,13 @@ def _arguments(request: ProcessRequest, inputs: Ingredients) -> dict[str, Any]:
 
 
 def _grid_record(request: ProcessRequest) -> dict[str, Any]:
-    """The grid, unless it is the paper's: what was asked for before there were others stays the same request."""
+    """Return the grid's record, {} for the paper's grid, so that requests of earlier versions stay equal."""
     record = record_unless_paper(request.grid)
     return {} if record is None else {"grid": record}
 
 
 def request_of(arguments: Mapping[str, Any]) -> ProcessRequest:
-    """What the owner of a run with these arguments asked for. The topics are those of the platform's profile now."""
+    """Return the request of a run with these arguments. Topics come from the platform's current profile."""
     return ProcessRequest(
         profile=arguments["profile"],
         parameters=arguments["parameters"],
@@ -218,7 +218,7 @@ def request_of(arguments: Mapping[str, Any]) -> ProcessRequest:
 
 
 def _recipe(sequence: SequenceRow, request: ProcessRequest, inputs: Ingredients) -> str:
-    """By content, not by id: the same bag uploaded again is the same ingredient. Names are in tokens and report."""
+    """Return the recipe by names and content, not by id: the same bag uploaded again gives the same recipe."""
     calibration = inputs.calibration
     return recipe_of(
         "labels",
@@ -240,7 +240,7 @@ def _recipe(sequence: SequenceRow, request: ProcessRequest, inputs: Ingredients)
 
 
 def _existing_run(session: Session, sequence: SequenceRow, recipe: str) -> Job | None:
-    """The run that has made this already, or is at it. Raises `AlreadyProcessingError` for one that makes another."""
+    """Return the finished or current run with this recipe. Raises `AlreadyProcessingError` for another recipe."""
     made = select(LabelSet).where(LabelSet.sequence_id == sequence.id, LabelSet.recipe == recipe)
     label_set = session.scalar(made)
     if label_set is not None:

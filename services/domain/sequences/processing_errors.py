@@ -4,7 +4,7 @@ from stone.errors import StoneError
 
 
 class SequenceDeletedError(StoneError):
-    """The sequence was deleted; nothing more is made of it."""
+    """The sequence was deleted and cannot be processed."""
 
     code = "sequence_deleted"
 
@@ -22,7 +22,7 @@ class RecordingPendingError(StoneError):
 
 
 class AlreadyProcessingError(StoneError):
-    """A run is already in progress; `job_id` is that run."""
+    """Another run is in progress; `job_id` is its id."""
 
     code = "already_processing"
 

@@ -1,7 +1,7 @@
-"""Topic profiles in the database: which topic plays which role, one per owner and robot platform.
+"""Topic profiles in the database: the topic of each role, one profile per owner and robot platform.
 
-**Conventions.** Part of the caller's transaction; the owner's row is locked first, so that two changes at once come one
-after another. What a run was made with is in its arguments: a change moves no label that exists.
+**Conventions.** Part of the caller's transaction. The owner's row is locked first, so that concurrent changes are
+serialised. A run's arguments contain its topics, so a change affects no existing labels.
 """
 
 from collections.abc import Mapping
@@ -13,19 +13,19 @@ from services.runtime.orm import ProfileRow, SequenceRow, User
 
 
 def profile_of(session: Session, owner_id: str, platform: str) -> ProfileRow | None:
-    """The owner's profile for the platform, if there is one."""
+    """Return the owner's profile for the platform, or None."""
     of_platform = select(ProfileRow).where(ProfileRow.owner_id == owner_id, ProfileRow.platform == platform)
     return session.scalars(of_platform.execution_options(populate_existing=True)).one_or_none()
 
 
 def lock_profile(session: Session, owner_id: str, platform: str) -> ProfileRow | None:
-    """The same, with nobody else changing or making it until the end of the transaction."""
+    """Return the same, locked against changes and creation until the end of the transaction."""
     session.execute(select(User.id).where(User.id == owner_id).with_for_update(key_share=True))
     return profile_of(session, owner_id, platform)
 
 
 def keep_profile(session: Session, profile: ProfileRow, topics: Mapping[str, str]) -> bool:
-    """Let the profile hold these topics; whether that changed it. A new one is added."""
+    """Set the topics of the profile, adding it if it is new; return whether it changed."""
     if profile.id is None:
         profile.topics = dict(topics)
         session.add(profile)
@@ -38,6 +38,6 @@ def keep_profile(session: Session, profile: ProfileRow, topics: Mapping[str, str
 
 
 def topics_of(session: Session, sequence: SequenceRow) -> dict[str, str]:
-    """The owner's topic choices for the sequence's platform, {} without a platform or a profile."""
+    """Return the owner's topics for the sequence's platform, {} without a platform or a profile."""
     profile = profile_of(session, sequence.owner_id, sequence.platform) if sequence.platform else None
     return dict(profile.topics) if profile is not None else {}

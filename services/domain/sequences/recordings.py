@@ -1,8 +1,8 @@
 """Recordings: created once from complete uploads, deleted with their bytes.
 
 **Conventions.** Each function is part of the caller's transaction and locks the sequence's row first
-(`services/domain/sequences/processing.py`). The bytes of a recording are counted against its owner under its uploads'
-ids.
+(`services/domain/sequences/processing.py`). The bytes of a recording count against its owner under the ids of its
+uploads.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -48,7 +48,7 @@ def recording_in_use(recording_id: str, job_id: str) -> Refused:
 
 @dataclass(frozen=True)
 class NewRecording:
-    """Complete uploads that are to be one recording: one file, or the files of a bag that is called `name`."""
+    """Complete uploads for one recording: a single file, or the files of a bag called `name`."""
 
     upload_ids: tuple[str, ...]
     name: str = ""
@@ -57,7 +57,7 @@ class NewRecording:
 def add_recording(
     session: Session, sequence: SequenceRow, received: NewRecording, uploader_id: str
 ) -> tuple[Recording, Job]:
-    """Use up complete uploads of the uploader's, all or none: their recording, and the job that reads and keeps it.
+    """Consume complete uploads of the uploader, all or none; return the recording and the job that reads and stores it.
 
     Raises `SequenceDeletedError`, what `uploads.consume` raises, `wrong_upload_target`, `bad_recording_files`,
     `QueueDrainingError`.
@@ -65,7 +65,7 @@ def add_recording(
     sequence = lock_sequence(session, sequence.id)
     if len(set(received.upload_ids)) < len(received.upload_ids):
         raise bad_bag_files("an upload is listed twice")
-    ordered = sorted(received.upload_ids)  # of two that want some of the same, one waits for the other
+    ordered = sorted(received.upload_ids)  # a common lock order prevents deadlocks
     uploads = [_consumed(session, upload_id, uploader_id, sequence.id) for upload_id in ordered]
     uploads.sort(key=lambda upload: upload.filename)
     recording = _recording_of(sequence, uploads, received.name)
@@ -78,9 +78,9 @@ def add_recording(
 def add_in_place(
     session: Session, settings: InPlaceSettings, sequence: SequenceRow, asked: RecordingPlace
 ) -> tuple[Recording, Job]:
-    """A recording that stays where it lies, and the job that reads it.
+    """Return a recording that is read in place, and the job that reads it.
 
-    Whether it is there is found by the job, on a machine that has the root. Raises `unknown_root`, `bad_place`,
+    The job checks whether the recording exists, on a machine that has the root. Raises `unknown_root`, `bad_place`,
     `not_by_ranges`, `SequenceDeletedError`, `QueueDrainingError`.
     """
     place = requested_place(settings, asked)
@@ -94,7 +94,7 @@ def add_in_place(
 
 
 def keep_excerpt(session: Session, settings: Settings, recording: Recording, excerpt: Sequence[PreparedBlob]) -> None:
-    """The files that are kept of a recording in place, linked by the caller; they count against its owner.
+    """Store the excerpt of a recording in place, linked by the caller; its bytes count against the owner.
 
     Raises `quota_exceeded`.
     """
@@ -116,7 +116,7 @@ def keep_excerpt(session: Session, settings: Settings, recording: Recording, exc
 
 
 def remove_recording(session: Session, recording: Recording) -> None:
-    """Take the recording from its sequence; its bytes are given back, what was made of it stays.
+    """Remove the recording from its sequence and release its bytes; results made from it stay.
 
     Raises `SequenceDeletedError`, `recording_in_use`.
     """
@@ -127,7 +127,7 @@ def remove_recording(session: Session, recording: Recording) -> None:
         if run.kind == EXPORT and recording.state == "registered":
             raise recording_in_use(recording.id, run.id)
         if run.kind == REGISTER and run.arguments["recording_id"] == recording.id:
-            with suppress(JobStateError):  # it ended while we waited for its row
+            with suppress(JobStateError):  # the job ended while this transaction waited for its row
                 cancel(session, run.id, "its recording was deleted")
     subject_ids = [recording.id, *(file.upload_id for file in recording.files if file.upload_id is not None)]
     session.execute(delete(Recording).where(Recording.id == recording.id))
@@ -146,7 +146,7 @@ def _consumed(session: Session, upload_id: str, uploader_id: str, sequence_id: s
 
 
 def _recording_of(sequence: SequenceRow, uploads: list[Upload], name: str) -> Recording:
-    """The row of a recording that consists of these files, which are in the order of their names."""
+    """Return the row of a recording that consists of these files, which are sorted by name."""
     files = [
         RecordingFile(
             ordinal=ordinal,
@@ -170,29 +170,31 @@ def _alive(session: Session, sequence_id: str) -> list[Job]:
     return list(session.scalars(runs.execution_options(populate_existing=True)))
 
 
-# Recordings located on this machine under the names of their owner: those that the platform keeps, and those in place.
-#
-# **Conventions.** A recording is named by the objects that hold its files; locating it brings its bytes to this
-# machine. One in place is located where it lies, if it is as it was registered. Several that are one run are located as
-# the folder of a joined recording, which `joined.json` describes.
+# Recordings located on this machine under their owners' names: stored recordings and recordings in place. A stored
+# recording is identified by the objects of its files; locating it fetches its bytes. A recording in place is used in
+# place if it matches its registration. The recordings of a run are located as the folder of a joined recording, which
+# `joined.json` describes.
 
 
 def kept_recording(session: Session, recording: Recording) -> StoredRecording:
-    """The objects that hold its files, or its place."""
+    """Return the objects of its files, or its place."""
     files = tuple(_kept_file(session, file) for file in recording.files)
     return StoredRecording(recording.filename, files, recording_place(recording))
 
 
 def recording_place(recording: Recording) -> RecordingPlace | None:
-    """The place of a recording that is read where it lies."""
+    """Return the place of a recording that is read in place, or None."""
     return None if recording.place is None else RecordingPlace.of_record(recording.place)
 
 
 @contextmanager
 def unchanged(platform: Platform, kept: Sequence[StoredRecording]) -> Iterator[None]:
-    """A block that reads recordings. Raises, instead of what the block raised, `recording_changed_in_place` or
-    `recording_vanished` if a recording in place differs from its registration: its data must not be used. Raises
-    `ObjectDamagedError` instead of a refusal if a stored recording differs from the file that was sent."""
+    """Run a block that reads recordings, and check afterwards that they are unchanged.
+
+    Raises, instead of the block's error, `recording_changed_in_place` or `recording_vanished` if a recording in place
+    differs from its registration: its data must not be used. Raises `ObjectDamagedError` instead of a refusal if a
+    stored recording differs from the uploaded file.
+    """
 
     def check() -> None:
         for place in (recording.place for recording in kept if recording.place is not None):
@@ -204,7 +206,7 @@ def unchanged(platform: Platform, kept: Sequence[StoredRecording]) -> Iterator[N
 
 
 def locate(platform: Platform, kept: StoredRecording) -> Path:
-    """The bag on this machine, a file or a folder, called as its owner called it.
+    """Return the path of the bag on this machine, a file or a folder with its owner's name.
 
     Raises `recording_changed_in_place`, `recording_vanished`.
     """
@@ -219,9 +221,9 @@ def locate(platform: Platform, kept: StoredRecording) -> Path:
 
 
 def locate_run(platform: Platform, kept: Sequence[StoredRecording], described: Path) -> Path:
-    """The recordings of a run as one bag on this machine; of several, the folder `described` holds `joined.json`.
+    """Return the path of a run's recordings as one bag; for several, the folder `described` contains `joined.json`.
 
-    Raises `JoinedFileError` (BAG-040) where that describes others.
+    Raises `JoinedFileError` (BAG-040) if that file describes other recordings.
     """
     if len(kept) == 1:
         return locate(platform, kept[0])
@@ -229,7 +231,7 @@ def locate_run(platform: Platform, kept: Sequence[StoredRecording], described: P
 
 
 def locate_joined(platform: Platform, kept: Mapping[str, StoredRecording], described: Path) -> Path:
-    """The folder of a joined recording on this machine: `kept` are its members, by name. Raises as `locate_run`."""
+    """Return the folder of a joined recording; `kept` are its members, by name. Raises as `locate_run`."""
     names = {member.name for member in read_joined(described)}
     if names != set(kept):
         problem = f"it joins {', '.join(sorted(names))}, but the run has {', '.join(sorted(kept))}"
@@ -240,11 +242,11 @@ def locate_joined(platform: Platform, kept: Mapping[str, StoredRecording], descr
 
 
 def locate_file(platform: Platform, kept: StoredRecordingFile) -> Path:
-    """A file on this machine with the object's bytes, called as its owner called it."""
+    """Return the path of a local file with the object's bytes and the owner's file name."""
     return named(platform.settings.root / NAMES_FOLDER, platform.store.local(kept.object_key), kept.filename)
 
 
 def _kept_file(session: Session, file: RecordingFile) -> StoredRecordingFile:
-    """What is read of a file: what was recovered of it, where it was cut off."""
+    """Return the file to read: its recovered version if it was truncated."""
     blob = session.get_one(Blob, file.recovered_blob_sha256 or file.blob_sha256)
     return StoredRecordingFile(blob.object_key, file.filename)

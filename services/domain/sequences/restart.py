@@ -1,8 +1,8 @@
-"""Restarts of runs: a run that another version of the code began ends, and one of the same request takes its place.
+"""Restarts of runs: a run that another version of the code started ends, and an equal request replaces it.
 
-**Conventions.** One label set is made by one version of the code, so half a run of another is of no use. Locks are
-taken as `services/domain/sequences/processing.py` takes them: the sequence first, then the run. A run that is begun
-again and again, because workers of two versions serve at once, fails in the end.
+**Conventions.** One label set is made by one version of the code, so a partial run of another version is useless. Locks
+are taken as in `services/domain/sequences/processing.py`: the sequence first, then the run. A run that is restarted
+repeatedly, because workers of two versions are active, fails in the end.
 """
 
 from typing import Any
@@ -27,13 +27,13 @@ from services.runtime.platform import Platform
 from stone.errors import Refused, StoneError
 
 MOST_RESTARTS = 10
-RESTARTS = "restarts"  # the argument of a run that counts them
+RESTARTS = "restarts"  # the argument that counts a run's restarts
 ARGUMENTS = (
     select(Job.arguments)
     .join(SequenceRow, SequenceRow.id == bindparam("sequence"))
     .where(Job.id == bindparam("run"), SequenceRow.deleted_ns.is_(None))
 )
-"""The arguments of a run, while its sequence is there: every job of it begins with them, so they are one statement."""
+"""Arguments of a run whose sequence exists: every job starts by reading them, so this is a single statement."""
 
 
 class RestartedTooOftenError(StoneError):
@@ -58,10 +58,10 @@ NOT_NOW = (QueueDrainingError, RecordingPendingError, AlreadyProcessingError, Re
 
 
 def arguments_of_run(platform: Platform, attempt: Attempt) -> dict[str, Any]:
-    """The arguments of the attempt's run, which this version of the code began.
+    """Return the arguments of the attempt's run, which this version of the code started.
 
-    Raises `JobCancelledError` where its sequence was deleted, or where another version did, once the run is begun
-    again; `code_changed` where that is not possible now; and what `start_processing` raises where it is refused.
+    Raises `JobCancelledError` if its sequence was deleted, or if another version started the run, which is then
+    restarted; `code_changed` if it cannot be restarted; and what `start_processing` raises.
     """
     with platform.database.lookups() as session:
         arguments = session.scalar(ARGUMENTS, {"run": attempt.root_id, "sequence": attempt.sequence_id})
@@ -80,10 +80,10 @@ def arguments_of_run(platform: Platform, attempt: Attempt) -> dict[str, Any]:
 
 
 def begin_again(session: Session, root_id: str) -> Job | None:
-    """The run that takes this one's place; this one ends cancelled.
+    """Cancel this run and return the run that replaces it.
 
-    None where there is nothing to begin again: the run has ended or is to stop, or its sequence was deleted. So of jobs
-    that ask at once, one begins a run. Raises `RestartedTooOftenError`, and what `start_processing` raises.
+    None if nothing needs a restart: the run has ended or is being cancelled, or its sequence was deleted. Of several
+    concurrent jobs only one starts a run. Raises `RestartedTooOftenError`, and what `start_processing` raises.
     """
     try:
         sequence = lock_sequence(session, session.get_one(Job, root_id).sequence_id or "")
@@ -99,6 +99,6 @@ def begin_again(session: Session, root_id: str) -> Job | None:
     terminate(session, root_id, upgraded)
     new = start_processing(session, sequence, request_of(old.arguments))
     old.cancel_reason = f"{upgraded}; job {new.id} processes the sequence instead"
-    if new.state not in TERMINAL:  # else these labels were made already
+    if new.state not in TERMINAL:  # otherwise these labels existed already
         new.arguments = {**new.arguments, RESTARTS: restarts}
     return new

@@ -1,9 +1,8 @@
-"""Files that stages of a run leave for others in its workspace: names, and the check that they are there.
+"""Files that stages of a run leave in its workspace for other stages: names, and the check that they exist.
 
-**Conventions.** `checked.npz` is `sequence.npz` with what the late checks found among its findings: it is made while
-the sequence is labelled, and is what is published under the name of the other. Of several recordings the `joined.json`
-that describes them (`stone_files.joined_file`) lies beside these and is published with the labels: what is made later
-opens the recordings with the offsets of those labels.
+**Conventions.** `checked.npz` is `sequence.npz` with the findings of the late checks added. It is created during
+labelling and published as `sequence.npz`. For several recordings, `joined.json` (`stone_files.joined_file`) describes
+them; it is published with the labels, so that later stages open the recordings with the same offsets.
 """
 
 from collections.abc import Iterable
@@ -17,7 +16,7 @@ SWEEPS_FILE = "sweeps.npz"
 
 
 def require_left(folder: Path, names: Iterable[str]) -> None:
-    """Raises `work_gone` for the first of these files or folders that is not there."""
+    """Raise `work_gone` for the first missing file or folder."""
     for name in names:
         if not (folder / name).exists():
             raise Refused(

@@ -8,7 +8,7 @@ from services.runtime.orm import SequenceRow
 
 
 def require_sequence(session: Session, attempt: Attempt) -> SequenceRow:
-    """The sequence the attempt works for. Raises `JobCancelledError` when it was deleted."""
+    """Return the attempt's sequence. Raises `JobCancelledError` if it was deleted."""
     sequence = session.get(SequenceRow, attempt.sequence_id) if attempt.sequence_id else None
     if sequence is None or sequence.deleted_ns is not None:
         raise sequence_gone()

@@ -1,4 +1,4 @@
-"""A finding that makes labels unusable, as an event to the owner of the sequence: any of grade error."""
+"""Notification of the sequence's owner about a finding of severity error, which makes labels unusable."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -12,7 +12,7 @@ LONGEST = 500
 
 
 def tell_unusable(session: Session, sequence_id: str, findings: Iterable[Mapping[str, Any]]) -> None:
-    """Record the first of these findings (`stone/findings.py`) that is an error, where one is."""
+    """Record the first of these findings (`stone/findings.py`) that is an error, if any."""
     errors = [finding for finding in findings if finding["severity"] == "error"]
     if not errors:
         return

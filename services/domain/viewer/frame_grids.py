@@ -1,4 +1,4 @@
-"""Reads single grids of a frame's `labels.npz` for the pages, as strictly as those of a submission."""
+"""Reads single grids of a frame's `labels.npz` for the pages, as strictly as grids of a submission."""
 
 from collections.abc import Iterable
 
@@ -21,13 +21,13 @@ def grid_unreadable(key: str, reason: str) -> PlatformFaultError:
 
 
 def stored_grids(store: Store, object_key: str, span: tuple[int, int]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Classes and what was seen, of the label file in these bytes of an object. Raises `grid_unreadable`."""
+    """Return classes and observed mask of the label file in this byte range of an object. Raises `grid_unreadable`."""
     semantics, seen = read_grids(b"".join(store.read(object_key, *span)), SHOWN_GRIDS)
     return semantics, seen
 
 
 def _grid_of(shape: tuple[int, ...]) -> LabelGrid:
-    """Some grid of this shape. Raises `bad_shape`."""
+    """Return a grid with this shape. Raises `bad_shape`."""
     try:
         return grid_with_shape(shape)
     except Refused as error:
@@ -35,7 +35,7 @@ def _grid_of(shape: tuple[int, ...]) -> LabelGrid:
 
 
 def read_grids(payload: bytes, keys: Iterable[str]) -> list[NDArray[np.uint8]]:
-    """The grids of these keys, in their order: all of the shape that the first declares, which a label grid can have.
+    """Return the grids of these keys, in order; all have the shape of the first, which must be a label grid's.
 
     Raises `grid_unreadable`.
     """

@@ -1,12 +1,12 @@
-"""The playback of a label set: small pictures, thinned sweeps and radar detections beside the viewer's voxels.
+"""The playback of a label set: small pictures, thinned sweeps and radar detections for the viewer.
 
     playback.json   cameras.bin   cameras/<CHANNEL>/<frame_token>.jpg   clouds/<frame_token>.bin
     radars/<frame_token>.bin
 
-**Conventions.** An export of its own format, made after labels are published; its files are shown one by one to whoever
-may look at the sequence. `playback.json` is {"cameras": [channel, ...], "has_clouds": bool, "has_rays": bool,
-"sensors": [{"channel", "kind", "ego_from_sensor"}, ...], "has_radars": bool}; `cameras.bin` (`STR1`) is there where
-`has_rays` is true. What was made by earlier releases lacks `has_rays`, `sensors` and `has_radars`.
+**Conventions.** An export with its own format, made after labels are published; its files are served one by one to
+viewers of the sequence. `playback.json` is {"cameras": [channel, ...], "has_clouds": bool, "has_rays": bool, "sensors":
+[{"channel", "kind", "ego_from_sensor"}, ...], "has_radars": bool}. `cameras.bin` (`STR1`) exists if `has_rays` is true.
+Playbacks of earlier releases lack `has_rays`, `sensors` and `has_radars`.
 """
 
 import json
@@ -29,7 +29,7 @@ State = Literal["none", "making", "ready"]
 
 @dataclass(frozen=True)
 class Playback:
-    """The state of a label set's playback; `located` says where its files lie once it is ready."""
+    """The state of a label set's playback; `located` gives its files once it is ready."""
 
     export_id: str | None
     state: State
@@ -47,7 +47,7 @@ class PlacedSensor:
 
 @dataclass(frozen=True)
 class PlaybackChannels:
-    """The channels of a playback in the order of the rig, what there is beside pictures, and all sensors of the rig."""
+    """The channels of a playback in the order of the rig, its content besides pictures, and all sensors of the rig."""
 
     cameras: tuple[str, ...] = ()
     has_clouds: bool = False
@@ -56,27 +56,27 @@ class PlaybackChannels:
     has_radars: bool = False
 
     def as_record(self) -> dict[str, Any]:
-        """The content of `playback.json`, and of a scene's `playback`."""
+        """Return the content of `playback.json`, and of a scene's `playback`."""
         return asdict(self)
 
 
 def camera_file(channel: str, token: str) -> str:
-    """The name of a picture among the files."""
+    """Return the file name of a picture."""
     return f"cameras/{channel}/{token}.jpg"
 
 
 def cloud_file(token: str) -> str:
-    """The name of a sweep among the files."""
+    """Return the file name of a sweep."""
     return f"clouds/{token}.bin"
 
 
 def radar_file(token: str) -> str:
-    """The name of a frame's radar detections among the files."""
+    """Return the file name of a frame's radar detections."""
     return f"radars/{token}.bin"
 
 
 def playback_of(session: Session, label_set_id: str) -> Playback:
-    """The one that is ready, else the one that was asked for last."""
+    """Return the ready playback, or else the most recently requested one."""
     of_labels = select(Export).where(Export.label_set_id == label_set_id, Export.format == PLAYBACK)
     export = session.scalars(of_labels.order_by(Export.finished_ns.is_(None), Export.id.desc()).limit(1)).one_or_none()
     if export is None:
@@ -88,13 +88,13 @@ def playback_of(session: Session, label_set_id: str) -> Playback:
 
 
 def shown_by(store: Store, playback: Playback) -> PlaybackChannels:
-    """The channels of a playback; reads the store, so not within a transaction."""
+    """Return the channels of a playback. Reads the store: call it outside transactions."""
     return PlaybackChannels() if playback.located is None else _shown(store, playback.located)
 
 
 @lru_cache(maxsize=HELD)
 def _shown(store: Store, located: ExportLocation) -> PlaybackChannels:
-    """An export never changes, so neither does what was read of it."""
+    """Return the cached channels; an export never changes."""
     stored = stored_files(store, located)
     ordinal = stored.files.ordinals[INDEX]
     span = (0, int(stored.files.sizes_bytes[ordinal]))
@@ -108,5 +108,5 @@ def _shown(store: Store, located: ExportLocation) -> PlaybackChannels:
 
 
 def index_record(shown: PlaybackChannels) -> bytes:
-    """The content of `playback.json`."""
+    """Return the content of `playback.json`."""
     return json.dumps(shown.as_record()).encode()

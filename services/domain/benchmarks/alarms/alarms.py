@@ -1,9 +1,9 @@
 """Alarms for administrators: equal predictions of several teams, probing by near-identical submissions, impossible
 counts, and predictions that cannot follow from the frame's inputs.
 
-**Conventions.** An alarm is about its subject: the later of two submissions, or a team's day; it is raised once, in
-whatever order and however often they are scored. Withdrawn and hidden entries count; baselines where the truth is
-hidden, of which probing by them would tell as much, and nowhere else.
+**Conventions.** An alarm has a subject: the later of two submissions, or a team's day. It is raised once, whatever the
+order and number of scorings. Withdrawn and hidden entries count. Baselines count only if the ground truth is hidden,
+because probing with a baseline would reveal as much as with an entry.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,11 +23,9 @@ from services.runtime.orm import Alarm, Phase, Score, SubmissionRow, Team
 from services.runtime.orm.base import new_id, now_ns
 from stone.errors import Refused
 
-# Similarity of scored entries by their confusion counts, and the alarms that follow.
-#
-# **Conventions.** Two submissions of one ground truth differ by at least half of what their counts by sequence, ring
-# and cell differ, as a share of all evaluated voxels: a voxel predicted otherwise leaves one cell and enters another.
-# So what is told as near may in truth be farther apart, but never the other way round.
+# Similarity of scored entries by their confusion counts. The distance of two submissions to one ground truth is half
+# the sum of the absolute differences of their counts by sequence, ring and cell, as a share of all evaluated voxels.
+# This is a lower bound: a differently predicted voxel leaves one cell and enters another.
 
 
 EQUAL_CONTENT, NEAR_EQUAL, NEAR_EQUAL_TEAMS = "equal_content", "near_equal", "near_equal_teams"
@@ -41,9 +39,10 @@ Cells = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class AlarmLimits:
-    """`near_entries` of a team within `window_ns`, each nearer than `near_ratio` to another of them, is probing.
+    """Limits of the alarms.
 
-    Of the team and of all others, the last `looked_at` entries are looked at.
+    A team is probing if `near_entries` of its entries within `window_ns` are each nearer than `near_ratio` to another
+    entry. The search covers the last `looked_at` entries of the team and of all other teams.
 
     If at least `late_voxels` late voxels (`stone.labels.late_voxels`) are occupied, the alarm compares IoU_occ and mIoU
     in late voxels with their values elsewhere. It requires at least `late_least`, and at least `late_margin` times the
@@ -78,7 +77,7 @@ class ScoredEntry:
 
 @dataclass(frozen=True)
 class AlarmCandidate:
-    """An alarm to be raised, unless there is one of this kind about this subject."""
+    """An alarm to raise, unless an alarm of this kind about this subject exists."""
 
     kind: str
     subject: str
@@ -86,12 +85,15 @@ class AlarmCandidate:
 
 
 def flat_cells(cells: Mapping[str, Any]) -> Cells:
-    """The counts of all sequences (k), in the order of their names."""
+    """Return the counts of all sequences (k), in the order of their names."""
     return np.asarray([cells[name] for name in sorted(cells)], np.int64).reshape(-1)
 
 
 def differing_ratio(one: Cells, others: Cells) -> NDArray[np.float64]:
-    """The least share of voxels in which `one` (k) differs from each row of `others` (n, k); ones for no voxels."""
+    """Return a lower bound of the share of voxels in which `one` (k) and each row of `others` (n, k) differ.
+
+    The bound is 1 if there are no voxels.
+    """
     moved = np.abs(others - one).sum(axis=1) / 2
     voxels = int(one.sum())
     return np.asarray(moved / voxels if voxels else np.ones(len(others)), np.float64)
@@ -100,7 +102,7 @@ def differing_ratio(one: Cells, others: Cells) -> NDArray[np.float64]:
 def suspicions(
     mine: ScoredEntry, own: Sequence[ScoredEntry], foreign: Sequence[ScoredEntry], limits: AlarmLimits
 ) -> list[AlarmCandidate]:
-    """The alarms about `mine`, beside other entries of its team and those of other teams."""
+    """Return the alarms about `mine`, given other entries of its team and entries of other teams."""
     equal = [(one, 0.0) for one in foreign if one.content_sha256 == mine.content_sha256]
     return [
         *_about_the_later(EQUAL_CONTENT, mine, equal),
@@ -121,7 +123,7 @@ def late_suspicion(mine: ScoredEntry, late: Mapping[str, Any] | None, limits: Al
 
 
 def _near(mine: ScoredEntry, foreign: Sequence[ScoredEntry], limits: AlarmLimits) -> list[tuple[ScoredEntry, float]]:
-    """Entries that are near without being equal, with the share in which they differ."""
+    """Return the entries that are near but not equal, with the share of voxels in which they differ."""
     unequal = [one for one in foreign if one.content_sha256 != mine.content_sha256]
     if not unequal:
         return []
@@ -132,7 +134,7 @@ def _near(mine: ScoredEntry, foreign: Sequence[ScoredEntry], limits: AlarmLimits
 def _about_the_later(
     kind: str, mine: ScoredEntry, others: Sequence[tuple[ScoredEntry, float]]
 ) -> Iterator[AlarmCandidate]:
-    """One about `mine` when there are earlier ones, and one about each later one."""
+    """Yield one alarm about `mine` if there are earlier entries, and one alarm about each later entry."""
     earlier = [{**one.facts(), "differing_ratio": by} for one, by in others if one.submission_id < mine.submission_id]
     if earlier:
         yield AlarmCandidate(kind, mine.submission_id, {**mine.facts(), "others": earlier})
@@ -143,7 +145,7 @@ def _about_the_later(
 
 
 def _probing(entries: Sequence[ScoredEntry], limits: AlarmLimits) -> Iterator[AlarmCandidate]:
-    """About the team's day: a window that holds the first entry and ends with any is full of near ones."""
+    """Yield an alarm about the team's day if a window that contains the first entry is full of near entries."""
     mine, cells = entries[0], np.stack([one.cells for one in entries])
     ends_ns = np.array([one.finalized_ns for one in entries], np.int64)
     near = np.stack([differing_ratio(row, cells) < limits.near_ratio for row in cells])
@@ -159,13 +161,13 @@ def _probing(entries: Sequence[ScoredEntry], limits: AlarmLimits) -> Iterator[Al
 
 
 DEFAULTS = AlarmLimits()
-LOCK = 0x414C524D  # "ALRM": the first half of the advisory lock's number; the second is the phase's
+LOCK = 0x414C524D  # "ALRM": first half of the advisory lock's key; the phase is the second half
 
 
 def raise_alarms(session: Session, score: Score, limits: AlarmLimits = DEFAULTS) -> None:
-    """Raise what `score`, a row of this transaction, gives reason for; the transaction of its join, near its end.
+    """Raise the alarms that follow from `score`, a row of this transaction; call it near the end of the join.
 
-    Two joins at once see each other: the second waits here for the first one's commit.
+    If two joins run at once, the second waits in this function for the first one's commit.
     """
     session.flush()
     own = session.get_one(SubmissionRow, score.submission_id)
@@ -197,12 +199,12 @@ def raise_impossible_counts(session: Session, submission: SubmissionRow) -> None
 
 
 def open_alarms(phase_id: str) -> Select[Alarm]:
-    """The alarms of a phase that nobody has dismissed."""
+    """Select the alarms of a phase that were not dismissed."""
     return select(Alarm).where(Alarm.phase_id == phase_id, Alarm.dismissed_ns.is_(None))
 
 
 def dismiss(session: Session, alarm_id: str) -> Alarm:
-    """Somebody has looked at it; it is not raised again. Raises `alarm_missing`, `AlarmDismissedError`."""
+    """Dismiss an alarm for good. Raises `alarm_missing`, `AlarmDismissedError`."""
     alarm = session.get(Alarm, alarm_id, with_for_update={"key_share": True}, populate_existing=True)
     if alarm is None:
         raise Refused("alarm_missing", f"there is no alarm {alarm_id[:80]!r}")
@@ -213,20 +215,20 @@ def dismiss(session: Session, alarm_id: str) -> Alarm:
 
 
 def _take_turns(session: Session, phase_id: str) -> None:
-    """Let one transaction at a time create alarms of a phase; on SQLite the transaction itself is the lock."""
+    """Take the lock that serialises alarm creation in a phase; on SQLite the transaction is the lock."""
     if session.get_bind().dialect.name == "postgresql":
         phase = int(phase_id[-7:], 16)
         session.execute(text("SELECT pg_advisory_xact_lock(:lock, :phase)"), {"lock": LOCK, "phase": phase})
 
 
 def _is_known(session: Session, score: Score) -> bool:
-    """Whether the same counts were looked at before, under another metric."""
+    """Return whether the same counts were already checked, with another metric."""
     same = select(Score.id).where(Score.submission_id == score.submission_id, Score.truth_id == score.truth_id)
     return session.scalar(same.where(Score.id != score.id).limit(1)) is not None
 
 
 def _entries(score: Score, kinds: tuple[str, ...]) -> Select[Any]:
-    """Submissions of these kinds with a score against this ground truth, one row each, newest first."""
+    """Select submissions of these kinds with a score against this ground truth, one row each, newest first."""
     other = aliased(Score)
     first = (
         select(other.id)
@@ -246,7 +248,7 @@ def _entries(score: Score, kinds: tuple[str, ...]) -> Select[Any]:
 
 
 def _seen(session: Session, entries: Select[Any], score: Score, team_id: str, limits: AlarmLimits) -> list[ScoredEntry]:
-    """The last entries of the team and of others, and any others with equal content, each once."""
+    """Return the last entries of the team and of others, and all others with equal content, without duplicates."""
     foreign = SubmissionRow.team_id != team_id
     queries = (
         entries.where(SubmissionRow.team_id == team_id),

@@ -1,10 +1,9 @@
-"""The leaderboard of a phase: ranked entries with rank confidence, and unranked ones beside them.
+"""The leaderboard of a phase: ranked entries with rank confidence, followed by unranked rows.
 
-**Conventions.** A board shows one evaluation version (a ground truth and a metric), that in force at its time, so its
-scores have one signature. What a viewer may not see of a row is null already here (`visibility.py`). At most
-`MOST_ROWS` entries of a status are told, the best ones; `ranked_total` says of how many. Spectra are read after
-the rows, outside the transaction. A board is kept in memory with its revision (`board_revision.py`), which is read
-each time: it is made again when anything has changed of what it is made of, and not before.
+**Conventions.** A board shows one evaluation version (ground truth and metric), the active one at its time, so all its
+scores have one signature. Values that a viewer may not see are null (`visibility.py`). A board contains the best
+`MOST_ROWS` entries of each status; `ranked_total` counts all of them. Spectra are read after the rows, outside the
+transaction. Boards are cached in memory by their revision (`BoardRevision`), which is read for every request.
 """
 
 from collections.abc import Hashable, Iterable, Mapping, Sequence
@@ -54,24 +53,22 @@ from stone.scoring.metric import RATIOS
 from stone.scoring.pairs import EntrySpectra, board_spectra, entry_spectra, surely_above
 from stone.scoring.ranking import rank_intervals, tie_groups
 
-# The revision of a board: a digest of every row that it is made of, by three statements that are kept.
-#
-# **Conventions.** Equal revisions, equal boards. A score, a ground truth that is ready and an activation never change,
-# so their ids stand for them; whatever else a board tells is in the digest as it was read, and with it whether its
-# phase is over, whether teams are named by now, and which of the teams on it are the viewer's. Boards of the past have
-# none: those that ask for a time ask for another one each.
+# The revision of a board is a digest of all rows from which the board is made, read by three cached statements. Scores,
+# ready ground truths and activations never change, so their ids represent them. The digest also covers whether the
+# phase has ended, whether teams are named, and which teams are the viewer's. Boards of the past have no revision: such
+# requests rarely repeat a time.
 
 
 @dataclass(frozen=True)
 class BoardRevision:
-    """The digest of a board, and the teams on it that are the viewer's, who sees what others with them see."""
+    """The digest of a board, and the viewer's teams on it; viewers with equal teams see equal boards."""
 
     digest: str
     teams: tuple[str, ...]
 
 
 def board_revision(session: Session, phase_id: str, query: BoardQuery, viewer: Viewer, now_ns: int) -> BoardRevision:
-    """Of the board as this viewer sees it now. Raises `ValueError` for a board of the past."""
+    """Return the revision of the board that this viewer sees now. Raises `ValueError` for a board of the past."""
     if query.as_of_ns is not None:
         raise ValueError("boards of the past have no revision")
     (phase,) = _phase().rows(session, {"phase": phase_id})
@@ -88,7 +85,7 @@ def board_revision(session: Session, phase_id: str, query: BoardQuery, viewer: V
 
 @cache
 def _phase() -> KeptSelect:
-    """What the phase says, and the evaluation version that is in force."""
+    """Return the statement that reads the phase and its active evaluation version."""
     other = aliased(Activation)
     newest = select(other.id).where(other.phase_id == Phase.id).order_by(other.activated_ns.desc(), other.id.desc())
     said = (Phase.id, Phase.name, Phase.is_hidden, Phase.closes_ns, Phase.named_from_ns, Benchmark.name)
@@ -100,7 +97,7 @@ def _phase() -> KeptSelect:
 
 @cache
 def _entries(is_on_track: bool) -> KeptSelect:
-    """The scores that stand on the board, with what may change of their submissions and teams."""
+    """Return the statement that reads scores on the board, and mutable columns of submissions and teams."""
     may_change = (SubmissionRow.kind, SubmissionRow.method, SubmissionRow.modality, SubmissionRow.finalized_ns)
     of_version = (Score.truth_id == parameter("truth"), Score.metric == parameter("metric"))
     found = (
@@ -119,12 +116,9 @@ def _reported_revision(is_on_track: bool) -> KeptSelect:
     return KeptSelect(found.where(is_reported_on(parameter("track"))) if is_on_track else found)
 
 
-# Rank confidence of leaderboard entries, from the spectra kept of their scores.
-#
-# **Conventions.** Files are read from the store outside transactions, once: what the ranked ratio needs of one is kept
-# in memory by the sha256 of its blob, which never changes, and the outcome for a list of entries by theirs. Both are
-# bounded, so that a process holds at most some 16 MiB. The best `MOST_COMPARED` entries are compared; of those below
-# them, and where of no pair anything can be said, nothing is claimed.
+# Rank confidence of leaderboard entries, from the stored spectra of their scores. Files are read from the store outside
+# transactions. The spectra of the ranked ratio are cached by the sha256 of their blob, and results by the list of
+# entries; the two caches hold about 16 MiB per process. Only the best `MOST_COMPARED` entries are compared.
 
 
 RANKED_BY = RATIOS.index("miou")
@@ -136,9 +130,9 @@ MOST_OUTCOMES = 64
 
 @dataclass(frozen=True)
 class RankConfidence:
-    """The rank interval and tie group of each ranked entry; null where nothing is said, `silence` of all of them.
+    """Rank interval and tie group of each ranked entry, or null if unknown; `silence` is the reason if all are null.
 
-    `scope` is that of the variances by which differences are tested.
+    `scope` names the variances by which differences are tested.
     """
 
     rank_intervals: tuple[tuple[int, int] | None, ...]
@@ -149,7 +143,7 @@ class RankConfidence:
 
 @dataclass(frozen=True)
 class RankedScore:
-    """An entry in the order of the board: its ranked ratio, and the sha256 of the spectra kept of it."""
+    """An entry in board order: its ranked ratio, and the sha256 of its stored spectra."""
 
     value: float
     spectra_sha256: str
@@ -186,14 +180,14 @@ def _silent(ranked: Sequence[RankedScore], silence: Silence | None) -> RankConfi
 
 @cached(_SPECTRA, key=lambda store, sha256, object_key: sha256, lock=Lock())
 def _spectra(store: Store, sha256: str, object_key: str) -> EntrySpectra | None:
-    """Of the ranked ratio alone."""
+    """Return the spectra of the ranked ratio only."""
     found = read_spectra(store, object_key)
     return None if found is None else entry_spectra(found, RANKED_BY)
 
 
 MOST_ROWS = 2000
-CHUNK = 500  # ids in one statement
-MOST_KEPT_ROWS = 10_000  # of all boards that a process keeps, some 20 MiB
+CHUNK = 500  # ids per statement
+MOST_KEPT_ROWS = 10_000  # of all cached boards of a process, about 20 MiB
 
 Interval = tuple[float, float]
 Ratios = Mapping[str, float | None]
@@ -201,10 +195,13 @@ Ratios = Mapping[str, float | None]
 
 @dataclass(frozen=True)
 class LeaderboardRow:
-    """A line of the board. `intervals` are about these places, by ratio; `support` voxels of the truth by class.
+    """A line of the board.
 
-    `danger` are the shares of N voxels by name (`stone.scoring.confusion.DANGERS`).
-    `source` and `note` are of a reported result or a ceiling, whose per cent have `percent_digits` decimals as printed.
+    - `intervals`: by ratio, for these places
+    - `support`: voxels of the ground truth by class
+    - `danger`: shares of N voxels by name (`stone.scoring.confusion.DANGERS`)
+    - `source`, `note`: only of a reported result or a ceiling
+    - `percent_digits`: decimals of its printed percentages
     """
 
     standing: EntryStatus
@@ -229,9 +226,9 @@ class LeaderboardRow:
 
 @dataclass(frozen=True)
 class BoardEvaluationVersion:
-    """The evaluation version that a board's scores were made by; `signature` is null while there is none.
+    """The evaluation version of a board's scores; `signature` is null while the board has no score.
 
-    Of its sequences those that continue each other are one of its `drives`.
+    Sequences that continue each other form one of its `drives`.
     """
 
     truth_id: str
@@ -247,10 +244,11 @@ class BoardEvaluationVersion:
 
 @dataclass(frozen=True)
 class Board:
-    """`pair` is null, and nothing stands on the board, before the phase's first ground truth.
+    """A leaderboard; `pair` is null, and the board is empty, before the phase's first ground truth.
 
-    `silence` is the reason if the board has neither ties nor intervals of ranks, `rank_scope` that of their variances.
-    `revision` is empty for a board of the past.
+    - `silence`: the reason if the board has neither ties nor rank intervals
+    - `rank_scope`: scope of the variances behind ties and intervals
+    - `revision`: empty for a board of the past
     """
 
     benchmark: str
@@ -267,7 +265,7 @@ class Board:
 
 
 class _ScoreDetails(NamedTuple):
-    """Parts of the record of a score."""
+    """Parts of a score's record."""
 
     intervals: Any
     support: Any
@@ -293,7 +291,7 @@ _KEPT_LOCK = Lock()
 
 
 def board(platform: Platform, phase_id: str, query: BoardQuery, viewer: Viewer) -> Board:
-    """The board as the viewer may see it now; `as_of_ns` in the future is now. Raises `store_unavailable`."""
+    """Return the board that the viewer may see now; a future `as_of_ns` means now. Raises `store_unavailable`."""
     if query.as_of_ns is None:
         return _kept_board(platform, phase_id, query, viewer)
     now = now_ns()
@@ -303,7 +301,7 @@ def board(platform: Platform, phase_id: str, query: BoardQuery, viewer: Viewer) 
 
 
 def _kept_board(platform: Platform, phase_id: str, query: BoardQuery, viewer: Viewer) -> Board:
-    """The newest is kept for who asks the same and sees the same; rows and digest are of one snapshot."""
+    """Return the board from the cache of newest boards per query and viewer; rows and digest are of one snapshot."""
     now = now_ns()
     with platform.database.snapshot() as session:
         revision = board_revision(session, phase_id, query, viewer, now)
@@ -330,17 +328,17 @@ def _made(platform: Platform, read: _BoardRecords) -> Board:
 
 
 def board_order(session: Session, phase: Phase, pair: EvaluationVersion, query: BoardQuery) -> BoardOrder:
-    """Who stands where by `pair`, in force or not: for administrators only, since nothing is left out."""
+    """Return the board's order by `pair`, active or not, without leaving anything out; for administrators only."""
     return board_order_of(entries_on_board(session, phase, pair, query), query.entries)
 
 
 def sequences_of(truth: GroundTruthRow) -> int:
-    """The number of sequences in a ground truth."""
+    """Return the number of sequences in a ground truth."""
     return len(truth.facts.get("sequences", ()))
 
 
 def drives_of(truth: GroundTruthRow) -> int:
-    """The number of drives in a ground truth."""
+    """Return the number of drives in a ground truth."""
     facts = truth.facts.get("sequences", ())
     return len({(bool(one.get("drive")), one.get("drive") or one["name"]) for one in facts})
 

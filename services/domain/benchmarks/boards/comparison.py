@@ -1,9 +1,9 @@
 """Comparison of two entries of a phase: differences and their significance.
 
-**Conventions.** Differences are a − b by the evaluation version in force, from spectra that are subtracted, so what is
-hard for both cancels. `these_places` is about the ground of the ground truth, `new_place` about another one, and beside
-it an exact test over the few sequences there are; where nothing can be said, the code of the silence stands. While a
-phase hides its truth only the difference of rounded totals is told.
+**Conventions.** Differences are a − b by the active evaluation version. Spectra are subtracted, so difficulties that
+both entries share cancel. `these_places` is about the ground of the ground truth, `new_place` about unseen places, with
+an exact test over the few sequences. If nothing can be stated, the code of the silence is given. While a phase hides
+its ground truth, only differences of rounded totals are shown.
 """
 
 import io
@@ -31,7 +31,7 @@ Found = Mapping[Scope, tuple[Estimate | Silence, ...]]
 
 @dataclass(frozen=True)
 class DifferenceEstimate:
-    """Of a − b: the interval that holds its true value with the level of the board, and the two-sided p."""
+    """Confidence interval of a − b at the board's level, and the two-sided p."""
 
     interval: tuple[float, float]
     standard_error: float
@@ -41,7 +41,7 @@ class DifferenceEstimate:
 
 @dataclass(frozen=True)
 class RatioDifference:
-    """The difference of one ratio; null where undefined or withheld. Of each scope an estimate or a silence."""
+    """The difference of one ratio, null if undefined or withheld; an estimate or a silence for each scope."""
 
     a: float | None
     b: float | None
@@ -54,7 +54,7 @@ class RatioDifference:
 
 @dataclass(frozen=True)
 class EntryComparison:
-    """Two entries; `is_withheld` if the viewer may know only the differences of their totals."""
+    """A comparison of two entries; `is_withheld` if the viewer may see only the differences of their totals."""
 
     a: ScoreView
     b: ScoreView
@@ -65,7 +65,7 @@ class EntryComparison:
 def compare(
     platform: Platform, phase_id: str, pair: tuple[SubmissionRow, SubmissionRow], viewer: Viewer
 ) -> EntryComparison:
-    """Two submissions that the viewer may know of. Raises `not_comparable`, `store_unavailable`."""
+    """Compare two submissions that the viewer may see. Raises `not_comparable`, `store_unavailable`."""
     with platform.database.reading() as session:
         phase = session.get_one(Phase, phase_id)
         a, b = (_scored(session, viewer, phase, submission) for submission in pair)
@@ -83,7 +83,7 @@ def compare(
 
 
 def _differences(store: Store, keys: Sequence[str], values: Sequence[float | None]) -> Found:
-    """By scope, of each ratio an estimate or the silence."""
+    """Return, for each scope and ratio, an estimate or a silence."""
     a, b = (read_spectra(store, key) for key in keys)
     if a is None or b is None:
         return dict.fromkeys(SCOPES, (WITHDRAWN,) * len(RATIOS))
@@ -119,7 +119,7 @@ def _totals(a: ScoreView, b: ScoreView, name: str) -> RatioDifference:
 
 
 def _flipped(a: ScoreView, b: ScoreView, name: str) -> SignFlip | None:
-    """Over the drives in which both have the ratio."""
+    """Return the sign-flip test over the drives in which both entries have the ratio."""
     by = (seen.score.record["by"] for seen in (a, b))
     of_a, of_b = (parts.get("drive", parts.get("sequence", {})) for parts in by)
     both = [(of_a[key][name], of_b[key][name]) for key in of_a if key in of_b]
@@ -128,20 +128,18 @@ def _flipped(a: ScoreView, b: ScoreView, name: str) -> SignFlip | None:
 
 
 def _difference(a: float | None, b: float | None, is_exact: bool) -> float | None:
-    """a − b of totals as they are shown."""
+    """Return a − b of the totals as shown."""
     if a is None or b is None:
         return None
     return a - b if is_exact else rounded(a - b)
 
 
-# Reads the spectra that are kept of a score.
-#
-# **Conventions.** The file is ours (`services/eval/spectra_file.py` writes it), so what it holds is believed.
-# Scores whose metric's intervals are withdrawn may have another file, from which nothing is read.
+# Reads the stored spectra of a score. The platform wrote the file (`services/eval/spectra_file.py`), so its content is
+# trusted. Scores whose metric's intervals are withdrawn may have another kind of file, which is ignored.
 
 
 def read_spectra(store: Store, object_key: str) -> RatioSpectra | None:
-    """The spectra of a score; None where bootstrap replicates were kept. Raises `store_unavailable`."""
+    """Return the spectra of a score, or None if bootstrap replicates were stored. Raises `store_unavailable`."""
     with np.load(io.BytesIO(b"".join(store.read(object_key))), allow_pickle=False) as arrays:
         if "coefficients" not in arrays:
             return None

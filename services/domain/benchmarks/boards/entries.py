@@ -1,9 +1,9 @@
 """The entries of a leaderboard at a given time, ordered and ranked.
 
-**Conventions.** On a board are scored entries and baselines that had settled by then and were not withdrawn or hidden
-then, with their score by the evaluation version in force then. The order is by rounded mIoU, then IoU_occ, then IoU_N,
-then the time of finalisation, earlier first; equal rounded values share a rank. Only finite entries are ranked: where a
-ratio is undefined there is no rank, and baselines have none either. Texts are as participants wrote them.
+**Conventions.** A board contains the scored entries and baselines that had settled by that time and were not withdrawn
+or hidden, with their score by the evaluation version active at that time. Entries are ordered by rounded mIoU, then
+IoU_occ, then IoU_N, then time of finalisation, earlier first; equal rounded values share a rank. Entries with an
+undefined ratio and baselines have no rank. Texts are as participants wrote them.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -21,7 +21,7 @@ from services.runtime.orm import Phase, Score, SubmissionRow, Team
 from stone.scoring.metric import RATIOS
 from stone.scoring.ranking import in_order, shared_ranks
 
-Track = Literal["all", "C", "L", "R", "C+L", "C+R", "L+R", "C+L+R"]  # `modalities.Modality`, and all
+Track = Literal["all", "C", "L", "R", "C+L", "C+R", "L+R", "C+L+R"]  # a `modalities.Modality`, or all
 Which = Literal["best", "all"]
 EntryStatus = Literal["ranked", "baseline", "undefined", "reported", "ceiling"]
 
@@ -38,7 +38,7 @@ TIE_BREAK = ("miou", "iou_occ", "iou_n")
 
 @dataclass(frozen=True)
 class BoardQuery:
-    """`track` is a declared modality, or all; `entries` the best of each team, or all; `as_of_ns` null for now."""
+    """`track`: a declared modality, or all; `entries`: the best of each team, or all; `as_of_ns`: null for now."""
 
     track: Track = "all"
     as_of_ns: int | None = None
@@ -73,7 +73,7 @@ class BoardEntry:
 
     @cached_property
     def key(self) -> tuple[float, ...]:
-        """The sort key; what is undefined comes after everything."""
+        """The sort key; undefined values come last."""
         if not self.is_defined:
             return (-1.0,) * len(TIE_BREAK)
         return tuple(rounded(self.ratios[name] or 0.0) for name in TIE_BREAK)
@@ -81,7 +81,7 @@ class BoardEntry:
 
 @dataclass(frozen=True)
 class BoardOrder:
-    """The entries of a board, best first: ranked ones with their ranks, then baselines, then undefined ones."""
+    """The entries of a board, best first: ranked entries with their ranks, then baselines, then undefined entries."""
 
     ranked: tuple[BoardEntry, ...]
     ranks: tuple[int, ...]
@@ -92,7 +92,7 @@ class BoardOrder:
 def entries_on_board(
     session: Session, phase: Phase, pair: EvaluationVersion, query: BoardQuery
 ) -> tuple[BoardEntry, ...]:
-    """What stands on the board by `pair`, in no particular order."""
+    """Return the entries on the board by `pair`, unordered."""
     ratios = [getattr(Score, name) for name in RATIOS]
     found = (
         select(Score, SubmissionRow, Team.name)
@@ -108,7 +108,7 @@ def entries_on_board(
 
 
 def board_order_of(entries: Iterable[BoardEntry], which: Which = "all") -> BoardOrder:
-    """The entries in the order of the board; `best` keeps one of each team and all baselines."""
+    """Return the entries in board order; `best` keeps the best of each team and all baselines."""
     best_first = _best_first(tuple(entries))
     by_status: dict[EntryStatus, list[BoardEntry]] = {"ranked": [], "baseline": [], "undefined": []}
     seen: set[str] = set()
@@ -124,7 +124,7 @@ def board_order_of(entries: Iterable[BoardEntry], which: Which = "all") -> Board
 
 
 def was_on_board_at(as_of_ns: int | None) -> ColumnElement[bool]:
-    """Whether a submission stands on the board now, or stood at a time of the past."""
+    """Return the condition that a submission is on the board now, or was on it at a past time."""
     if as_of_ns is None:
         return is_on_board()
     return and_(

@@ -1,9 +1,9 @@
 """The history of a leaderboard: the times at which it changed.
 
-**Conventions.** A board changes when an entry is scored, withdrawn or hidden, when a reported row is put beside them,
-and when another evaluation version comes into force. Moments that are closer than a microsecond are one. Of more than
-`MOST_CHANGES` those of a day are told as one, at the last of them, and of more than as many days the latest. `best` is
-rounded for everybody, as the board is ordered.
+**Conventions.** A board changes when an entry is scored, withdrawn or hidden, when a reported row is added, and when
+another evaluation version becomes active. Changes less than a microsecond apart are merged. If there are more than
+`MOST_CHANGES`, the changes of each day are merged into the last; if there are still more, only the latest are kept.
+`best` is rounded for every viewer, as in the board's order.
 """
 
 from collections.abc import Iterable, Sequence
@@ -26,7 +26,7 @@ DAY_NS = 86_400 * 10**9
 
 @dataclass(frozen=True)
 class BoardChange:
-    """The board is another since `at_ns`; `best` is the highest mIoU of the entries then, null where none has one."""
+    """A change of the board at `at_ns`; `best` is then the highest mIoU of the entries, or null if none has a mIoU."""
 
     at_ns: int
     entered: int = 0
@@ -37,7 +37,7 @@ class BoardChange:
 
 @dataclass(frozen=True)
 class _BoardPeriod:
-    """A score's time on the board, [from_ns, until_ns); `miou` is null for what is not ranked."""
+    """A score's time on the board, [from_ns, until_ns); `miou` is null for an unranked row."""
 
     pair: tuple[str, str]
     miou: float | None
@@ -49,7 +49,7 @@ class _BoardPeriod:
 
 
 def history(session: Session, phase: Phase, track: Track = "all") -> tuple[BoardChange, ...]:
-    """The changes of the board of a track, oldest first; none before the phase's first ground truth."""
+    """Return the changes of a track's board, oldest first; none before the phase's first ground truth."""
     pairs = _versions(session, phase)
     if not pairs:
         return ()
@@ -60,7 +60,7 @@ def history(session: Session, phase: Phase, track: Track = "all") -> tuple[Board
 
 
 def tracks_with_rows(session: Session, phase: Phase) -> frozenset[str]:
-    """The modalities of which anything stands, or stood, on the board; ceilings are on every track."""
+    """Return the modalities that have, or had, a row on the board; ceilings are on every track."""
     scored = select(SubmissionRow.modality).where(*_of_board(phase)).distinct()
     reported = select(Reported.modality).where(Reported.phase_id == phase.id, Reported.kind == "published").distinct()
     return frozenset((*session.scalars(scored), *session.scalars(reported)))
@@ -118,14 +118,14 @@ def _best(stays: Sequence[_BoardPeriod], pairs: Sequence[tuple[int, tuple[str, s
 
 
 def _told(moments: Iterable[BoardChange]) -> list[BoardChange]:
-    """Changes in order, each moment once, as the API can ask for it: rounded up to the microsecond."""
+    """Return the changes in order, rounded up to the microsecond as in API requests, without duplicates."""
     exact = [replace(one, at_ns=-(-one.at_ns // 1000) * 1000) for one in moments]
     told = _merged(exact, 1)
     return told if len(told) <= MOST_CHANGES else _merged(told, DAY_NS)[-MOST_CHANGES:]
 
 
 def _merged(moments: Iterable[BoardChange], within_ns: int) -> list[BoardChange]:
-    """Changes within one stretch of this length merged into one, at the last of them."""
+    """Merge the changes within each stretch of this length into the last of them."""
     ordered = sorted(moments, key=lambda one: one.at_ns)
     stretches = (list(some) for _, some in groupby(ordered, key=lambda one: one.at_ns // within_ns))
     return [

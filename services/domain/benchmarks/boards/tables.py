@@ -1,8 +1,8 @@
 """Leaderboard files: CSV and Parquet for programs, Markdown and LaTeX for papers.
 
-**Conventions.** Ratios are ratios in CSV and Parquet, per cent in Markdown and LaTeX: with two digits, of a reported
-row with as many as it was printed with. What is null is an empty cell, or a dash. Each says by which evaluation version
-its scores were made; the LaTeX table needs `booktabs`. Texts of strangers are texts in each (`plain_text.py`).
+**Conventions.** CSV and Parquet contain ratios. Markdown and LaTeX contain percentages with two decimals; a reported
+row keeps its printed decimals. Null is an empty cell or a dash. Each file names the evaluation version of its scores;
+the LaTeX table needs `booktabs`. Untrusted texts are escaped (`plain_text.py`).
 """
 
 import csv
@@ -38,7 +38,7 @@ Cell = str | int | float | None
 
 
 def table_bytes(board: Board, form: Form) -> bytes:
-    """The board as a file of this form; equal boards, equal bytes."""
+    """Return the board as a file of this format; equal boards give equal bytes."""
     writers: Mapping[Form, Callable[[Board], bytes]] = {
         "csv": _csv,
         "parquet": _parquet,
@@ -49,7 +49,7 @@ def table_bytes(board: Board, form: Form) -> bytes:
 
 
 def cells(board: Board, row: LeaderboardRow) -> dict[str, Cell]:
-    """A row by the names of its columns."""
+    """Return a row's cells by column name."""
     low, high = row.rank_interval or (None, None)
     found: dict[str, Cell] = {name: getattr(row, name) for name in OF_ROW} | {"rank_low": low, "rank_high": high}
     for name in RATIO_NAMES:
@@ -68,7 +68,7 @@ def cells(board: Board, row: LeaderboardRow) -> dict[str, Cell]:
 
 
 def columns() -> tuple[str, ...]:
-    """The names of the columns, in their order."""
+    """Return the column names, in order."""
     bounded = [f"{name}{end}" for name in RATIO_NAMES for end in ("", "_low", "_high")]
     return ("standing", *NUMBERS, *TEXTS[1:4], *bounded, *DANGERS, *TEXTS[4:])
 
@@ -130,7 +130,7 @@ def _title(board: Board) -> str:
 
 
 def _made_by(board: Board, quote: str = "") -> str:
-    """In words of ours only; the signature between two of `quote`."""
+    """Return the sentence on the evaluation version, with the signature between two of `quote`."""
     pair = board.pair
     if pair is None:
         return "No ground truth is ready yet."
@@ -142,7 +142,7 @@ def _made_by(board: Board, quote: str = "") -> str:
 
 
 def _notes(board: Board, plain: Callable[[str], str]) -> str:
-    """`plain` makes the texts of others harmless."""
+    """Return the notes as one text; `plain` escapes untrusted texts."""
     reported = [
         f"{title}: {'; '.join(map(plain, sources))}."
         for title, standing in (("Ceiling", "ceiling"), ("Reported", "reported"))
@@ -162,7 +162,7 @@ def _rows_by_note(board: Board) -> Mapping[str, list[str]]:
 
 
 def notes(board: Board) -> Iterator[str]:
-    """Notes for the reader of the board."""
+    """Yield notes for the reader of the board."""
     if board.silence is None:
         yield (
             "No entry of a tie group differs significantly from the group's first entry (all pairs tested jointly, "
@@ -219,13 +219,10 @@ def _moment(moment_ns: int) -> str:
     return datetime.fromtimestamp(moment_ns // 10**9, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
-# Escaping of untrusted text for CSV, Markdown and LaTeX.
-#
-# **Conventions.** What is not printable is shown escaped first (`one_line`), so nothing spans lines. CSV: a
-# spreadsheet runs a cell that begins with = + - @, also behind a separator that it splits at by itself, so an
-# apostrophe stands before it (OWASP, CSV injection). Markdown: HTML and links are spelled out by references, all other
-# punctuation by backslashes (CommonMark 0.31 §2.4, §2.5). LaTeX: no character keeps a category but letter, digit,
-# space and other.
+# Escaping of untrusted text for CSV, Markdown and LaTeX. `one_line` first escapes unprintable characters, so no text
+# spans lines. CSV: spreadsheets execute cells that start with = + - @, also after a separator at which they split, so
+# an apostrophe is prefixed (OWASP, CSV injection). Markdown: HTML and links become character references, other
+# punctuation gets backslashes (CommonMark 0.31 §2.4, §2.5). LaTeX: only letters, digits and spaces stay unescaped.
 
 
 FORMULA = re.compile(r"(^|[;,\t|])(\s*)([=+\-@\uff1d\uff0b\uff0d\uff20])")
@@ -255,15 +252,15 @@ LATEX = {
 
 
 def csv_text(text: str) -> str:
-    """The text as a cell that no spreadsheet computes; quoting is the writer's."""
+    """Return the text as a cell that no spreadsheet evaluates; the CSV writer adds quotes."""
     return FORMULA.sub(r"\1\2'\3", one_line(text))
 
 
 def markdown_text(text: str) -> str:
-    """The text as it is read, in a cell of a table."""
+    """Return the text escaped for a table cell."""
     return "".join(MARKDOWN.get(character, character) for character in one_line(text))
 
 
 def latex_text(text: str) -> str:
-    """The text as it is typeset, by LaTeX without any package."""
+    """Return the text escaped for LaTeX without packages."""
     return "".join(LATEX.get(character, character) for character in one_line(text))

@@ -1,9 +1,10 @@
 """Golden vectors of the metrics: a small ground truth, a submission to it, and the expected scores.
 
-**Conventions.** `gts/<sequence>/<frame_token>/labels.npz`, `manifest.json`, `submission.zip`; `expected.json` holds,
-for each mask, the counts of each frame and the ratios of the whole and of each sequence, null where undefined;
-`refused.zip` must be refused with the code it names. The expectations come from a slow metric that shares no code with
-the platform (`tests/golden_vectors.py`). Public: anybody may hold an implementation against them.
+**Conventions.** The files are `gts/<sequence>/<frame_token>/labels.npz`, `manifest.json` and `submission.zip`.
+`expected.json` contains, for each mask, the counts of each frame and the ratios of the whole and of each sequence, null
+if undefined. `refused.zip` must be refused with the code in its name. The expectations come from a slow metric that
+shares no code with the platform (`tests/golden_vectors.py`). The vectors are public, so that other implementations can
+be tested against them.
 """
 
 import io
@@ -17,12 +18,12 @@ EPOCH = (1980, 1, 1, 0, 0, 0)
 
 @cache
 def golden_names() -> tuple[str, ...]:
-    """Names of the files with forward slashes, sorted."""
+    """Return the names of the files with forward slashes, sorted."""
     return tuple(sorted(_names(files(__package__), "")))
 
 
 def golden_file(name: str) -> bytes:
-    """The content of one of `golden_names`. Raises `KeyError` for any other name."""
+    """Return the content of one of `golden_names`. Raises `KeyError` for any other name."""
     if name not in golden_names():
         raise KeyError(name)
     return files(__package__).joinpath(*name.split("/")).read_bytes()
@@ -30,7 +31,7 @@ def golden_file(name: str) -> bytes:
 
 @cache
 def golden_archive() -> bytes:
-    """All of them as one zip; the same bytes each time."""
+    """Return all files as one zip with reproducible bytes."""
     whole = io.BytesIO()
     with zipfile.ZipFile(whole, "w") as archive:
         for name in golden_names():

@@ -1,7 +1,8 @@
 """Warnings about a phase whose hidden labels are visible elsewhere.
 
-**Conventions.** A sequence's labels are public once a version has it in train or val or its owner showed it to
-everybody, and stay so; they are hidden while a version has it in test. One sequence may be both, in two versions.
+**Conventions.** A sequence's labels are public for good once a version has the sequence in train or val, or its owner
+made it public. They are hidden while a version has the sequence in test. One sequence may be public and hidden, in two
+versions.
 """
 
 from collections.abc import Iterator
@@ -16,7 +17,7 @@ from stone_base.counts import counted
 
 
 def findings_of(session: Session, phase: Phase) -> tuple[Finding, ...]:
-    """Warnings about the secrecy of the phase's ground truth; none where all is as it looks."""
+    """Return warnings about the secrecy of the phase's ground truth."""
     return tuple(_findings(session, phase))
 
 

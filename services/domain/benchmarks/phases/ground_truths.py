@@ -1,8 +1,8 @@
 """Ground truths of a phase: started, built by a job, the first one activated.
 
-**Conventions.** A ground truth takes part and mask from its phase, and its frames from a dataset version, as a rule the
-phase's own. Its manifest is part of it: once a phase has entries, another version must hold exactly the frames of the
-active ground truth, or the entries could not be scored again. Whoever adds one locks the phase.
+**Conventions.** A ground truth takes part and mask from its phase, and its frames from a dataset version, usually the
+phase's own. Once a phase has entries, a new ground truth must contain exactly the frames of the active one; otherwise
+the entries could not be scored again. Adding a ground truth locks the phase.
 """
 
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ LABELS = "gts/"
 
 @dataclass(frozen=True)
 class TruthFrameComparison:
-    """The difference between a version's frames and those of the ground truth that was active then."""
+    """The difference between a version's frames and the frames of the ground truth that was active."""
 
     truth_id: str
     dataset_id: str
@@ -47,9 +47,9 @@ class TruthFrameComparison:
 
 
 def compare_frames(platform: Platform, phase_id: str, dataset: Dataset) -> TruthFrameComparison | None:
-    """The comparison that `start_truth` needs; None where there is nothing to compare with.
+    """Return the comparison that `start_truth` needs; None if there is nothing to compare with.
 
-    Reads two indexes of the store, so outside transactions. Raises `store_unavailable`.
+    Reads two indexes from the store: call it outside transactions. Raises `store_unavailable`.
     """
     with platform.database.reading() as session:
         pair = evaluation_versions.active(session, phase_id)
@@ -64,9 +64,10 @@ def compare_frames(platform: Platform, phase_id: str, dataset: Dataset) -> Truth
 def start_truth(
     session: Session, phase: Phase, dataset: Dataset, user_id: str, compared: TruthFrameComparison | None = None
 ) -> tuple[GroundTruthRow, Job]:
-    """A ground truth to be, and the job that makes it; `compared` where the version is not that of the active one.
+    """Return a new ground truth and the job that builds it.
 
-    Raises `empty_part`, `truth_in_making`, `other_frames`, `grids_differ`, `truth_changed`, `QueueDrainingError`.
+    `compared` is required if the version differs from the active ground truth's. Raises `empty_part`,
+    `truth_in_making`, `other_frames`, `grids_differ`, `truth_changed`, `QueueDrainingError`.
     """
     phase = lock_phase(session, phase.id)
     refuse_empty(session, dataset, phase.part)
@@ -86,7 +87,7 @@ def start_truth(
 
 
 def first_activation(session: Session, truth: GroundTruthRow) -> Activation | None:
-    """Put a ready ground truth in force with the default metric where none is; None where one is already."""
+    """Activate a ready ground truth with the default metric; return None if another is already active."""
     phase = lock_phase(session, truth.phase_id)
     if evaluation_versions.active(session, phase.id) is not None:
         return None
@@ -97,7 +98,7 @@ def first_activation(session: Session, truth: GroundTruthRow) -> Activation | No
 
 
 def _refuse_second(session: Session, phase: Phase) -> None:
-    """One at a time: two at once would race for being the first in force."""
+    """Refuse a second ground truth under construction: two would race to be activated first."""
     made = select(GroundTruthRow.number, Job.id).join(Job, Job.id == GroundTruthRow.job_id)
     under_way = made.where(
         GroundTruthRow.phase_id == phase.id, GroundTruthRow.ready_ns.is_(None), Job.state.not_in(TERMINAL)
@@ -130,7 +131,7 @@ def _refuse_other_frames(
 
 
 def _refuse_other_grid(session: Session, phase: Phase, dataset: Dataset) -> None:
-    """A phase has the grid of its first ground truth: what was submitted has its shape."""
+    """Refuse a grid that differs from the phase's first ground truth: submissions have its shape."""
     first = select(Dataset).join(GroundTruthRow, GroundTruthRow.dataset_id == Dataset.id)
     first = first.where(GroundTruthRow.phase_id == phase.id).order_by(GroundTruthRow.number).limit(1)
     standing = session.scalar(first)
@@ -139,19 +140,19 @@ def _refuse_other_grid(session: Session, phase: Phase, dataset: Dataset) -> None
 
 
 def _has_entries(session: Session, phase: Phase) -> bool:
-    """Whether anything stands, or is under way, that a board of another evaluation version would have to show."""
+    """Return whether the phase has entries, or unfinished submissions, which every evaluation version must score."""
     entries = select(SubmissionRow.id).where(SubmissionRow.phase_id == phase.id, SubmissionRow.kind != "validation")
     standing = entries.where(SubmissionRow.state.in_(BINDING), SubmissionRow.withdrawn_ns.is_(None))
     return session.scalar(standing.limit(1)) is not None
 
 
 def _index_key(session: Session, dataset_id: str, part: str) -> str | None:
-    """Under which key of the store the index of the part lies, if the version has the part."""
+    """Return the store key of the part's index, or None if the version lacks the part."""
     joined = select(Blob.object_key).join(DatasetPart, DatasetPart.index_sha256 == Blob.sha256)
     return session.scalar(joined.where(DatasetPart.dataset_id == dataset_id, DatasetPart.part == part))
 
 
 def _tokens(platform: Platform, index_key: str) -> frozenset[str]:
-    """The tokens of the frames whose labels an index names."""
+    """Return the tokens of the frames whose labels an index lists."""
     files = read_index(b"".join(platform.store.read(index_key)))
     return frozenset(name.split("/")[2] for name in files.names if name.startswith(LABELS))

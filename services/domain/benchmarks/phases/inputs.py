@@ -1,8 +1,8 @@
 """Phase inputs: the sensor data of a phase's sequences, made by jobs and served for download.
 
-**Conventions.** An input is made once per sequence and phase (`services/domain/datasets/input_jobs.py` says of what),
-and never changes; its bytes are held by foreign keys to blobs, so it stays when the sequence is deleted. Whoever adds
-to a phase locks its row.
+**Conventions.** An input is made once per sequence and phase (`services/domain/datasets/input_jobs.py`) and never
+changes. Foreign keys to blobs hold its bytes, so the input outlives the sequence. Adding an input to a phase locks the
+phase's row.
 """
 
 from sqlalchemy import Select, select
@@ -29,7 +29,7 @@ RUN = "phase.inputs"
 
 
 def start_inputs(session: Session, phase: Phase, user_id: str) -> Job:
-    """The run that makes what is missing: the one that is at it, or a new one with a job for each sequence.
+    """Return the run that makes the missing inputs: the current one, or a new one with a job for each sequence.
 
     Raises `inputs_complete`, `inputs_impossible`, `QueueDrainingError`.
     """
@@ -50,16 +50,16 @@ def start_inputs(session: Session, phase: Phase, user_id: str) -> Job:
 
 
 def write_input(session: Session, attempt: Attempt, made: InputResult) -> None:
-    """Write down what a job has made, in the transaction of its success; what stands already stays.
+    """Write a job's result in the transaction of its success; an existing input stays.
 
-    Raises `JobCancelledError` when the phase was deleted.
+    Raises `JobCancelledError` if the phase was deleted.
     """
     phase = phase_of_attempt(session, attempt)
     add_input(session, made, (PhaseInput, PhaseInputPack), {"phase_id": phase.id})
 
 
 def phase_of_attempt(session: Session, attempt: Attempt) -> Phase:
-    """The phase the attempt works for, its row locked. Raises `JobCancelledError` when it was deleted."""
+    """Return the attempt's phase with its row locked. Raises `JobCancelledError` if the phase was deleted."""
     wanted = select(Phase).where(Phase.id == attempt.arguments["phase_id"]).with_for_update(key_share=True)
     phase = session.scalars(wanted).one_or_none()
     if phase is None:
@@ -72,7 +72,7 @@ def inputs_of(phase_id: str) -> Select[PhaseInput]:
 
 
 def locate_input(session: Session, row: PhaseInput) -> ExportLocation:
-    """The places of an input's files."""
+    """Return the locations of an input's files."""
     packs = select(Blob.object_key).join(PhaseInputPack, PhaseInputPack.blob_sha256 == Blob.sha256)
     own = packs.where(PhaseInputPack.phase_id == row.phase_id, PhaseInputPack.name == row.name)
     index = session.get_one(Blob, row.index_sha256)

@@ -1,9 +1,9 @@
-"""Frames of a phase whose labels may be shown to everybody: which these are, and their label grids.
+"""Frames of a phase whose labels are public, and their label grids.
 
-**Conventions.** Labels are read from train or val of the dataset version that the ground truth was made of
-(`services/domain/datasets/queries.py`), which never locates test. Nothing is shown of a phase whose ground truth is
-hidden, before or after its end, nor of a sequence whose labels any version or phase hides. A grid is (256, 256, 32)
-uint8 in the ego frame, classes 0 to 3.
+**Conventions.** Labels are read from train or val of the ground truth's dataset version
+(`services/domain/datasets/queries.py`), never from test. No frames are shown of a phase with hidden ground truth, even
+after its end, or of a sequence whose labels another version or phase hides. A grid is (256, 256, 32) uint8 in the ego
+frame, classes 0 to 3.
 """
 
 import re
@@ -36,7 +36,7 @@ HELD = 4
 
 @dataclass(frozen=True)
 class OpenTruth:
-    """The place of the labels of an open ground truth, the names of its sequences that nothing hides, and its grid."""
+    """An open ground truth: where its labels are, its sequences that are not hidden elsewhere, and its grid."""
 
     located: ExportLocation
     sequences: frozenset[str]
@@ -45,8 +45,7 @@ class OpenTruth:
 
 @dataclass(frozen=True, eq=False)
 class OpenFrames:
-    """The frames that may be shown: the sequence of each by its token, in the order of the dataset's files; the grid of
-    all."""
+    """The frames that may be shown: sequence by frame token, in the order of the dataset's files; their grid."""
 
     located: ExportLocation
     sequences: Mapping[str, str]
@@ -54,13 +53,13 @@ class OpenFrames:
 
 
 def open_truth_of(session: Session, phase: Phase) -> OpenTruth | None:
-    """The ground truth in force, where its labels may be shown."""
+    """Return the active ground truth, or None if its labels must not be shown."""
     pair = active(session, phase.id)
     return locate_open_truth(session, phase, session.get_one(GroundTruthRow, pair.truth_id)) if pair else None
 
 
 def locate_open_truth(session: Session, phase: Phase, truth: GroundTruthRow) -> OpenTruth | None:
-    """Where to read the labels; None where the phase hides them, and where no version has the part to read from."""
+    """Return the location of the labels; None if the phase hides them or no version has the part."""
     dataset = session.get_one(Dataset, truth.dataset_id)
     is_there = truth.part in {row.part for row in open_parts(session, dataset)}
     if secrecy_of(phase, now_ns()) != "open" or truth.phase_id != phase.id or not is_there:
@@ -71,21 +70,21 @@ def locate_open_truth(session: Session, phase: Phase, truth: GroundTruthRow) -> 
 
 
 def open_frames(store: Store, found: OpenTruth) -> OpenFrames:
-    """The frames; reads the index of the part, so not within a transaction."""
+    """Return the frames. Reads the part's index from the store: call it outside transactions."""
     places = _places(stored_files(store, found.located).files)
     shown = {token: name for token, (name, _) in places.items() if name in found.sequences}
     return OpenFrames(found.located, MappingProxyType(shown), found.grid)
 
 
 def all_tokens(store: Store, located: ExportLocation) -> tuple[str, ...]:
-    """All frames of the part, which are those that a submission must hold."""
+    """Return all frame tokens of the part; a submission must contain exactly these."""
     return tuple(_places(stored_files(store, located).files))
 
 
 def truth_grids(store: Store, located: ExportLocation, token: str) -> tuple[Grid, Grid]:
-    """The classes of a frame, and 1 where the LiDAR observed the voxel.
+    """Return the classes of a frame, and a mask that is 1 for voxels observed by the LiDAR.
 
-    Raises `KeyError` for a token that is none of the part's, `grid_unreadable`.
+    Raises `KeyError` for a token outside the part, `grid_unreadable`.
     """
     stored = stored_files(store, located)
     _, ordinal = _places(stored.files)[token]
@@ -97,6 +96,6 @@ def truth_grids(store: Store, located: ExportLocation, token: str) -> tuple[Grid
 
 @lru_cache(maxsize=HELD)
 def _places(files: PackedFiles) -> Mapping[str, tuple[str, int]]:
-    """The sequence and the place of each frame's label file by its token; files are told apart as objects."""
+    """Return sequence and path of each frame's label file by token, reading each shared object once."""
     named = ((LABEL_FILE.fullmatch(name), place) for place, name in enumerate(files.names))
     return MappingProxyType({found[2]: (found[1], place) for found, place in named if found})

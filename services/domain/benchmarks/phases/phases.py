@@ -1,8 +1,8 @@
-"""Benchmarks and their phases: made from a dataset version, found by name, changed within what entries rely on.
+"""Benchmarks and their phases: created from a dataset version, found by name, changed only where entries allow it.
 
-**Conventions.** A phase is open in [opens_ns, closes_ns); null is for ever. What is evaluated (version, part, mask,
-whether the ground truth is hidden) is fixed once a ground truth stands: one that is ready or being made. A phase over
-test is always hidden, and its `every_nth` never changes. A change of a phase locks its row.
+**Conventions.** A phase is open in [opens_ns, closes_ns); null is no limit. Version, part, mask and secrecy of the
+ground truth are fixed once the phase has a ground truth that is ready or under construction. A phase over test is
+always hidden, and its `every_nth` never changes. Changing a phase locks its row.
 """
 
 from collections.abc import Mapping
@@ -43,7 +43,7 @@ COUNTED = {
 
 @dataclass(frozen=True)
 class NewBenchmark:
-    """A benchmark to create; `name` is what URLs call it, the rest plain text."""
+    """A benchmark to create; `name` is used in URLs, the other fields are plain text."""
 
     name: str
     title: str
@@ -53,7 +53,7 @@ class NewBenchmark:
 
 @dataclass(frozen=True)
 class Rules:
-    """When and how much: as the columns of `Phase` say."""
+    """Opening times and quotas: the columns of `Phase`."""
 
     title: str = ""
     opens_ns: int | None = None
@@ -68,7 +68,7 @@ class Rules:
 
 @dataclass(frozen=True)
 class NewPhase:
-    """A phase to be."""
+    """A phase to create."""
 
     name: str
     part: Part
@@ -84,7 +84,7 @@ DEFAULTS = (VAL, TEST)
 
 
 def create_benchmark(session: Session, asked: NewBenchmark) -> Benchmark:
-    """Raises `name_taken`."""
+    """Create a benchmark. Raises `name_taken`."""
     if session.scalar(select(Benchmark.id).where(Benchmark.name == asked.name)) is not None:
         raise name_taken("benchmark", asked.name)
     row = Benchmark(name=asked.name, title=asked.title, description=asked.description, created_by=asked.user_id)
@@ -93,14 +93,14 @@ def create_benchmark(session: Session, asked: NewBenchmark) -> Benchmark:
 
 
 def change_benchmark_columns(session: Session, benchmark: Benchmark, changes: Mapping[str, Any]) -> None:
-    """Change what is said of a benchmark, or whether it is public."""
+    """Change the texts of a benchmark, or whether it is public."""
     for name, value in changes.items():
         setattr(benchmark, name, value)
     session.flush()
 
 
 def default_phases(session: Session, dataset: Dataset) -> tuple[NewPhase, ...]:
-    """`val` (open) and `test` (hidden), as far as the version has these parts. Raises `empty_part` for neither."""
+    """Return `val` (open) and `test` (hidden) as far as the version has them. Raises `empty_part` without any."""
     parts = set(session.scalars(select(DatasetMember.part).where(DatasetMember.dataset_id == dataset.id).distinct()))
     found = tuple(phase for phase in DEFAULTS if phase.part in parts)
     if not found:
@@ -109,7 +109,7 @@ def default_phases(session: Session, dataset: Dataset) -> tuple[NewPhase, ...]:
 
 
 def create_phase(session: Session, benchmark: Benchmark, dataset: Dataset, asked: NewPhase) -> Phase:
-    """Raises `name_taken`, `empty_part`, `open_test`, `bad_phase`."""
+    """Create a phase. Raises `name_taken`, `empty_part`, `open_test`, `bad_phase`."""
     if phase_named(session, benchmark.name, asked.name) is not None:
         raise name_taken("phase", asked.name)
     row = Phase(benchmark_id=benchmark.id, dataset_id=dataset.id, name=asked.name)
@@ -123,7 +123,7 @@ def create_phase(session: Session, benchmark: Benchmark, dataset: Dataset, asked
 
 
 def change_phase(session: Session, phase_id: str, changes: Mapping[str, Any]) -> Phase:
-    """Change columns of the phase and count its revision; the row is locked by `lock_phase` before its ETag is judged.
+    """Change columns of the phase and increment its revision; `lock_phase` locks the row before the ETag is compared.
 
     Raises `phase_fixed`, `phase_ended`, `empty_part`, `open_test`, `bad_phase`.
     """
@@ -151,26 +151,26 @@ def change_phase(session: Session, phase_id: str, changes: Mapping[str, Any]) ->
 
 
 def lock_phase(session: Session, phase_id: str) -> Phase:
-    """The phase as it is now, its row locked until the end of the transaction."""
+    """Return the current phase, with its row locked until the end of the transaction."""
     locked = select(Phase).where(Phase.id == phase_id).with_for_update(key_share=True)
     return session.scalars(locked.execution_options(populate_existing=True)).one()
 
 
 def phase_named(session: Session, benchmark: str, phase: str) -> Phase | None:
-    """The phase of these names."""
+    """Return the phase with these names, or None."""
     joined = select(Phase).join(Benchmark, Benchmark.id == Phase.benchmark_id)
     return session.scalars(joined.where(Benchmark.name == benchmark, Phase.name == phase)).one_or_none()
 
 
 def phase_status(phase: Phase, at_ns: int) -> PhaseStatus:
-    """Whether submissions are taken at this time: before `opens_ns` not yet, from `closes_ns` on not any more."""
+    """Return whether the phase accepts submissions at this time, opens later, or is closed."""
     if phase.closes_ns is not None and at_ns >= phase.closes_ns:
         return "closed"
     return "upcoming" if phase.opens_ns is not None and at_ns < phase.opens_ns else "open"
 
 
 def has_truth(session: Session, phase_id: str) -> bool:
-    """Whether the phase has a ground truth that is ready or being made."""
+    """Return whether the phase has a ground truth that is ready or under construction."""
     of_phase = (
         select(GroundTruthRow.id)
         .outerjoin(Job, Job.id == GroundTruthRow.job_id)
@@ -181,14 +181,12 @@ def has_truth(session: Session, phase_id: str) -> bool:
 
 
 def refuse_contradictions(session: Session, phase: Phase, dataset: Dataset) -> None:
-    """Raises `open_test`, `empty_part`, `bad_phase`."""
+    """Raise `open_test`, `empty_part` or `bad_phase` if the phase's columns contradict each other."""
     if phase.part == HIDDEN_PART and not phase.is_hidden:
         raise Refused(
             "open_test",
-            (
-                f"the labels of {phase.part} are hidden, and an open phase would reveal exact results; make the phase "
-                "hidden"
-            ),
+            f"the labels of {phase.part} are hidden, and an open phase would reveal exact results; make the phase "
+            "hidden",
         )
     refuse_empty(session, dataset, phase.part)
     if phase.every_nth is not None and not phase.is_hidden:
@@ -207,7 +205,7 @@ def refuse_contradictions(session: Session, phase: Phase, dataset: Dataset) -> N
 
 
 def refuse_empty(session: Session, dataset: Dataset, part: str) -> None:
-    """Raises `empty_part` where the version has no sequence in the part."""
+    """Raise `empty_part` if the version has no sequence in the part."""
     in_part = select(DatasetMember.sequence_id).where(
         DatasetMember.dataset_id == dataset.id, DatasetMember.part == part
     )
@@ -216,7 +214,7 @@ def refuse_empty(session: Session, dataset: Dataset, part: str) -> None:
 
 
 def _has_told(session: Session, phase: Phase) -> bool:
-    """Whether it is hidden, has ended, and something was scored in it."""
+    """Return whether the phase is hidden, has ended, and has a scored submission."""
     if not phase.is_hidden or phase_status(phase, now_ns()) != "closed":
         return False
     scored = select(SubmissionRow.id).where(SubmissionRow.phase_id == phase.id, SubmissionRow.state == "scored")
@@ -227,7 +225,7 @@ def _insert(session: Session, row: Benchmark | Phase, kind: str) -> None:
     session.add(row)
     try:
         session.flush()
-    except IntegrityError:  # somebody else was first
+    except IntegrityError:  # a concurrent transaction took the name
         raise name_taken(kind, row.name) from None
 
 

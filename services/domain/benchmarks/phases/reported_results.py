@@ -1,8 +1,8 @@
 """Results published elsewhere and ceilings, added by an administrator: on the leaderboard, marked, never ranked.
 
-**Conventions.** The list of a phase is put as a whole; a row is known by its method and modality, and one that is put
-again as it was stays the row it is. A published result is on the track of its modality; a ceiling is about the labels
-and therefore on every track.
+**Conventions.** The list of a phase is replaced as a whole. Method and modality identify a row; an unchanged row keeps
+its id. A published result is on the track of its modality; a ceiling concerns the labels and is therefore on every
+track.
 """
 
 from collections.abc import Iterable, Sequence
@@ -25,9 +25,9 @@ MOST_ROWS = 200
 
 @dataclass(frozen=True)
 class ReportedRow:
-    """A published result or a ceiling with its source, as ratios; null is what was not published.
+    """A published result or a ceiling with its source, as ratios; null if not published.
 
-    `note` is what a reader must know of it; `percent_digits` are the decimals of its per cent as printed.
+    `note` is a remark for readers; `percent_digits` are the decimals of its printed percentages.
     """
 
     method: str
@@ -44,18 +44,18 @@ class ReportedRow:
 
 
 def is_reported_on(track: str | BindParameter[str]) -> ColumnElement[bool]:
-    """Whether a reported row is on the board of this track."""
+    """Return the condition that a reported row is on the board of this track."""
     return or_(Reported.modality == track, Reported.kind == "ceiling")
 
 
 def reported_in(session: Session, phase_id: str) -> list[Reported]:
-    """The rows of a phase, by method and modality."""
+    """Return the reported rows of a phase, by method and modality."""
     of_phase = select(Reported).where(Reported.phase_id == phase_id)
     return list(session.scalars(of_phase.order_by(Reported.method, Reported.modality)))
 
 
 def put_reported(session: Session, phase: Phase, rows: Sequence[ReportedRow]) -> list[Reported]:
-    """Make these, and no others, the reported rows of the phase. Raises `reported_twice`."""
+    """Replace the reported rows of the phase. Raises `reported_twice`."""
     lock_phase(session, phase.id)
     wanted = _by_key(rows)
     for standing in reported_in(session, phase.id):

@@ -1,8 +1,8 @@
-"""The difference a re-score makes: every entry and baseline by both evaluation versions, with rank changes.
+"""Differences made by a re-score: every entry and baseline by both evaluation versions, with rank changes.
 
-**Conventions.** Ranks are those of the board with all entries, not the best of each team, so that every move is seen. A
-move in rank is old − new: positive moves up. A move in value is new − old of mIoU. For administrators only: values are
-exact.
+**Conventions.** Ranks are computed over all entries, not only the best of each team, so that every move is visible. A
+move in rank is old − new: positive moves up. A move in value is new − old of mIoU. Values are exact, so the differences
+are for administrators only.
 """
 
 import re
@@ -31,7 +31,7 @@ class RescoreSide:
 
 @dataclass(frozen=True)
 class RescoreMove:
-    """A submission by both evaluation versions; a side without a score, and what follows from it, is None."""
+    """A submission by both evaluation versions; a side without a score, and values derived from it, are None."""
 
     submission_id: str
     team: str
@@ -45,7 +45,7 @@ class RescoreMove:
 
     @property
     def rank_move(self) -> int | None:
-        """Ranks gained; negative: lost."""
+        """Ranks gained; negative if lost."""
         return None if self.old_rank is None or self.new_rank is None else self.old_rank - self.new_rank
 
     @property
@@ -57,7 +57,7 @@ class RescoreMove:
 
 @dataclass(frozen=True)
 class RescoreDiff:
-    """`rows` in the order of the new ranks, then what has no new rank; `old` is None where no board stood before."""
+    """`rows` are in the order of the new ranks, then rows without a new rank; `old` is None if no board existed."""
 
     old: RescoreSide | None
     new: RescoreSide
@@ -65,17 +65,17 @@ class RescoreDiff:
 
     @property
     def largest_rank_move(self) -> int:
-        """The most ranks that any entry gains or loses; 0 of none."""
+        """The most ranks that an entry gains or loses; 0 without entries."""
         return max((abs(row.rank_move) for row in self.rows if row.rank_move is not None), default=0)
 
     @property
     def largest_value_move(self) -> float:
-        """The most that the mIoU of any submission changes by; 0 of none."""
+        """The largest change of a submission's mIoU; 0 without submissions."""
         return max((abs(row.value_move) for row in self.rows if row.value_move is not None), default=0.0)
 
     @property
     def is_order_changed(self) -> bool:
-        """Whether any entry has another rank, or stands on one of the boards only."""
+        """Whether an entry has another rank, or is on only one of the boards."""
         return _order(self.rows, "old_rank") != _order(self.rows, "new_rank")
 
     @property
@@ -84,12 +84,12 @@ class RescoreDiff:
 
     @property
     def without_new_score(self) -> int:
-        """The number of submissions that have not got, or cannot get, a new score."""
+        """The number of submissions that have no new score (yet)."""
         return sum(row.new is None for row in self.rows)
 
 
 def rescore_diff(session: Session, rescore: Rescore) -> RescoreDiff:
-    """The difference as it stands now, complete or not; of an activated re-score against the version before it."""
+    """Return the current differences, complete or not; an activated re-score is compared with the version before it."""
     before, after = old_version(session, rescore), EvaluationVersion(rescore.truth_id, rescore.metric)
     phase = session.get_one(Phase, rescore.phase_id)
     old, new = (_entries(session, phase, pair) for pair in (before, after))
@@ -104,7 +104,7 @@ def rescore_diff(session: Session, rescore: Rescore) -> RescoreDiff:
 
 
 def _entries(session: Session, phase: Phase, pair: EvaluationVersion | None) -> dict[str, BoardEntry]:
-    """What stands on the board by the evaluation version, by submission."""
+    """Return the entries on the board by the evaluation version, by submission id."""
     found = entries_on_board(session, phase, pair, BoardQuery(entries="all")) if pair else ()
     return {entry.submission_id: entry for entry in found}
 
@@ -126,7 +126,7 @@ def _side(session: Session, pair: EvaluationVersion) -> RescoreSide:
 
 
 def _order(rows: Sequence[RescoreMove], rank: str) -> list[tuple[int, str]]:
-    """Who stands on a board with which rank; equal ranks by id, so that only a true change is one."""
+    """Return (rank, submission id) of the ranked rows, sorted, so that equal ranks have a fixed order."""
     return sorted((getattr(row, rank), row.submission_id) for row in rows if getattr(row, rank) is not None)
 
 
@@ -134,10 +134,8 @@ def _leaders(rows: Sequence[RescoreMove], rank: str) -> set[str]:
     return {row.submission_id for row in rows if getattr(row, rank) == 1}
 
 
-# The difference a re-score makes, as a Markdown page for the administrator.
-#
-# **Conventions.** Names and methods are what strangers wrote: whatever Markdown or HTML would read as more than text
-# is escaped. Ratios with four decimals, moves with their sign, nothing as –.
+# The differences as a Markdown page for the administrator. Names and methods are untrusted: Markdown and HTML syntax is
+# escaped. Ratios have four decimals, moves have a sign, and null is –.
 
 
 SPECIAL = re.compile(r"([\\`*_{}\[\]()<>#+\-.!|~&$^=:\"'@/])")
@@ -146,7 +144,7 @@ NOTHING = "–"
 
 
 def rescore_page(diff: RescoreDiff, progress: RescoreProgress, reason: str) -> str:
-    """The page; one row for each entry and baseline, in the order of the new ranks."""
+    """Return the page, with one row for each entry and baseline in the order of the new ranks."""
     old, new = (_version_cell(side) if side else "no board" for side in (diff.old, diff.new))
     table = [_row(HEAD), _row(("---",) * len(HEAD)), *(_row(_cells(moved)) for moved in diff.rows)]
     said = [f"# From {old} to {new}", f"Reason: {plain(reason)}", _progress(progress), _summary(diff)]
@@ -154,7 +152,7 @@ def rescore_page(diff: RescoreDiff, progress: RescoreProgress, reason: str) -> s
 
 
 def plain(text: str) -> str:
-    """The text with everything escaped that Markdown would read as more than that."""
+    """Return the text with all Markdown syntax escaped."""
     return SPECIAL.sub(r"\\\1", text)
 
 

@@ -1,8 +1,8 @@
 """Progress of a re-score: submissions scored, missing, or impossible to score.
 
-**Conventions.** On the board are scored entries and baselines that were not withdrawn; hidden ones too, since they may
-be shown again. Gone are those of them that can have no new score because their zip was purged: they keep their old one
-and leave the board.
+**Conventions.** The board contains scored entries and baselines that were not withdrawn. Hidden submissions are
+included, since they may be shown again. A submission is `gone` if it can have no new score because its zip was deleted:
+it keeps its old score and leaves the board.
 """
 
 from dataclasses import dataclass
@@ -17,10 +17,10 @@ from services.runtime.orm import Job, Rescore, Score, SubmissionRow
 
 @dataclass(frozen=True)
 class RescoreProgress:
-    """Of `total` submissions on the board `scored` have their new score, `missing` can still get it, `gone` cannot.
+    """Of `total` submissions on the board, `scored` have their new score, `missing` can still get it, `gone` cannot.
 
-    `hidden` can get it too, but are hidden, so that nobody misses them on the board. What is being scored for the first
-    time is not counted: once settled it is scored by every evaluation version that is pending or in force then.
+    `hidden` submissions can get it too, but the board does not need them. Submissions that are being scored for the
+    first time are not counted: they get a score by every pending or active evaluation version.
     """
 
     total: int
@@ -35,7 +35,7 @@ class RescoreProgress:
 
 
 def rescore_progress(session: Session, rescore: Rescore) -> RescoreProgress:
-    """Progress of a re-score, judged by the scores there are and not by its run."""
+    """Return the progress of a re-score, judged by existing scores and not by its run."""
     pair = EvaluationVersion(rescore.truth_id, rescore.metric)
     of_phase, lacking = _submissions_on_board(rescore.phase_id), _lacking(rescore.phase_id, pair)
     total, scored = _count(session, of_phase), _count(session, of_phase.where(_has_score(pair)))
@@ -45,18 +45,18 @@ def rescore_progress(session: Session, rescore: Rescore) -> RescoreProgress:
 
 
 def lacking_ids(session: Session, phase_id: str, pair: EvaluationVersion) -> list[str]:
-    """Submissions on the board that have no score by the evaluation version and can get one, oldest first."""
+    """Return submissions on the board that lack a score by the evaluation version and can get it, oldest first."""
     return list(session.scalars(_lacking(phase_id, pair)))
 
 
 def missing_ids(session: Session, rescore: Rescore, most: int) -> list[str]:
-    """The first of the submissions that an activation waits for, oldest first."""
+    """Return the first `most` submissions whose scores an activation requires, oldest first."""
     lacking = _lacking(rescore.phase_id, EvaluationVersion(rescore.truth_id, rescore.metric))
     return list(session.scalars(lacking.where(SubmissionRow.hidden_ns.is_(None)).limit(most)))
 
 
 def failed_ids(session: Session, run_id: str | None) -> set[str]:
-    """The submissions that a job of this run failed for."""
+    """Return the submissions for which a job of this run failed."""
     failed = select(Job.arguments).where(Job.root_id == run_id, Job.id != run_id, Job.state == "failed")
     return {arguments["submission_id"] for arguments in session.scalars(failed) if arguments}
 
@@ -72,7 +72,7 @@ def _has_score(pair: EvaluationVersion) -> ColumnElement[bool]:
 
 
 def _lacking(phase_id: str, pair: EvaluationVersion) -> Select[str]:
-    """Submissions on the board without the score that can have it: from their zip, or from counts that are kept."""
+    """Select submissions on the board that lack the score and can get it from their zip or from stored counts."""
     counted = aliased(Score)
     has_counts = exists().where(counted.submission_id == SubmissionRow.id, counted.truth_id == pair.truth_id)
     can_be_scored = or_(SubmissionRow.blob_sha256.is_not(None), has_counts)

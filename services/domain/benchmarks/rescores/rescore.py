@@ -1,10 +1,10 @@
 """Re-scoring: scores all entries of a phase by another evaluation version, then switches the board at once.
 
-    start_rescore → (its run) → rescore_progress, the difference → activate, or abandon
+    start_rescore → (its run) → rescore_progress, the differences → activate, or abandon
 
-**Conventions.** A re-score is pending until it is activated or abandoned; meanwhile new submissions are scored by its
-evaluation version too (`evaluation_versions.py`). Whoever starts, activates or abandons locks the phase's row, after a
-run's.
+**Conventions.** A re-score is pending until it is activated or abandoned; meanwhile new submissions are also scored by
+its evaluation version (`evaluation_versions.py`). Starting, activating and abandoning lock the phase's row, after the
+row of a run.
 """
 
 from dataclasses import dataclass
@@ -40,12 +40,12 @@ class NewRescore:
 
 
 def start_rescore(session: Session, phase: Phase, asked: NewRescore) -> tuple[Rescore, Job | None]:
-    """The re-score of the phase by the version, and the run that scores what lacks it; None where nothing does.
+    """Return the re-score of the phase by the version, and the run that scores what is missing (None if nothing is).
 
-    By the evaluation version of the board it is refused, unless an entry lacks that (one that was hidden, say, and is
-    shown again). Where one by this evaluation version is pending, it is that one: its run goes on, or, has that ended,
-    another takes up what is missing. Raises `unknown_metric`, `superseded_metric`, `ground_truth_of_other_phase`,
-    `truth_not_ready`, `already_active`, `QueueDrainingError`.
+    A re-score by the board's own evaluation version is refused unless an entry lacks that score (for example an entry
+    that was hidden and is shown again). If a re-score by this version is pending, it is returned: its run continues, or
+    a new run scores what is missing if the run has ended. Raises `unknown_metric`, `superseded_metric`,
+    `ground_truth_of_other_phase`, `truth_not_ready`, `already_active`, `QueueDrainingError`.
     """
     lock_phase(session, phase.id)
     pair = asked.pair
@@ -55,7 +55,7 @@ def start_rescore(session: Session, phase: Phase, asked: NewRescore) -> tuple[Re
     if run is not None and run.state not in TERMINAL:
         return rescore, run
     failed = failed_ids(session, rescore.job_id)
-    # A run ends with its first failure, so what failed before is tried after all others.
+    # The first failure ends a run, so submissions that failed before come last.
     lacking = sorted(lacking_ids(session, phase.id, pair), key=lambda one: (one in failed, one))
     if not lacking:
         return rescore, None
@@ -67,10 +67,10 @@ def start_rescore(session: Session, phase: Phase, asked: NewRescore) -> tuple[Re
 
 
 def activate(session: Session, rescore: Rescore, expected_activation_id: str | None, user_id: str) -> Activation:
-    """Switch the board to the evaluation version of `rescore`, at once and as a whole; the old one stays readable.
+    """Switch the board to the evaluation version of `rescore` at once; the old version stays readable.
 
-    Raises `RescoreStateError`, `truth_not_ready`, `rescore_incomplete`, and `leaderboard_changed` where another
-    activation than the expected one is in force.
+    Raises `RescoreStateError`, `truth_not_ready`, `rescore_incomplete`, and `leaderboard_changed` if the active
+    activation is not the expected one.
     """
     lock_phase(session, rescore.phase_id)
     _refuse_ended(session, rescore, "activated")
@@ -100,7 +100,7 @@ def activate(session: Session, rescore: Rescore, expected_activation_id: str | N
 
 
 def abandon(session: Session, rescore: Rescore, reason: str) -> None:
-    """Give the re-score up: its run stops, new submissions are not scored by its version any more, scores stay.
+    """Abandon the re-score: stop its run and stop scoring new submissions by its version; scores stay.
 
     Raises `RescoreStateError`.
     """
@@ -116,7 +116,7 @@ def abandon(session: Session, rescore: Rescore, reason: str) -> None:
 
 
 def old_version(session: Session, rescore: Rescore) -> EvaluationVersion | None:
-    """What the re-score is held against: the evaluation version on the board now, or before its own activation."""
+    """Return the version to compare with: the active one, or the one before the re-score's own activation."""
     until_ns = None if rescore.activated_ns is None else rescore.activated_ns - 1
     return active(session, rescore.phase_id, until_ns)
 

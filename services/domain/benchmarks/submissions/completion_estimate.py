@@ -1,9 +1,8 @@
-"""Estimated completion time of waiting and running submissions, from the pace of recent ones.
+"""Estimated completion time of waiting and running submissions, from the pace of recent submissions.
 
-**Conventions.** Work is counted in frames of the phase's ground truth. The pace is the frames of the last submissions
-that were read to their end, over the time in which at least one of them was worked on: idle hours do not slow it,
-several workers at once quicken it. What is said is rounded up to `STEP_S`, so that nothing finer of others' runs is
-told.
+**Conventions.** Work is counted in frames of the phase's ground truth. The pace is the number of frames of the last
+completely read submissions, divided by the time in which at least one was processed: idle hours do not slow it,
+parallel workers speed it up. Estimates are rounded up to `STEP_S`, so that they reveal no details of other runs.
 """
 
 from collections.abc import Iterable, Mapping
@@ -24,7 +23,7 @@ READ_THROUGH = ("scored", "valid")
 
 
 def queue_position(session: Session, submission: SubmissionRow) -> int | None:
-    """The number of queued submissions finalised before this one; None unless it is queued."""
+    """Return the number of queued submissions finalised before this one; None unless it is queued."""
     if submission.state != "queued":
         return None
     before = select(func.count()).select_from(SubmissionRow)
@@ -32,16 +31,15 @@ def queue_position(session: Session, submission: SubmissionRow) -> int | None:
 
 
 def expected_s(session: Session, submission: SubmissionRow) -> int | None:
-    """The estimated seconds until it ends, at least `STEP_S`.
+    """Return the estimated seconds until the submission ends, at least `STEP_S`.
 
-    None when it is neither queued nor being scored, when nothing was scored yet to judge by, and while the queue is
-    paused.
+    None if it is neither queued nor being scored, if no earlier submission gives a pace, or while the queue is paused.
     """
     return expected_of(session, [submission]).get(submission.job_id or "")
 
 
 def expected_of(session: Session, submissions: Iterable[SubmissionRow]) -> dict[str, int]:
-    """As `expected_s`, by the ids of their runs, of those of which it can be told."""
+    """Return the estimates of `expected_s` by run id, for the submissions that have an estimate."""
     job_ids = {one.job_id for one in submissions if one.state in LIVE and one.job_id}
     pace_hz = None if not job_ids or _is_paused(session) else _pace_hz(session)
     if pace_hz is None:
@@ -59,7 +57,7 @@ def expected_of(session: Session, submissions: Iterable[SubmissionRow]) -> dict[
 
 
 def busy_ns(spans: Iterable[tuple[int, int]]) -> int:
-    """The length of the union of half-open spans."""
+    """Return the length of the union of half-open spans."""
     total = until = 0
     for start, stop in sorted(spans):
         total += max(0, stop - max(start, until))
@@ -68,7 +66,7 @@ def busy_ns(spans: Iterable[tuple[int, int]]) -> int:
 
 
 def _pace_hz(session: Session) -> float | None:
-    """Frames a second of the last that were read through; None where there are none."""
+    """Return the frames per second of the last completely read submissions, or None without such submissions."""
     ended = select(SubmissionRow.phase_id, Job.started_ns, SubmissionRow.settled_ns).join(
         Job, Job.id == SubmissionRow.job_id
     )
@@ -81,7 +79,7 @@ def _pace_hz(session: Session) -> float | None:
 
 
 def _frames(session: Session, phase_ids: Iterable[str]) -> dict[str, int]:
-    """The frames of the ground truth in force of each phase."""
+    """Return the number of frames of each phase's active ground truth."""
     found = {phase_id: evaluation_versions.active(session, phase_id) for phase_id in phase_ids}
     return {
         phase_id: session.get_one(GroundTruthRow, pair.truth_id).frames if pair else 0
@@ -90,7 +88,7 @@ def _frames(session: Session, phase_ids: Iterable[str]) -> dict[str, int]:
 
 
 def _left(session: Session, run_ids: list[str]) -> Mapping[str, float]:
-    """The share of each run that is still to be done, by the jobs that are known so far."""
+    """Return the share of each run that remains, judged by the jobs known so far."""
     succeeded = func.sum(case((Job.state == "succeeded", 1), else_=0))
     of_runs = select(Job.root_id, succeeded, func.count()).where(Job.root_id.in_(run_ids), Job.queue != "")
     return {root_id: 1 - done / total for root_id, done, total in session.execute(of_runs.group_by(Job.root_id))}

@@ -31,7 +31,7 @@ def phase_closed(name: str, opens_ns: int | None, closes_ns: int | None, now_ns:
 
 
 class SubmissionStateError(StoneError):
-    """The submission is not in a state in which this can be done."""
+    """The submission's state does not allow the action."""
 
     code = "wrong_state"
 

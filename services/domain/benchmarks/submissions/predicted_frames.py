@@ -1,8 +1,8 @@
-"""The predictions that a submission holds: its zip as it was kept, and single frames of it.
+"""The predictions of a submission: its zip as uploaded, and single frames.
 
-**Conventions.** Only zips that were scored are opened, which a sandboxed job has read whole and accepted; they are read
-by the same bounded reader (`stone_submissions/archive.py`) nevertheless. A scored zip is kept for re-scores; that of a
-withdrawn submission is purged some time later.
+**Conventions.** Only scored zips are opened: a sandboxed job has read and accepted them completely. Frames are
+nevertheless read with the bounded reader (`stone_submissions/archive.py`). A scored zip is kept for re-scores; the zip
+of a withdrawn submission is deleted some time later.
 """
 
 from collections.abc import Sequence
@@ -26,12 +26,12 @@ def downloadable_zip(session: Session, seen: ScoreView) -> Blob:
     if not seen.policy.shows("baseline" if seen.submission.kind == "baseline" else "predictions"):
         raise Refused(
             "withheld", f"the zip of this submission cannot be shown: {UNTIL['open']}"
-        )  # its sentence is true of zips whatever the phase hides
+        )  # zips have this policy in all phases
     return _kept_zip(session, seen)
 
 
 def pictured_zip(session: Session, seen: ScoreView) -> Blob:
-    """The zip, to make pictures of its frames. Raises `frames_hidden`, `predictions_gone`."""
+    """Return the zip, for pictures of its frames. Raises `frames_hidden`, `predictions_gone`."""
     if not seen.policy.shows("frames"):
         raise Refused(
             "frames_hidden",
@@ -42,9 +42,9 @@ def pictured_zip(session: Session, seen: ScoreView) -> Blob:
 
 
 def predicted_grid(path: Path, tokens: Sequence[str], token: str, shape: tuple[int, ...]) -> NDArray[np.uint8] | None:
-    """The classes, of this shape, that the zip predicts for a frame, of all `tokens` it must hold; None without it.
+    """Return the predicted classes of a frame in this shape, or None if the zip lacks the frame.
 
-    Raises `SubmissionError` where the file is not what was accepted.
+    `tokens` are all required frames. Raises `SubmissionError` if the file differs from the accepted one.
     """
     with open_submission(path, tokens, grid_with_shape(shape)) as opened:
         return frame_grid(opened, token) if token in opened.frames else None

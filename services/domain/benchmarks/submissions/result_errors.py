@@ -10,7 +10,7 @@ UNTIL = {
 
 
 class NotScoredError(StoneError):
-    """The submission has no score that could be shown."""
+    """The submission has no score to show."""
 
     code = "not_scored"
 

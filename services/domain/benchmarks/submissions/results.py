@@ -1,8 +1,8 @@
 """Results of a submission: totals, breakdowns, provenance, counts, limited to what the viewer may see.
 
-**Conventions.** Without a score id it is the score by the evaluation version in force. By others than administrators
-only scores can be read whose evaluation version is or was in force: a re-score that is being prepared is nobody's to
-know. What may not be seen is null in a whole, and refused (`withheld`) where it is all that was asked for.
+**Conventions.** Without a score id the score by the active evaluation version is used. Only administrators may read
+scores of evaluation versions that were never active, such as those of a pending re-score. Withheld values are null
+within a response, and refused (`withheld`) if they are the whole response.
 """
 
 from collections.abc import Mapping
@@ -32,7 +32,7 @@ BY: tuple[By, ...] = get_args(By)
 
 @dataclass(frozen=True)
 class ScoreView:
-    """A submission, one score of it, and what the viewer may see of them."""
+    """A submission, one of its scores, and the viewer's policy for them."""
 
     submission: SubmissionRow
     phase: Phase
@@ -42,19 +42,23 @@ class ScoreView:
     is_active: bool
 
     def demand(self, field: Field, what: str) -> None:
-        """Raises `withheld` where the viewer may not see the field."""
+        """Raise `withheld` if the viewer may not see the field."""
         if not self.policy.shows(field):
             raise Refused("withheld", f"{what} of this submission cannot be shown: {UNTIL[self.policy.secrecy]}")
 
     def unless_withheld(self, field: Field, name: str) -> Any:
-        """The record's value under this name, or null."""
+        """Return the record's value with this name, or null if withheld."""
         return self.score.record.get(name) if self.policy.shows(field) else None
 
 
 @dataclass(frozen=True)
 class SubmissionResults:
-    """Totals, and beside them what may be seen: confusion (4, 4) and supports of all evaluated voxels, intervals by
-    scope and ratio, and why there is none. `is_rounded` says that the totals are. Whose it is may be unnamed as yet.
+    """Totals and the visible details of a submission.
+
+    - confusion (4, 4) and supports of all evaluated voxels
+    - intervals by scope and ratio, or the reason for their absence
+    - `is_rounded`: whether the totals are rounded
+    - the team, unless it is still unnamed
     """
 
     seen: ScoreView
@@ -85,7 +89,7 @@ class BreakdownPart:
 
 @dataclass(frozen=True)
 class Provenance:
-    """The inputs of a score; the file's digest and the counts' only for whom they are."""
+    """The inputs of a score; digests of the file and the counts are null for viewers who may not see them."""
 
     seen: ScoreView
     code_version: str
@@ -95,14 +99,14 @@ class Provenance:
 
 
 def submission_seen(session: Session, viewer: Viewer, submission_id: str) -> SubmissionRow | None:
-    """The submission, if it is there and the viewer may know of it."""
+    """Return the submission if it exists and the viewer may see it."""
     return session.scalars(submissions_seen(viewer).where(SubmissionRow.id == submission_id)).one_or_none()
 
 
 def results(
     session: Session, viewer: Viewer, submission: SubmissionRow, score_id: str | None = None
 ) -> SubmissionResults:
-    """Raises `NotScoredError`, `ScoreMissingError`."""
+    """Return the results. Raises `NotScoredError`, `ScoreMissingError`."""
     seen = seen_score(session, viewer, submission, score_id)
     shows_intervals = seen.policy.shows("intervals")
     return SubmissionResults(
@@ -124,7 +128,7 @@ def results(
 
 
 def breakdown(seen: ScoreView, by: By) -> tuple[BreakdownPart, ...]:
-    """The parts in the order of the record; none where no sequence is known by it. Raises `withheld`."""
+    """Return the parts in the order of the record; empty if no sequence has this attribute. Raises `withheld`."""
     seen.demand("breakdowns", f"results by {by}")
     parts: Mapping[str, Record] = seen.score.record["by"].get(by, {})
     return tuple(
@@ -134,7 +138,7 @@ def breakdown(seen: ScoreView, by: By) -> tuple[BreakdownPart, ...]:
 
 
 def provenance(seen: ScoreView) -> Provenance:
-    """Raises `withheld`."""
+    """Return the provenance of the score. Raises `withheld`."""
     seen.demand("provenance", "the provenance")
     is_own, is_content = seen.policy.shows("file"), seen.policy.shows("content")
     row = seen.submission
@@ -148,13 +152,13 @@ def provenance(seen: ScoreView) -> Provenance:
 
 
 def kept_confusions(session: Session, seen: ScoreView) -> Blob:
-    """The npz of the counts by frame and ring. Raises `withheld`."""
+    """Return the npz of the counts by frame and ring. Raises `withheld`."""
     seen.demand("confusions", "the confusions by frame")
     return session.get_one(Blob, seen.score.confusions_sha256)
 
 
 def seen_score(session: Session, viewer: Viewer, submission: SubmissionRow, score_id: str | None = None) -> ScoreView:
-    """The score of this id, or by the evaluation version in force. Raises `NotScoredError`, `ScoreMissingError`."""
+    """Return the score with this id, by default by the active version. Raises `NotScoredError`, `ScoreMissingError`."""
     phase = session.get_one(Phase, submission.phase_id)
     policy = policy_of(viewer, phase, submission.team_id, now_ns())
     pair = active(session, phase.id)
@@ -168,7 +172,7 @@ def seen_score(session: Session, viewer: Viewer, submission: SubmissionRow, scor
 
 
 def readable_scores(session: Session, viewer: Viewer, submission: SubmissionRow) -> tuple[tuple[Score, int], ...]:
-    """The scores, without their records, with the number of their ground truth; oldest first."""
+    """Return the scores without their records, with their ground truth numbers; oldest first."""
     of_submission = (
         select(Score, GroundTruthRow.number)
         .join(GroundTruthRow, GroundTruthRow.id == Score.truth_id)
@@ -183,12 +187,12 @@ def readable_scores(session: Session, viewer: Viewer, submission: SubmissionRow)
 
 
 def _extras(record: Record) -> Ratios:
-    """The extras; a record of an earlier version lacks a share that its confusion gives, and the clear columns."""
+    """Return the extras; records of earlier versions lack a few."""
     return {**danger(np.array(record["confusion"])), "clear_drivable_iou": None, **record["extras"]}
 
 
 def _by_scope(seen: ScoreView, name: str, otherwise: Silence | None) -> Mapping[Scope, Any]:
-    """That part of the record; `otherwise` of a score from before silences were told: its intervals are withdrawn."""
+    """Return this part of the record; `otherwise` for a score without silences, whose intervals are withdrawn."""
     found: Mapping[Scope, Any] = seen.score.record[name] if "silences" in seen.score.record else {}
     return found or {scope: dict.fromkeys(RATIOS, otherwise) for scope in SCOPES}
 

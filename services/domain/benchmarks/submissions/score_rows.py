@@ -1,7 +1,7 @@
 """Writes scores and partial counts, each once, in the caller's transaction.
 
-**Conventions.** Their bytes are prepared before the transaction and linked in it. A job delivered twice writes the same
-row again, which changes nothing.
+**Conventions.** The bytes are prepared before the transaction and linked in it. A job that is delivered twice writes
+the same row again, without effect.
 """
 
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ from stone.scoring.metric import RATIOS
 
 @dataclass(frozen=True)
 class NewScore:
-    """The score that the join of a submission found; `record` as the board reads it, `total` of it by `RATIOS`."""
+    """The score from the join of a submission; `record` is what the board reads, `total` its total by `RATIOS`."""
 
     submission_id: str
     evaluation_version: EvaluationVersion
@@ -34,7 +34,7 @@ class NewScore:
 
 @dataclass(frozen=True)
 class CountedPart:
-    """Frames [start, stop) of a submission against a truth; `counts` as `services/eval/examination.py` packs them."""
+    """Frames [start, stop) of a submission against a ground truth; `services/eval/examination.py` packs `counts`."""
 
     submission_id: str
     truth_id: str
@@ -46,7 +46,7 @@ class CountedPart:
 
 
 def write_score(session: Session, new: NewScore) -> Score:
-    """The score with its blobs; the one that stands already where there is one. Its parts are gone afterwards."""
+    """Write the score with its blobs and delete its parts; an existing score is returned unchanged."""
     link_all(session, (new.confusions, new.spectra))
     facts = {
         "id": new_id(),
@@ -67,16 +67,16 @@ def write_score(session: Session, new: NewScore) -> Score:
 
 
 def write_part(session: Session, part: CountedPart) -> None:
-    """Keep a counted part until the join, unless it is kept already."""
+    """Store a counted part for the join, unless it is stored already."""
     insert_new(session, ScorePart, [{**vars(part), "problems": dict(part.problems)}])
 
 
 def drop_parts(session: Session, submission_id: str, truth_id: str) -> None:
-    """Delete partial counts: they are joined, or will never be."""
+    """Delete partial counts that were joined or will never be joined."""
     of_both = (ScorePart.submission_id == submission_id, ScorePart.truth_id == truth_id)
     session.execute(delete(ScorePart).where(*of_both))
 
 
 def drop_all_parts(session: Session, submission_id: str) -> None:
-    """The submission has ended: no join will ask for what was counted."""
+    """Delete all partial counts of an ended submission."""
     session.execute(delete(ScorePart).where(ScorePart.submission_id == submission_id))

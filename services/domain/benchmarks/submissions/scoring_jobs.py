@@ -1,11 +1,11 @@
 """Job specs that score a submission, re-score one, and build a ground truth.
 
-    eval.open → eval.part (each range of frames) → eval.join; then both again by every pending evaluation version
+    eval.open → eval.part (each range of frames) → eval.join; then part and join for every pending evaluation version
 
-**Conventions.** Arguments hold ids and numbers only. `start`, `stop` are those of a range of `scoring_ranges.py`.
-A join counts by itself what no part has counted, so a small submission needs no parts; and it reads the kept counts
-where the submission was scored against the same truth before, so another metric needs no zip. Keys name jobs of one
-evaluation version, whose submissions may be many.
+**Conventions.** Arguments contain only ids and numbers. `start` and `stop` are a range of `scoring_ranges.py`. A join
+counts the frames that no part has counted, so a small submission needs no parts. If the submission was already scored
+against the same ground truth, the join reads the stored counts, so another metric needs no zip. Keys identify jobs of
+one evaluation version, which may have many submissions.
 """
 
 from collections.abc import Iterable
@@ -22,17 +22,17 @@ OPEN, PART, JOIN, TRUTH = "eval.open", "eval.part", "eval.join", "eval.truth"
 
 
 def submission_specs(submission: SubmissionRow) -> tuple[JobSpec, ...]:
-    """The first jobs of a run that checks and, unless its kind is validation, scores a submission."""
+    """Return the first jobs of a run that checks and, unless its kind is validation, scores a submission."""
     return (JobSpec(OPEN, {"submission_id": submission.id}, key=f"open {submission.id}"),)
 
 
 def truth_spec(truth: GroundTruthRow) -> JobSpec:
-    """The job that builds a ground truth."""
+    """Return the job that builds a ground truth."""
     return JobSpec(TRUTH, {"truth_id": truth.id})
 
 
 def rescore_specs(session: Session, submission_ids: Iterable[str], pair: EvaluationVersion) -> tuple[JobSpec, ...]:
-    """The jobs that score these submissions by `pair`, in their order; none for those that have that score."""
+    """Return the jobs that score these submissions by `pair`, in their order, except for existing scores."""
     ids = tuple(submission_ids)
     frames = session.get_one(GroundTruthRow, pair.truth_id).frames
     metrics: dict[str, set[str]] = {}
@@ -48,7 +48,7 @@ def rescore_specs(session: Session, submission_ids: Iterable[str], pair: Evaluat
 
 
 def scoring_specs(submission_id: str, pair: EvaluationVersion, frames: int) -> tuple[JobSpec, ...]:
-    """Parts of the `frames` frames that are to be counted, none for one part's worth; then the join."""
+    """Return jobs for the parts of `frames` frames (none if they fit into one part), followed by the join."""
     whose = {"submission_id": submission_id, "truth_id": pair.truth_id}
     parts = tuple(
         JobSpec(PART, {**whose, "start": start, "stop": stop}, f"part {submission_id} {start}")
@@ -59,6 +59,6 @@ def scoring_specs(submission_id: str, pair: EvaluationVersion, frames: int) -> t
 
 
 def _parts_of(frames: int) -> tuple[Span, ...]:
-    """The ranges that get a job of their own; none where one join can count them all."""
+    """Return the ranges that get their own jobs; none if one join can count all frames."""
     ranges = ranges_of(frames)
     return ranges if len(ranges) > 1 else ()

@@ -1,13 +1,12 @@
 """The scoring quota of teams: an append-only ledger whose sum is the balance.
 
-**Conventions.** A scoring is reserved when a submission is finalised (+1), then consumed by its score (0) or released
-(−1) by whatever else ends it, and retaken (+1) when its run is tried again. What counts is the balance of a submission,
-from the moment it was taken last; what was released never did. If the truth is hidden, releases after
-counting started are bounded per window. Entries cost one, and if the truth is hidden baselines too, since every
-score reveals something of it. A grant (negative, without a submission) raises the total for good, and what the
-window allows for one window's length. Each function is part of the caller's transaction; taking locks the team's row,
-so that two at once cannot both take the last scoring. Locks are taken in one order
-everywhere: run, submission, upload, team.
+**Conventions.** Finalising a submission reserves a scoring (+1). Its score consumes the scoring (0), any other end
+releases it (−1), and retrying its run retakes it (+1). A submission's balance counts from the last time it was taken.
+If the ground truth is hidden, releases after counting started are bounded per window. Entries cost one scoring;
+baselines too if the ground truth is hidden, since every score reveals something of it. A grant (negative, without a
+submission) raises the total permanently and the window's limit for one window. Each function is part of the caller's
+transaction; taking a scoring locks the team's row, so two transactions cannot both take the last scoring. Locks are
+taken in one order: run, submission, upload, team.
 """
 
 from collections.abc import Sequence
@@ -25,18 +24,20 @@ from services.runtime.orm.base import now_ns
 RESERVED, CONSUMED, GRANTED = "reserved", "consumed", "granted"
 COUNTED = "released after counting"
 GIVEN_BACK = 10
-"""Most scorings that a team gets back per window after counting started, if the truth is hidden. A submission that
-takes over its counting child can choose its end according to the truth."""
+"""Most scorings per window that are returned to a team after counting started, if the ground truth is hidden. A
+submission that takes over its counting child can choose its end according to the ground truth.
+"""
 FEW_OF = 5
-"""Of a limit's fifth on, rounded down, few are left."""
+"""Few scorings are left if at most a fifth of the limit remains, rounded down."""
 
 
 @dataclass(frozen=True)
 class ScoringQuota:
-    """A team's scoring quota in a phase; null limits mean that as many are scored as it likes.
+    """A team's scoring quota in a phase; null limits mean unlimited scorings.
 
-    `limit` is that of the window, grants included; `used` of them are scored, `reserved` under way. `next_slot_ns` is
-    when the next submission may be finalised: now, later, or null for never. The window is `window_ns` long.
+    - `limit`: scorings per window, grants included, of which `used` are scored and `reserved` in progress
+    - `next_slot_ns`: when the next submission may be finalised: now, later, or null for never
+    - `window_ns`: length of the window
     """
 
     limit: int | None
@@ -48,12 +49,12 @@ class ScoringQuota:
 
 
 def is_charged(phase: Phase, kind: str) -> bool:
-    """Whether a submission of this kind costs a scoring."""
+    """Return whether a submission of this kind costs a scoring."""
     return kind == "entry" or (kind == "baseline" and phase.is_hidden)
 
 
 def reserve(session: Session, phase: Phase, team_id: str, submission_id: str) -> None:
-    """Take a scoring for the submission. Raises `scorings_exhausted`, and takes nothing then."""
+    """Reserve a scoring for the submission. Raises `scorings_exhausted`, and then reserves nothing."""
     lock_team(session, team_id)
     now = scoring_quota(session, phase, team_id)
     if now.total_left is not None and now.total_left <= 0:
@@ -66,19 +67,19 @@ def reserve(session: Session, phase: Phase, team_id: str, submission_id: str) ->
 
 
 def consume(session: Session, submission_id: str) -> None:
-    """Note that the scoring was used: what was reserved stays taken."""
+    """Record that the submission used its reserved scoring."""
     for phase_id, team_id in _charged_to(session, submission_id):
         entry = ScoringEntry(phase_id=phase_id, team_id=team_id, submission_id=submission_id)
         _add(session, entry, 0, CONSUMED)
 
 
 def release(session: Session, submission_id: str, reason: str) -> int:
-    """Give back what is taken for the submission; how many scorings that were. A second time it is 0."""
+    """Release the submission's scoring; return the number of released scorings, 0 if already released."""
     return _settle_at(session, submission_id, 0, reason)
 
 
 def release_counted(session: Session, submission_id: str, state: str) -> int:
-    """Release the scoring as `release` does, after counting started; it stays used after `GIVEN_BACK` such releases."""
+    """Release the scoring like `release`, after counting started; after `GIVEN_BACK` such releases it stays used."""
     for phase_id, team_id in _charged_to(session, submission_id):
         lock_team(session, team_id)
         phase = session.get_one(Phase, phase_id)
@@ -89,18 +90,18 @@ def release_counted(session: Session, submission_id: str, state: str) -> int:
 
 
 def retake(session: Session, submission_id: str) -> int:
-    """Take again what was released, without asking for the limit: an administrator has its run tried again."""
+    """Retake a released scoring regardless of the limit, because an administrator retries the run."""
     return -_settle_at(session, submission_id, 1, RESERVED)
 
 
 def grant(session: Session, phase: Phase, team_id: str, amount: int, reason: str = GRANTED) -> ScoringEntry:
-    """Allow a team `amount` more scorings (negative: take back what was granted). `reason` is at most 64 characters."""
+    """Allow a team `amount` more scorings (negative: revoke a grant). `reason` is at most 64 characters."""
     lock_team(session, team_id)
     return _add(session, ScoringEntry(phase_id=phase.id, team_id=team_id), -amount, reason[:64])
 
 
 def scoring_quota(session: Session, phase: Phase, team_id: str, at_ns: int | None = None) -> ScoringQuota:
-    """The scorings the team has left now, and from when on it has one."""
+    """Return the team's remaining scorings, and when the next one is available."""
     at_ns = now_ns() if at_ns is None else at_ns
     taken = _taken_in_window(session, phase, team_id, at_ns)
     granted = _granted_in_window(session, phase, team_id, at_ns)
@@ -120,13 +121,13 @@ def scoring_quota(session: Session, phase: Phase, team_id: str, at_ns: int | Non
 
 
 def balance(session: Session, phase_id: str, team_id: str) -> int:
-    """The sum of all entries: scorings used and under way, less what was granted."""
+    """Return the sum of all entries: used and reserved scorings, less grants."""
     total = select(func.coalesce(func.sum(ScoringEntry.amount), 0)).where(*_of_team(phase_id, team_id))
     return int(session.scalar(total) or 0)
 
 
 def _tell_low(session: Session, before: ScoringQuota, phase: Phase, team_id: str) -> None:
-    """Record that few are left, where it is the one just taken that makes it so: of the window's, or of all."""
+    """Record an event if the scoring just taken leaves only few in the window or in total."""
     in_window = None if before.limit is None else before.limit - before.used - before.reserved
     for left, limit in ((in_window, before.limit), (before.total_left, phase.scorings_total)):
         if left is not None and left - 1 <= (limit or 0) // FEW_OF < left:
@@ -136,7 +137,7 @@ def _tell_low(session: Session, before: ScoringQuota, phase: Phase, team_id: str
 
 
 def _first_free_ns(surplus: int, steps: Sequence[tuple[int, int]], at_ns: int) -> int | None:
-    """When the surplus over the limit first falls below zero, as what was taken and granted leaves the window."""
+    """Return when the surplus over the limit first falls below zero, as scorings and grants leave the window."""
     if surplus < 0:
         return at_ns
     for moment in sorted({moment for moment, _ in steps}):
@@ -147,10 +148,10 @@ def _first_free_ns(surplus: int, steps: Sequence[tuple[int, int]], at_ns: int) -
 
 
 def _taken_in_window(session: Session, phase: Phase, team_id: str, at_ns: int) -> Sequence[Row[int, int, int]]:
-    """Of each submission that holds a scoring taken in the window: since when, how many, and whether it is consumed.
+    """Return the time taken, amount and consumption of each submission that holds a scoring taken in the window.
 
-    All entries of a submission count, whenever they were made: one that was reserved before the window, released and
-    retaken in it holds one.
+    All entries of a submission count, regardless of their time: a submission that was reserved before the window, then
+    released and retaken within it, holds a scoring.
     """
     is_consumed = func.max(case((ScoringEntry.reason == CONSUMED, 1), else_=0)).label("is_consumed")
     amount = func.sum(ScoringEntry.amount).label("amount")
@@ -161,7 +162,7 @@ def _taken_in_window(session: Session, phase: Phase, team_id: str, at_ns: int) -
 
 
 def _granted_in_window(session: Session, phase: Phase, team_id: str, at_ns: int) -> Sequence[Row[int, int]]:
-    """The grants of the window, negative amounts."""
+    """Return the grants of the window as negative amounts."""
     granted = select(ScoringEntry.created_ns.label("taken_ns"), ScoringEntry.amount.label("amount"))
     granted = granted.where(*_of_team(phase.id, team_id), ScoringEntry.submission_id.is_(None))
     return session.execute(granted.where(ScoringEntry.created_ns > at_ns - phase.window_ns)).all()
@@ -179,9 +180,9 @@ def _of_team(phase_id: str, team_id: str) -> tuple[ColumnElement[bool], ...]:
 
 
 def _settle_at(session: Session, submission_id: str, wanted: int, reason: str) -> int:
-    """Bring what the submission holds to `wanted`, where it ever held any; how many were given back.
+    """Set the scorings that the submission holds to `wanted`, if it ever held any; return the number released.
 
-    The balance is read under the team's lock, so that of two at once the second finds it settled.
+    The balance is read under the team's lock, so concurrent calls settle it once.
     """
     given_back = 0
     for phase_id, team_id in _charged_to(session, submission_id):
@@ -196,7 +197,7 @@ def _settle_at(session: Session, submission_id: str, wanted: int, reason: str) -
 
 
 def _charged_to(session: Session, submission_id: str) -> Sequence[Row[str, str]]:
-    """(phase, team) of a submission for which a scoring was ever reserved: one, or none."""
+    """Return the (phase, team) that was ever charged for the submission: one row, or none."""
     charged = select(ScoringEntry.phase_id, ScoringEntry.team_id).where(ScoringEntry.submission_id == submission_id)
     return session.execute(charged.distinct()).all()
 

@@ -1,7 +1,7 @@
-"""How a scoring is divided: ranges of frames that are counted by themselves, then one join of them all.
+"""Division of a scoring into ranges of frames that are counted separately and then joined.
 
-**Conventions.** [start, stop) count frames in the order of the ground truth's manifest. `stone score` counts the
-ranges one after another, the queue each in a job of its own
+**Conventions.** [start, stop) count frames in the order of the ground truth's manifest. `stone score` counts the ranges
+one after another; the queue counts each range in its own job
 (`services/domain/benchmarks/submissions/scoring_jobs.py`).
 """
 

@@ -2,10 +2,10 @@
 
     draft → queued → scoring → scored | valid | invalid | failed | cancelled
 
-**Conventions.** Each function is part of the caller's transaction and locks, in this order, the run's row where it
-looks at it, the submission's, the team's. A run's jobs hold their run's row already when they commit. What a stage
-finds counts only while the submission is queued or being scored: else it is told to stop, which rolls back whatever it
-wrote beside.
+**Conventions.** Each function is part of the caller's transaction and locks, in this order, the run's row (if it reads
+it), the submission's and the team's. The run's jobs already hold the run's row when they commit. A stage's result
+counts only while the submission is queued or being scored; otherwise the stage is cancelled and its writes are rolled
+back.
 """
 
 from collections.abc import Mapping
@@ -39,15 +39,15 @@ TOLD = {"scored": SUBMISSION_SCORED, "invalid": SUBMISSION_INVALID, "failed": SU
 
 
 def lock_submission(session: Session, submission_id: str) -> SubmissionRow:
-    """The submission as it is now, its row locked until the end of the transaction."""
+    """Return the current submission, with its row locked until the end of the transaction."""
     locked = select(SubmissionRow).where(SubmissionRow.id == submission_id).with_for_update(key_share=True)
     return session.scalars(locked.execution_options(populate_existing=True)).one()
 
 
 def mark_scoring(session: Session, submission_id: str) -> None:
-    """Note that a stage is at it; a second time, or of a scored one, it changes nothing.
+    """Mark the submission as being scored; no effect if it is already being scored or scored.
 
-    Raises `JobCancelledError` where nothing more is to be done for it.
+    Raises `JobCancelledError` if the submission needs no further work.
     """
     submission = lock_submission(session, submission_id)
     if submission.state in ("scoring", "scored"):
@@ -66,11 +66,11 @@ def settle(
     problems: Mapping[str, Any] | None = None,
     failure: Failure | None = None,
 ) -> bool:
-    """End a submission, and with it its reserved scoring: used if it is scored, else released within bounds.
+    """End a submission and its reserved scoring: used if scored, otherwise released within bounds.
 
-    `problems` is what the validation found (`{"ok", "errors", "errors_total"}`). False when it is in this state
-    already, for instance scored by an earlier evaluation version. Raises `JobCancelledError` when it ended otherwise:
-    nothing that was found counts any more, and the caller's transaction is to be rolled back.
+    `problems` is the result of validation (`{"ok", "errors", "errors_total"}`). Returns False if the submission is
+    already in this state, for instance scored by an earlier evaluation version. Raises `JobCancelledError` if it ended
+    in another state: the result is void and the caller's transaction must be rolled back.
     """
     if state not in ENDED:
         raise ValueError(f"a submission cannot end in state {state!r}")
@@ -87,7 +87,7 @@ def settle(
 
 
 def end(session: Session, submission: SubmissionRow, state: str, failure: Failure | None = None) -> None:
-    """Let a locked submission end; what it held of the team's scorings is used or given back, what was counted goes."""
+    """End a locked submission; use or release its scoring and delete its partial counts."""
     if state == "scored":
         scoring_quota.consume(session, submission.id)
     elif submission.state == "scoring" and (state != "failed" or (failure and failure.code in UP_TO_COUNTING)):
@@ -105,9 +105,9 @@ def end(session: Session, submission: SubmissionRow, state: str, failure: Failur
 
 
 def reopen(session: Session, run: Job) -> None:
-    """Queue the submission of a run that is tried again, with a scoring taken anew whatever the limit.
+    """Queue the submission of a retried run; its scoring is retaken regardless of the limit.
 
-    The run's row is locked. Raises `SubmissionStateError` for a submission whose file was purged.
+    The run's row is locked. Raises `SubmissionStateError` if the submission's file was deleted.
     """
     of_run = select(SubmissionRow.id).where(SubmissionRow.job_id == run.id, SubmissionRow.state.in_(RETRIED))
     for submission_id in session.scalars(of_run).all():

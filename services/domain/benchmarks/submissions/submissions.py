@@ -1,8 +1,8 @@
 """Submissions: created, finalized, cancelled, withdrawn, hidden, described.
 
 **Conventions.** Each function is part of the caller's transaction. Locks are taken in one order: run, submission,
-upload, team. A draft says which file will come (sha256, size); only that file is taken. Stages end a submission by
-`settle` and its like in `services/domain/benchmarks/submissions/state_machine.py`, the sweeper by
+upload, team. A draft declares its file (sha256, size); no other file is accepted. Stages end a submission with `settle`
+in `services/domain/benchmarks/submissions/state_machine.py`, the sweeper with
 `services/domain/benchmarks/submissions/sweeper_chores.py`.
 """
 
@@ -66,7 +66,7 @@ __all__ = [
 
 PURPOSE = "submission"
 RUN = "score"
-FRAME_BYTES = 3 * 2**20  # a frame is 2 MiB of voxels, and its headers; stored, it is not compressed
+FRAME_BYTES = 3 * 2**20  # 2 MiB of voxels per frame plus headers; stored uncompressed
 SLACK_BYTES = 2**20
 MOST_OPEN = 40
 KINDS = ("entry", "baseline", "validation")
@@ -74,7 +74,7 @@ KINDS = ("entry", "baseline", "validation")
 
 @dataclass(frozen=True)
 class SubmissionDraft:
-    """A submission to be; `sha256` and `size_bytes` are those of the zip that will be uploaded."""
+    """A submission to create; `sha256` and `size_bytes` describe the zip that will be uploaded."""
 
     phase_id: str
     team_id: str
@@ -88,8 +88,10 @@ class SubmissionDraft:
 
 
 def create_draft(session: Session, draft: SubmissionDraft) -> SubmissionRow:
-    """Announce a file. Raises `phase_closed`, `no_ground_truth`, `submission_too_large`, `too_many_open`,
-    `validations_exhausted`, and `already_in_team` for who takes part with another team.
+    """Create a submission that announces a file.
+
+    Raises `phase_closed`, `no_ground_truth`, `submission_too_large`, `too_many_open`, `validations_exhausted`, and
+    `already_in_team` if the user takes part with another team.
     """
     if draft.kind not in KINDS:
         raise ValueError(f"submissions have no kind {draft.kind!r}")
@@ -103,7 +105,7 @@ def create_draft(session: Session, draft: SubmissionDraft) -> SubmissionRow:
             "does the zip contain anything other than one .npz per frame?",
         )
     bound = session.get(PhaseTeam, (phase.id, draft.user_id))
-    if bound is not None and bound.team_id != draft.team_id:  # finalising would refuse it once all was sent
+    if bound is not None and bound.team_id != draft.team_id:  # finalising would refuse it after the whole upload
         raise already_in_team(phase.name)
     lock_team(session, draft.team_id)
     _refuse_too_many(session, draft)
@@ -118,16 +120,16 @@ def create_draft(session: Session, draft: SubmissionDraft) -> SubmissionRow:
 
 
 def largest_bytes(frames: int) -> int:
-    """The largest size of a zip of this many frames."""
+    """Return the largest size of a zip with this many frames."""
     return frames * FRAME_BYTES + SLACK_BYTES
 
 
 def finalise(session: Session, submission: SubmissionRow, upload_id: str) -> Job:
-    """Use up the draft's complete upload, take a scoring for what costs one, and queue the run; all of it or nothing.
+    """Consume the draft's complete upload, take a scoring if the kind costs one, and queue the run; all or nothing.
 
-    The team takes part in the phase from now on. Raises `SubmissionStateError`, `phase_closed`,
-    `no_ground_truth`, what `uploads.consume` raises, `hash_mismatch`, `already_in_team`,
-    `scorings_exhausted`, `validations_exhausted`, `QueueDrainingError`.
+    From then on the team takes part in the phase. Raises `SubmissionStateError`, `phase_closed`, `no_ground_truth`,
+    what `uploads.consume` raises, `hash_mismatch`, `already_in_team`, `scorings_exhausted`, `validations_exhausted`,
+    `QueueDrainingError`.
     """
     submission = lock_submission(session, submission.id)
     if submission.state != "draft":
@@ -153,18 +155,18 @@ def finalise(session: Session, submission: SubmissionRow, upload_id: str) -> Job
 
 
 def cancel(session: Session, submission: SubmissionRow, reason: str = "") -> SubmissionRow:
-    """End an unsettled submission: cancel its run and release its scoring at once, within bounds.
+    """End an unsettled submission: cancel its run and immediately release its scoring, within bounds.
 
-    Raises `SubmissionStateError` when it has ended.
+    Raises `SubmissionStateError` if it has ended.
     """
     job_id = session.scalar(select(SubmissionRow.job_id).where(SubmissionRow.id == submission.id))
     if job_id is not None:
         lock_run(session, job_id)
     submission = lock_submission(session, submission.id)
-    if submission.state not in OPEN or submission.job_id != job_id:  # finalised at this moment: ask again
+    if submission.state not in OPEN or submission.job_id != job_id:  # finalised concurrently: try again
         raise SubmissionStateError(submission.id, submission.state, "cancelled now", ", ".join(OPEN))
     if job_id is not None:
-        with suppress(JobStateError):  # it has ended, and nobody had taken note of it
+        with suppress(JobStateError):  # the run ended without settling the submission
             cancel_run(session, job_id, reason or "its submission was cancelled")
     end(session, submission, "cancelled")
     session.flush()
@@ -173,7 +175,7 @@ def cancel(session: Session, submission: SubmissionRow, reason: str = "") -> Sub
 
 
 def withdraw(session: Session, submission: SubmissionRow) -> SubmissionRow:
-    """Take a settled submission off every board for good; what it cost stays taken. Raises `SubmissionStateError`."""
+    """Remove a settled submission from all boards for good; its scoring stays used. Raises `SubmissionStateError`."""
     submission = lock_submission(session, submission.id)
     if submission.state not in ENDED:
         raise SubmissionStateError(submission.id, submission.state, "withdrawn", "settled")
@@ -186,7 +188,7 @@ def withdraw(session: Session, submission: SubmissionRow) -> SubmissionRow:
 
 
 def hide(session: Session, submission: SubmissionRow, reason: str) -> SubmissionRow:
-    """Take it off the boards until it is shown again; `reason` is told to its team."""
+    """Hide a submission from the boards until `unhide`; its team can read the reason."""
     submission = lock_submission(session, submission.id)
     submission.hidden_ns = submission.hidden_ns or now_ns()
     submission.hidden_reason = reason
@@ -196,7 +198,7 @@ def hide(session: Session, submission: SubmissionRow, reason: str) -> Submission
 
 
 def unhide(session: Session, submission: SubmissionRow) -> SubmissionRow:
-    """Show it on the boards again."""
+    """Show the submission on the boards again."""
     submission = lock_submission(session, submission.id)
     submission.hidden_ns, submission.hidden_reason = None, ""
     submission.revision += 1
@@ -205,7 +207,7 @@ def unhide(session: Session, submission: SubmissionRow) -> SubmissionRow:
 
 
 def describe(session: Session, submission: SubmissionRow, changes: Mapping[str, str]) -> SubmissionRow:
-    """Change method, description and, of a draft only, modality. The row is locked by the caller.
+    """Change method, description and, for a draft, modality; the caller has locked the row.
 
     Raises `SubmissionStateError`.
     """
@@ -220,9 +222,9 @@ def describe(session: Session, submission: SubmissionRow, changes: Mapping[str, 
 
 
 def validations_left(session: Session, phase: Phase, team_id: str) -> tuple[int, int | None]:
-    """The number of files the team may still have checked, and when the next one may be; null for never.
+    """Return the number of validations the team has left, and when the next one is available; null for never.
 
-    What was cancelled counts, what failed for no fault of the file does not.
+    Cancelled validations count; failures not caused by the file do not.
     """
     since_ns = now_ns() - DAY_NS
     checked = select(SubmissionRow.finalized_ns).where(
@@ -238,7 +240,7 @@ def validations_left(session: Session, phase: Phase, team_id: str) -> tuple[int,
 
 
 def _scored_against(session: Session, phase: Phase) -> GroundTruthRow:
-    """The ground truth of the board of an open phase. Raises `phase_closed`, `no_ground_truth`."""
+    """Return the ground truth of an open phase's board. Raises `phase_closed`, `no_ground_truth`."""
     at_ns = now_ns()
     if phase_status(phase, at_ns) != "open":
         raise phase_closed(phase.name, phase.opens_ns, phase.closes_ns, at_ns)
@@ -249,7 +251,7 @@ def _scored_against(session: Session, phase: Phase) -> GroundTruthRow:
 
 
 def _refuse_too_many(session: Session, draft: SubmissionDraft) -> None:
-    """Raises `too_many_open`."""
+    """Raise `too_many_open` if the team has too many open submissions."""
     ours = (SubmissionRow.phase_id == draft.phase_id, SubmissionRow.team_id == draft.team_id)
     opened = session.scalar(select(func.count()).select_from(SubmissionRow).where(*ours, SubmissionRow.state.in_(OPEN)))
     if (opened or 0) >= MOST_OPEN:
@@ -260,7 +262,7 @@ def _refuse_too_many(session: Session, draft: SubmissionDraft) -> None:
 
 
 def _refuse_exhausted(session: Session, phase: Phase, team_id: str) -> None:
-    """Raises `validations_exhausted`."""
+    """Raise `validations_exhausted` if the team has no validations left."""
     left, next_ns = validations_left(session, phase, team_id)
     if not left:
         limit = phase.validations_per_day
@@ -271,7 +273,7 @@ def _refuse_exhausted(session: Session, phase: Phase, team_id: str) -> None:
 
 
 def _consumed(session: Session, submission: SubmissionRow, upload_id: str) -> Upload:
-    """The upload that was made for this draft, used up."""
+    """Consume and return the upload that was made for this draft."""
     owner_id = session.scalar(select(Upload.owner_id).where(Upload.id == upload_id))
     if owner_id is None:
         raise Refused("upload_missing", f"you have no upload {upload_id[:64]!r}")
@@ -288,7 +290,7 @@ def _consumed(session: Session, submission: SubmissionRow, upload_id: str) -> Up
 
 
 def _end_uploads(session: Session, submission_id: str) -> None:
-    """Whatever else is on its way for this submission is needed no more; the sweeper frees its bytes."""
+    """End all other uploads for this submission; the sweeper deletes their bytes."""
     waiting = (Upload.purpose == PURPOSE, Upload.target_id == submission_id, is_waiting())
     ending = update(Upload).where(*waiting).values(expires_ns=now_ns())
     session.execute(ending, execution_options={"synchronize_session": False})

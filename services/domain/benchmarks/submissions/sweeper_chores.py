@@ -1,8 +1,8 @@
-"""Sweeper chores of submissions: settle orphaned ones, purge files, delete stale drafts.
+"""Sweeper chores of submissions: settle orphaned submissions, delete files, delete stale drafts.
 
-**Conventions.** Any number of sweepers may run: each change is one transaction that looks again under its locks. A file
-counts against its submitter until it is purged, in the same transaction; a purged submission names no upload and no
-blob, so that its bytes are collected.
+**Conventions.** Any number of sweepers may run: each change is one transaction that checks again under its locks. A
+file counts against its submitter until the transaction that deletes it. The submission then refers to no upload and no
+blob, so the bytes are collected.
 """
 
 from collections.abc import Sequence
@@ -30,12 +30,12 @@ log = structlog.get_logger(__name__)
 
 
 def settle_ended(platform: Platform) -> int:
-    """Let submissions end whose run has ended without settling them, with the run's reason; how many there were.
+    """End submissions whose run ended without settling them, with the run's reason; return their number.
 
-    A run fails or is cancelled without its submission when its worker was lost too often, a stage refused or a time
-    limit was reached, or somebody stopped the job itself. What was reserved is given back.
+    A run ends without its submission if its worker was lost too often, a stage refused, a time limit was reached, or
+    the job itself was stopped. The reserved scoring is released.
     """
-    state = select(Job.state).where(Job.id == SubmissionRow.job_id).scalar_subquery()  # a join would begin at all jobs
+    state = select(Job.state).where(Job.id == SubmissionRow.job_id).scalar_subquery()  # a join starts from all jobs
     ended = select(SubmissionRow.id, SubmissionRow.job_id).where(SubmissionRow.state.in_(LIVE), state.in_(TERMINAL))
     ended = ended.order_by(SubmissionRow.id).limit(AT_A_TIME)
     with platform.database.reading() as session:
@@ -45,13 +45,13 @@ def settle_ended(platform: Platform) -> int:
 
 @dataclass
 class DraftWalk:
-    """Which of the old drafts, in the order of their age, are looked at next; those that are awaited are passed by."""
+    """The position among old drafts, by age; drafts with a pending upload are skipped."""
 
     after: tuple[int, str] = (0, "")
 
 
 def tidy_submissions(platform: Platform, drafts: DraftWalk | None = None) -> tuple[int, int]:
-    """Purge files after their time and remove drafts that nothing was sent for; how many of each, some a turn."""
+    """Delete expired files and abandoned drafts, a limited number per turn; return the two numbers."""
     settings = platform.settings.submissions
     now = now_ns()
     purged = sum(
@@ -65,7 +65,7 @@ def _settle(platform: Platform, submission_id: str, job_id: str) -> bool:
     with platform.database.transaction() as session:
         run = lock_run(session, job_id)
         submission = lock_submission(session, submission_id)
-        if submission.state not in LIVE or run.state not in TERMINAL:  # settled, or tried again, meanwhile
+        if submission.state not in LIVE or run.state not in TERMINAL:  # settled or retried meanwhile
             return False
         failure = _failure_of(run)
         end(session, submission, "cancelled" if run.state == "cancelled" else "failed", failure)
@@ -74,7 +74,7 @@ def _settle(platform: Platform, submission_id: str, job_id: str) -> bool:
 
 
 def _failure_of(run: Job) -> Failure:
-    """The reason of the failure for the team: of what raised inside of a stage only the job keeps the words."""
+    """Return the failure to show to the team; errors raised inside a stage are described only in the job."""
     if run.state == "succeeded":
         return UNSETTLED
     if run.state == "cancelled":
@@ -83,9 +83,10 @@ def _failure_of(run: Job) -> Failure:
 
 
 def _purgeable_before(before_ns: int) -> tuple[ColumnElement[bool], ColumnElement[bool]]:
-    """Which files are kept that no score stands on, and their time is over. Scored ones are kept for re-scores.
+    """Return the conditions for expired unscored files and for expired withdrawn files.
 
-    Each with the literals that its partial index knows: those that were purged long ago are not looked at again.
+    Scored files are kept for re-scores. Each condition uses the literals of its partial index, so files deleted earlier
+    are not scanned again.
     """
     is_kept = SubmissionRow.upload_id.is_not(None)
     is_unscored = and_(is_kept, text(IS_UNSCORED), SubmissionRow.settled_ns <= before_ns)
@@ -105,7 +106,7 @@ def _purge(platform: Platform, submission_id: str, before_ns: int) -> bool:
     with platform.database.transaction() as session:
         submission = lock_submission(session, submission_id)
         due = select(SubmissionRow.id).where(SubmissionRow.id == submission_id, or_(*_purgeable_before(before_ns)))
-        if session.scalar(due) is None:  # another sweeper was first, or its run is tried again
+        if session.scalar(due) is None:  # another sweeper was first, or the run is retried
             return False
         storage_quota.release(session, submission.upload_id or "", "submission purged")
         submission.upload_id = submission.blob_sha256 = None
@@ -114,9 +115,9 @@ def _purge(platform: Platform, submission_id: str, before_ns: int) -> bool:
 
 
 def _remove_drafts(platform: Platform, before_ns: int, walk: DraftWalk) -> int:
-    """Drafts of old that have no upload on its way.
+    """Delete old drafts without a pending upload.
 
-    They are locked before it is asked whether they have one: an upload is made under the same lock.
+    The drafts are locked before their uploads are checked, because creating an upload takes the same lock.
     """
     place = (SubmissionRow.created_ns, SubmissionRow.id)
     old = select(*place).where(

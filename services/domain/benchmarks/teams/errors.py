@@ -1,4 +1,4 @@
-"""Errors of founding, joining, leaving and leading teams."""
+"""Errors of creating, joining, leaving and leading teams."""
 
 from stone.errors import Refused
 

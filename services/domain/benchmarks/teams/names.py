@@ -1,8 +1,8 @@
-"""Team names: plain text, and none confusable with another.
+"""Team names: plain text, not confusable with another team's name.
 
-**Conventions.** Two names are one when they are equal after compatibility normalisation (NFKC), case folding, without
-what is not seen, and with every run of white space as one space. Letters of other scripts that only look alike are not
-found out. On PostgreSQL whoever adds a name holds a lock that all who do so take; on SQLite the transaction is it.
+**Conventions.** Two names are equal if they match after compatibility normalisation (NFKC), case folding, removal of
+invisible characters and collapsing of white space. Look-alike letters of other scripts are not detected. Adding a name
+takes a common advisory lock on PostgreSQL; on SQLite the transaction is the lock.
 """
 
 import re
@@ -15,7 +15,7 @@ from services.runtime.access.errors import name_taken
 from services.runtime.orm import Team
 from stone.errors import Refused
 
-LOCK = 0x5445414D  # "TEAM": the advisory lock's number, shared by every process of the platform
+LOCK = 0x5445414D  # "TEAM": key of the advisory lock shared by all processes of the platform
 LONGEST = 64
 # Default_Ignorable_Code_Point (Unicode 15): fillers, joiners, variation selectors, tags.
 UNSEEN = re.compile(
@@ -25,7 +25,7 @@ UNSEEN = re.compile(
 
 
 def taken(session: Session, name: str) -> str:
-    """The name as it is kept, composed (NFC), and nobody's else until the transaction ends.
+    """Return the name in its stored form (NFC), reserved until the end of the transaction.
 
     Raises `bad_team_name`, `name_taken`.
     """
@@ -44,6 +44,6 @@ def taken(session: Session, name: str) -> str:
 
 
 def folded(name: str) -> str:
-    """A form of the name that is equal for names that look alike."""
+    """Return a form of the name that is equal for confusable names."""
     once = unicodedata.normalize("NFKC", UNSEEN.sub("", name)).casefold()
     return " ".join(unicodedata.normalize("NFKC", UNSEEN.sub("", once)).split())

@@ -1,10 +1,10 @@
-"""Teams: founded, joined by invitation, led by a captain, left; and bound to the phases they take part in.
+"""Teams: created, joined by invitation, led by a captain, left, and bound to the phases they take part in.
 
 **Conventions.** Exactly one member is the captain (`TeamMember.is_owner`). An invitation is a secret of 32 random
-bytes, shown once, kept as sha256, good for one joining until it expires. A user takes part in a phase with one team
-only, as the primary key of `phase_teams` says: `enter` binds all members; who joins later is bound at once wherever the
-phase has not ended; and a binding outlives leaving once the team had something scored, or has it under way, in the
-phase. Every function is part of the caller's transaction and locks the team's row (PostgreSQL `FOR NO KEY UPDATE`).
+bytes, shown once, stored as sha256, and valid for one joining until it expires. A user takes part in a phase with one
+team only (primary key of `phase_teams`). `enter` binds all members; a new member is bound immediately in all phases
+that have not ended. A binding outlives leaving if the team has a scored or pending submission in the phase. Every
+function is part of the caller's transaction and locks the team's row (PostgreSQL `FOR NO KEY UPDATE`).
 """
 
 import re
@@ -31,7 +31,7 @@ BINDING = ("queued", "scoring", "scored")
 
 
 def found(session: Session, name: str, user_id: str) -> Team:
-    """A team with this user as its captain. Raises `bad_team_name`, `name_taken`, `too_many`."""
+    """Create a team with this user as its captain. Raises `bad_team_name`, `name_taken`, `too_many`."""
     team = Team(name=taken(session, name))
     _refuse_many_teams(session, user_id)
     session.add(team)
@@ -42,7 +42,7 @@ def found(session: Session, name: str, user_id: str) -> Team:
 
 
 def captain(session: Session, team_id: str) -> str | None:
-    """The id of the user who leads the team; None for a team that everybody has left."""
+    """Return the id of the team's captain; None for a team without members."""
     led = select(TeamMember.user_id).where(TeamMember.team_id == team_id, TeamMember.is_owner)
     return session.scalars(led).one_or_none()
 
@@ -52,12 +52,12 @@ def is_member(session: Session, team_id: str, user_id: str) -> bool:
 
 
 def invite(session: Session, team: Team, user: User, lasts_ns: int = LASTS_NS) -> str:
-    """The secret of a new invitation by the captain, which cannot be shown again. Raises as `invite_row`."""
+    """Return the secret of a new invitation by the captain, which cannot be shown again. Raises as `invite_row`."""
     return invite_row(session, team, user.id, lasts_ns)[1]
 
 
 def invite_row(session: Session, team: Team, user_id: str, lasts_ns: int = LASTS_NS) -> tuple[TeamInvitation, str]:
-    """The invitation's row beside its secret. Raises `not_captain`, `too_many`."""
+    """Return the row and the secret of a new invitation. Raises `not_captain`, `too_many`."""
     lock_team(session, team.id)
     refuse_others(session, team.id, user_id, "invite")
     if len(open_invitations(session, team.id)) >= MOST_INVITATIONS:
@@ -70,13 +70,13 @@ def invite_row(session: Session, team: Team, user_id: str, lasts_ns: int = LASTS
 
 
 def open_invitations(session: Session, team_id: str) -> list[TeamInvitation]:
-    """Invitations that still let somebody in, oldest first."""
+    """Return the valid invitations, oldest first."""
     of_team = select(TeamInvitation).where(TeamInvitation.team_id == team_id, TeamInvitation.used_ns.is_(None))
     return list(session.scalars(of_team.where(TeamInvitation.expires_ns > now_ns()).order_by(TeamInvitation.id)))
 
 
 def withdraw(session: Session, team: Team, invitation_id: str) -> bool:
-    """Make an open invitation of the team void; whether there was one."""
+    """Revoke an open invitation of the team; return whether it existed."""
     lock_team(session, team.id)
     row = next((row for row in open_invitations(session, team.id) if row.id == invitation_id), None)
     if row is not None:
@@ -86,10 +86,10 @@ def withdraw(session: Session, team: Team, invitation_id: str) -> bool:
 
 
 def join(session: Session, secret: str, user: User) -> Team:
-    """Let the user into the team of the invitation, and bind them to the phases that the team takes part in.
+    """Add the user to the invitation's team, and bind the user to the phases that the team takes part in.
 
-    Raises `no_invitation`, `already_member`, `team_full`, `already_in_team`, `too_many`; the
-    invitation stays good then.
+    Raises `no_invitation`, `already_member`, `team_full`, `already_in_team`, `too_many`; the invitation then stays
+    valid.
     """
     named = select(TeamInvitation).where(TeamInvitation.secret_hash == _hash(secret))
     row = session.scalars(named).one_or_none() if SECRET.fullmatch(secret) else None
@@ -113,9 +113,9 @@ def join(session: Session, secret: str, user: User) -> Team:
 
 
 def enter(session: Session, phase: Phase, team_id: str) -> None:
-    """Bind every member to the team in this phase; again, it changes nothing.
+    """Bind every member to the team in this phase; a second call has no effect.
 
-    Raises `already_in_team` where one takes part with another team, `team_full` where they are too many.
+    Raises `already_in_team` if a member takes part with another team, `team_full` if the team has too many members.
     """
     lock_team(session, team_id)
     members = _member_ids(session, team_id)
@@ -125,7 +125,7 @@ def enter(session: Session, phase: Phase, team_id: str) -> None:
 
 
 def leave(session: Session, team: Team, user: User) -> None:
-    """Take the user out; the last member may go, and the team goes too unless something was submitted in its name.
+    """Remove the user; when the last member leaves, the team is deleted unless it has submissions.
 
     Raises `not_member`, `captain_cannot_leave`.
     """
@@ -146,7 +146,7 @@ def leave(session: Session, team: Team, user: User) -> None:
 
 
 def remove(session: Session, team: Team, by: str, user: User) -> None:
-    """Have the captain, whose id is `by`, take somebody else out. Raises `not_captain` and as `leave`."""
+    """Remove another member, on behalf of the captain, whose id is `by`. Raises `not_captain` and as `leave`."""
     lock_team(session, team.id)
     refuse_others(session, team.id, by, "remove a member")
     leave(session, team, user)
@@ -163,7 +163,7 @@ def hand_over(session: Session, team: Team, user: User) -> None:
 
 
 def lock_team(session: Session, team_id: str) -> Team:
-    """The team as it is now, its row locked until the end of the transaction."""
+    """Return the current team, with its row locked until the end of the transaction."""
     locked = select(Team).where(Team.id == team_id).with_for_update(key_share=True)
     return session.scalars(locked.execution_options(populate_existing=True)).one()
 
@@ -175,7 +175,7 @@ def refuse_others(session: Session, team_id: str, user_id: str, act: str) -> Non
 
 
 def _bind(session: Session, phase: Phase, team_id: str, user_ids: list[str]) -> None:
-    """Bind the users to the team in the phase; in the order of ids no two transactions wait for each other."""
+    """Bind the users to the team in the phase; the order of ids prevents deadlocks."""
     values = [{"phase_id": phase.id, "user_id": user_id, "team_id": team_id} for user_id in sorted(user_ids)]
     insert_new(session, PhaseTeam, values)
     bound = select(PhaseTeam.team_id).where(PhaseTeam.phase_id == phase.id, PhaseTeam.user_id.in_(user_ids))
@@ -184,14 +184,14 @@ def _bind(session: Session, phase: Phase, team_id: str, user_ids: list[str]) -> 
 
 
 def _unbind(session: Session, team_id: str, user_id: str) -> None:
-    """Let the user take part with others wherever this team had nothing scored and has nothing under way."""
+    """Release the user's bindings in phases where this team has no scored or pending submission."""
     scored = select(SubmissionRow.phase_id).where(SubmissionRow.team_id == team_id, SubmissionRow.state.in_(BINDING))
     bound = (PhaseTeam.team_id == team_id, PhaseTeam.user_id == user_id)
     session.execute(delete(PhaseTeam).where(*bound, PhaseTeam.phase_id.not_in(scored)))
 
 
 def _entered(session: Session, team_id: str) -> list[Phase]:
-    """The phases that the team takes part in and that have not ended, by id."""
+    """Return the unfinished phases in which the team takes part, by id."""
     bound = select(PhaseTeam.phase_id).where(PhaseTeam.team_id == team_id)
     phases = session.scalars(select(Phase).where(Phase.id.in_(bound)).order_by(Phase.id))
     return [phase for phase in phases if phase_status(phase, now_ns()) != "closed"]
@@ -222,7 +222,7 @@ def _member_ids(session: Session, team_id: str) -> list[str]:
 
 
 def _has_records(session: Session, team_id: str) -> bool:
-    """Whether anything was submitted in its name, or scorings were granted to it."""
+    """Return whether the team has submissions or granted scorings."""
     ledgers = (select(row.id).where(row.team_id == team_id).limit(1) for row in (SubmissionRow, ScoringEntry))
     return any(session.scalar(found) is not None for found in ledgers)
 
