@@ -41,7 +41,7 @@ Reader = Annotated[Caller, Depends(require("read"))]
 def create_team(body: TeamBody, caller: Participant, platform: PlatformDep) -> TeamItem:
     """The caller is its captain. A name that only looks different from another team's is taken."""
     with platform.database.transaction() as session:
-        team = teams.found(session, body.name, caller.user_id)
+        team = teams.create_team(session, body.name, caller.user_id)
         audit.record(session, caller, "team.found", team.id, facts={"name": team.name})
         return team_items(session, [team])[0]
 

@@ -16,7 +16,7 @@ from services.domain.datasets.files import files_of
 from services.domain.datasets.queries import dataset_entries, open_parts
 from services.domain.datasets.splits import current_splits
 from services.domain.datasets.statistics import Record
-from services.domain.datasets.versions import grid_of_members, members_now, refuse_low, told_gap, told_statistics
+from services.domain.datasets.versions import grid_of_members, members_now, public_gap, public_statistics, refuse_low
 from services.runtime.orm import Dataset, DatasetMember
 from stone.errors import StoneError
 from stone.splits.composition import CatalogueEntry
@@ -54,7 +54,7 @@ def prospect_of(session: Session, least_recall: float) -> DatasetPreview:
         return DatasetPreview(revision, str(error))
     size_bytes = sum(file.size_bytes for file in files)
     entries = {part: entries_of(labelled) for part, labelled in members.items()}
-    told = (told_statistics(members), len(files), size_bytes, warnings, told_gap(members))
+    told = (public_statistics(members), len(files), size_bytes, warnings, public_gap(members))
     return DatasetPreview(current.revision, "", *told, entries)
 
 

@@ -21,7 +21,7 @@ from services.domain.sequences.recordings import kept_recording, locate, locate_
 from services.domain.sequences.restart import arguments_of_run
 from services.domain.sequences.run_files import CHECKED_FILE, SEQUENCE_FILE, SWEEPS_FILE, require_left
 from services.domain.sequences.stage_checks import require_sequence
-from services.domain.sequences.unusable_labels import tell_unusable
+from services.domain.sequences.unusable_labels import record_unusable
 from services.ingest.errors import RecordingChangedError, recording_file_missing
 from services.ingest.kernel_warmup import warm
 from services.ingest.pipeline import SynchroniseOptions
@@ -146,7 +146,7 @@ def _show(
 ) -> None:
     link_all(session, (overlay.blob for overlay in overlays))
     replace_previews(session, shown, overlays)
-    tell_unusable(session, shown.sequence_id, result["findings"])
+    record_unusable(session, shown.sequence_id, result["findings"])
 
 
 def _inputs(platform: Platform, attempt: Attempt, arguments: Mapping[str, Any]) -> _Inputs:

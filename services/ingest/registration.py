@@ -18,7 +18,7 @@ from sqlalchemy.orm import Session
 
 from services.domain.sequences.previews import PreparedPreview, PreviewSubject, prepared_previews, replace_previews
 from services.domain.sequences.recordings import keep_excerpt, recording_place, unchanged
-from services.domain.sequences.unusable_labels import tell_unusable
+from services.domain.sequences.unusable_labels import record_unusable
 from services.ingest.errors import RecordingChangedError
 from services.ingest.excerpt import ExcerptMaker
 from services.ingest.kernel_warmup import warm
@@ -192,7 +192,7 @@ def _register(session: Session, brought: ReceivedBag, found: RecordingSurvey, ke
     recording.findings = inspection.pop("findings")
     recording.inspection, recording.quality = inspection, found.quality
     replace_previews(session, PreviewSubject(recording.sequence_id, recording.id), kept.previews)
-    tell_unusable(session, recording.sequence_id, recording.findings)
+    record_unusable(session, recording.sequence_id, recording.findings)
     return recording
 
 

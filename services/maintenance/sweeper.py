@@ -23,7 +23,13 @@ from redis import RedisError
 from sqlalchemy.exc import SQLAlchemyError
 
 from services.domain.benchmarks.submissions.sweeper_chores import DraftWalk, settle_ended, tidy_submissions
-from services.domain.notifications.spread import forget_told, queue_due, spread_events, take_back_lost, tell_phases
+from services.domain.notifications.spread import (
+    delete_old_events,
+    queue_due,
+    record_phase_events,
+    retry_lost,
+    spread_events,
+)
 from services.domain.sequences.label_set_deletion import LabelSetWalk, keep_newest
 from services.domain.sequences.later_recordings import SequenceWalk, follow_recordings
 from services.maintenance.notifications.delivery import deliver_queued
@@ -172,11 +178,11 @@ def _notifying(platform: Platform) -> tuple[Chore, ...]:
     """What happened becomes deliveries, and deliveries jobs; the senders run these."""
     often_s = platform.settings.jobs.sweep_s
     return (
-        Chore("phases", often_s, lambda: tell_phases(platform)),
+        Chore("phases", often_s, lambda: record_phase_events(platform)),
         Chore("events", often_s, lambda: spread_events(platform)),
         Chore("deliveries", often_s, lambda: queue_due(platform)),
-        Chore("lost deliveries", often_s, lambda: take_back_lost(platform)),
-        Chore("old events", MINUTE_S, lambda: forget_told(platform)),
+        Chore("lost deliveries", often_s, lambda: retry_lost(platform)),
+        Chore("old events", MINUTE_S, lambda: delete_old_events(platform)),
     )
 
 

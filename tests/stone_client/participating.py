@@ -66,7 +66,7 @@ def joined(world: World, url: str) -> Served:
     captain = person(world.platform, "participant")
     name = f"crew-{new_id()[-8:]}"
     with world.platform.database.transaction() as session:
-        team_id = teams.found(session, name, captain.user_id).id
+        team_id = teams.create_team(session, name, captain.user_id).id
     return Served(world, url, captain, name, team_id)
 
 

@@ -40,11 +40,11 @@ def labelled_sequences(session: Session, among: Select[SequenceRow] | None = Non
     counting = aliased(LabelSet, newest)
     sequences = (select(SequenceRow) if among is None else among).where(SequenceRow.deleted_ns.is_(None)).subquery()
     sequence = aliased(SequenceRow, sequences)
-    found = select(sequence, counting).join(counting, counting.sequence_id == sequence.id).where(newest.c.place == 1)
-    rows = session.execute(found.order_by(sequence.name, sequence.id)).all()
+    labelled = select(sequence, counting).join(counting, counting.sequence_id == sequence.id).where(newest.c.place == 1)
+    rows = session.execute(labelled.order_by(sequence.name, sequence.id)).all()
     recordings, tracks = _recordings(session, [row.id for row, _ in rows]), _tracks(session)
-    drives = drives_of({one: track for one, (_, track) in tracks.items()})
-    exposed = _with_drives(exposures(session), drives, {one: name for one, (name, _) in tracks.items()})
+    drives = drives_of({sequence_id: track for sequence_id, (_, track) in tracks.items()})
+    exposed = _with_drives(exposures(session), drives, {sequence_id: name for sequence_id, (name, _) in tracks.items()})
     entries = [
         replace(
             _entry(row, labels, recordings.get(row.id, ())),
@@ -58,7 +58,7 @@ def labelled_sequences(session: Session, among: Select[SequenceRow] | None = Non
 
 
 def entries_of(labelled: Iterable[CatalogueSequence]) -> tuple[CatalogueEntry, ...]:
-    return tuple(one.entry for one in labelled)
+    return tuple(sequence.entry for sequence in labelled)
 
 
 def voxels_of(t_voxels: int | None, p_voxels: int | None, n_voxels: int | None) -> Voxels | None:
@@ -70,11 +70,11 @@ def voxels_of(t_voxels: int | None, p_voxels: int | None, n_voxels: int | None) 
 
 def _tracks(session: Session) -> dict[str, tuple[str, DrivenTrack]]:
     """Return the name and track, by id, of each sequence whose labels have a track."""
-    place = func.row_number().over(partition_by=LabelSet.sequence_id, order_by=_LAST_FIRST)
-    newest = select(LabelSet.sequence_id, LabelSet.track, place.label("place")).subquery()
+    rank = func.row_number().over(partition_by=LabelSet.sequence_id, order_by=_LAST_FIRST)
+    newest = select(LabelSet.sequence_id, LabelSet.track, rank.label("place")).subquery()
     rows = select(SequenceRow.id, SequenceRow.name, newest.c.track).join(newest, newest.c.sequence_id == SequenceRow.id)
-    found = session.execute(rows.where(newest.c.place == 1).order_by(SequenceRow.id))
-    return {one: (name, track_from(record)) for one, name, record in found if record}
+    records = session.execute(rows.where(newest.c.place == 1).order_by(SequenceRow.id))
+    return {sequence_id: (name, track_from(record)) for sequence_id, name, record in records if record}
 
 
 def track_from(record: Mapping[str, Any]) -> DrivenTrack:
@@ -84,16 +84,24 @@ def track_from(record: Mapping[str, Any]) -> DrivenTrack:
 
 def _in_drives(entries: Iterable[CatalogueEntry], drives: Drives) -> dict[str, CatalogueEntry]:
     """Return the entries with their drives, by id; a drive with only one visible sequence has no name."""
-    found = {entry.id: entry for entry in entries}
-    of_drive = {one: [found[other] for other in drives.get(one, (one,)) if other in found] for one in found}
+    by_id = {entry.id: entry for entry in entries}
+    of_drive = {
+        sequence_id: [by_id[other] for other in drives.get(sequence_id, (sequence_id,)) if other in by_id]
+        for sequence_id in by_id
+    }
     firsts = {members[0].id: members[0].name for members in of_drive.values() if len(members) > 1}
     times = Counter(firsts.values())
-    names = {one: name if times[name] == 1 else f"{name[:80]} ({one[:12]})" for one, name in firsts.items()}
+    names = {
+        sequence_id: name if times[name] == 1 else f"{name[:80]} ({sequence_id[:12]})"
+        for sequence_id, name in firsts.items()
+    }
     return {
-        one: replace(found[one], drive=names[members[0].id], drive_s=sum(other.duration_s for other in members))
+        sequence_id: replace(
+            by_id[sequence_id], drive=names[members[0].id], drive_s=sum(other.duration_s for other in members)
+        )
         if len(members) > 1
-        else found[one]
-        for one, members in of_drive.items()
+        else by_id[sequence_id]
+        for sequence_id, members in of_drive.items()
     }
 
 
@@ -118,13 +126,13 @@ def _entry(row: SequenceRow, labels: LabelSet, recordings: tuple[str, ...]) -> C
 
 def _recordings(session: Session, ids: list[str]) -> Mapping[str, tuple[str, ...]]:
     """Return the sha256 of each registered recording, by sequence."""
-    found = dict[str, tuple[str, ...]]()
+    hashes = dict[str, tuple[str, ...]]()
     kept = select(Recording.sequence_id, Recording.sha256).where(Recording.state == REGISTERED)
     for start in range(0, len(ids), AT_A_TIME):
         some = kept.where(Recording.sequence_id.in_(ids[start : start + AT_A_TIME])).order_by(Recording.id)
         for sequence_id, sha256 in session.execute(some):
-            found[sequence_id] = (*found.get(sequence_id, ()), sha256)
-    return found
+            hashes[sequence_id] = (*hashes.get(sequence_id, ()), sha256)
+    return hashes
 
 
 AT_A_TIME = 1000
@@ -147,13 +155,13 @@ def exposures(session: Session) -> Mapping[str, str]:
 
 def _with_drives(exposed: Mapping[str, str], drives: Drives, names: Mapping[str, str]) -> Mapping[str, str]:
     """Add the sequences of exposed drives: labels of the same ground reveal theirs."""
-    found = dict(exposed)
+    reasons = dict(exposed)
     for drive in set(drives.values()):
-        known = next((one for one in drive if one in exposed), None)
+        known = next((sequence_id for sequence_id in drive if sequence_id in exposed), None)
         if known is not None and len(drive) > 1:
             why = f"{names[known]!r} of the same drive {exposed[known].removeprefix('it ')}"
-            found |= {one: why for one in drive if one not in exposed}
-    return found
+            reasons |= {sequence_id: why for sequence_id in drive if sequence_id not in exposed}
+    return reasons
 
 
 def hidden_truths() -> Select[str]:
@@ -166,13 +174,16 @@ def hidden_truths() -> Select[str]:
 def _public(session: Session) -> dict[str, str]:
     columns = (SequenceRow.id, SequenceRow.is_public, SequenceRow.published_ns)
     rows = session.execute(select(*columns).where(SequenceRow.published_ns.is_not(None)))
-    return {one: "it is public" if is_public else f"it was public from {_day(at)} on" for one, is_public, at in rows}
+    return {
+        sequence_id: "it is public" if is_public else f"it was public from {_day(at)} on"
+        for sequence_id, is_public, at in rows
+    }
 
 
 def _in_versions(session: Session) -> dict[str, str]:
     named = select(DatasetMember.sequence_id, DatasetMember.part, Dataset.name).join(Dataset)
     rows = session.execute(named.where(DatasetMember.part.in_(OPEN)).order_by(Dataset.id.desc()))
-    return {one: f"it is in {part} of version {name!r}" for one, part, name in rows}
+    return {sequence_id: f"it is in {part} of version {name!r}" for sequence_id, part, name in rows}
 
 
 def _sharing(session: Session) -> dict[str, str]:
@@ -183,7 +194,7 @@ def _sharing(session: Session) -> dict[str, str]:
     )
     others = files.join(SequenceRow, SequenceRow.id == Upload.target_id).where(SequenceRow.id != Recording.sequence_id)
     rows = session.execute(others.where(SequenceRow.published_ns.is_not(None)).order_by(SequenceRow.id.desc()))
-    return {one: f"it shares a file with {name!r}, which is or was public" for one, name in rows}
+    return {sequence_id: f"it shares a file with {name!r}, which is or was public" for sequence_id, name in rows}
 
 
 def _day(at_ns: int | None) -> str:

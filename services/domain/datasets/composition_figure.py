@@ -89,10 +89,10 @@ def _draw_classes(axes: "Axes", record: Record, colours: ColourName) -> None:
                 axes.text(left + 50 * ratio, row, f"{100 * ratio:.0f}", ha="center", va="center", color=colour)
             left += 100 * ratio
     axes.set_xlim(0, 100)
-    told = record["total"]["voxels_known"]
-    hidden = record["total"]["sequences"] - told
+    counted_in = record["total"]["voxels_known"]
+    hidden = record["total"]["sequences"] - counted_in
     note = f"; {hidden} withheld" if hidden else ""
-    _finished(axes, "b  Occupied voxels by class", f"% of occupied voxels of {counted(told, 'sequence')}{note}")
+    _finished(axes, "b  Occupied voxels by class", f"% of occupied voxels of {counted(counted_in, 'sequence')}{note}")
 
 
 def _draw_distance(axes: "Axes", record: Record) -> None:
@@ -114,10 +114,10 @@ def _draw_parts(axes: "Axes", record: Record) -> None:
     keys = _in_order(set(rows), PARTS)
     axes.barh(range(len(keys)), [rows[key]["frames"] for key in keys], color="#3f6f8f", height=0.62)
     most = max((row["frames"] for row in rows.values()), default=1)
-    for place, key in enumerate(keys):
+    for index, key in enumerate(keys):
         row = rows[key]
-        said = f"{counted(row['sequences'], 'sequence')}, {row['duration_s'] / 60:.1f} min"
-        axes.text(row["frames"] + 0.015 * most, place, said, va="center", color=SOFT)
+        label = f"{counted(row['sequences'], 'sequence')}, {row['duration_s'] / 60:.1f} min"
+        axes.text(row["frames"] + 0.015 * most, index, label, va="center", color=SOFT)
     axes.set_xlim(0, 1.6 * most)
     _rows(axes, [key or "unassigned" for key in keys])
     _finished(axes, "d  Splits", "frames")

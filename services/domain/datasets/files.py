@@ -38,7 +38,7 @@ class DatasetFile:
 
 def files_of(session: Session, labelled: Iterable[CatalogueSequence]) -> tuple[DatasetFile, ...]:
     """Return the files of these sequences, without checksums. Raises `bad_member`."""
-    files = tuple(file for one in labelled for file in (*_labels(session, one), *_others(session, one)))
+    files = tuple(file for sequence in labelled for file in (*_labels(session, sequence), *_others(session, sequence)))
     check_names([*(file.name for file in files), SUMS])
     return files
 
@@ -56,7 +56,7 @@ def sums_file(content: bytes) -> DatasetFile:
 def packed(files: Sequence[DatasetFile]) -> tuple[PackedFiles, tuple[str, ...]]:
     """Return the files as an index, and the blobs to which its numbers refer."""
     blobs = tuple(dict.fromkeys(file.blob_sha256 for file in files))
-    number = {blob: place for place, blob in enumerate(blobs)}
+    number = {blob: ordinal for ordinal, blob in enumerate(blobs)}
     digests = b"".join(bytes.fromhex(file.sha256) for file in files)
     index = PackedFiles(
         tuple(file.name for file in files),
@@ -69,26 +69,26 @@ def packed(files: Sequence[DatasetFile]) -> tuple[PackedFiles, tuple[str, ...]]:
     return index, blobs
 
 
-def _labels(session: Session, one: CatalogueSequence) -> Iterator[DatasetFile]:
-    found = (
+def _labels(session: Session, labelled: CatalogueSequence) -> Iterator[DatasetFile]:
+    frames = (
         select(LabelledFrameRow, Artefact.blob_sha256)
         .join(Artefact, Artefact.id == LabelledFrameRow.pack_id)
-        .where(LabelledFrameRow.label_set_id == one.labels.id)
+        .where(LabelledFrameRow.label_set_id == labelled.labels.id)
         .order_by(LabelledFrameRow.ordinal)
     )
-    for frame, blob in session.execute(found):
-        name = f"gts/{one.sequence.name}/{frame.token}/labels.npz"
+    for frame, blob in session.execute(frames):
+        name = f"gts/{labelled.sequence.name}/{frame.token}/labels.npz"
         yield DatasetFile(name, frame.length_bytes, frame.sha256, blob, frame.offset_bytes)
 
 
-def _others(session: Session, one: CatalogueSequence) -> Iterator[DatasetFile]:
+def _others(session: Session, labelled: CatalogueSequence) -> Iterator[DatasetFile]:
     """Yield the other files published with the labels.
 
     Excluded are packs (frame files are ranges of them), the viewer's scene, and the measurements from which inputs are
     made.
     """
-    artefacts = select(Artefact).where(Artefact.label_set_id == one.labels.id).order_by(Artefact.name)
+    artefacts = select(Artefact).where(Artefact.label_set_id == labelled.labels.id).order_by(Artefact.name)
     for row in session.scalars(artefacts):
         if not row.name.startswith(ELSEWHERE):
-            name = f"sequences/{one.sequence.name}/{row.name}"
+            name = f"sequences/{labelled.sequence.name}/{row.name}"
             yield DatasetFile(name, row.size_bytes, row.blob_sha256, row.blob_sha256)

@@ -120,8 +120,10 @@ def is_possible(session: Session, member: DatasetMember) -> bool:
 
 def sequence_key(session: Session, attempt: Attempt) -> str:
     """Return the key of the attempt's synchronised sequence. Raises `inputs_impossible`."""
-    found = _artefact(attempt.arguments["label_set_id"])
-    key = session.scalar(select(Blob.object_key).where(Blob.sha256.in_(found.with_only_columns(Artefact.blob_sha256))))
+    artefacts = _artefact(attempt.arguments["label_set_id"])
+    key = session.scalar(
+        select(Blob.object_key).where(Blob.sha256.in_(artefacts.with_only_columns(Artefact.blob_sha256)))
+    )
     if key is None:
         raise inputs_impossible([attempt.arguments["name"]])
     return key
@@ -129,8 +131,8 @@ def sequence_key(session: Session, attempt: Attempt) -> str:
 
 def joined_key(session: Session, attempt: Attempt) -> str | None:
     """Return the key of the object that describes the joined recordings; None for a single recording."""
-    found = _artefact(attempt.arguments["label_set_id"], JOINED).with_only_columns(Artefact.blob_sha256)
-    return session.scalar(select(Blob.object_key).where(Blob.sha256.in_(found)))
+    blobs = _artefact(attempt.arguments["label_set_id"], JOINED).with_only_columns(Artefact.blob_sha256)
+    return session.scalar(select(Blob.object_key).where(Blob.sha256.in_(blobs)))
 
 
 def _artefact(label_set_id: str, name: str = SEQUENCE_FILE) -> Select[str]:
@@ -168,10 +170,10 @@ def start_version_inputs(session: Session, dataset: Dataset, user_id: str) -> Jo
     if run := run_under_way(session, RUN, holder):
         return run
     members = session.scalars(members_of(dataset.id, OPEN)).all()
-    found = inputs_of_members(session, members)
-    if missing := [one.member for one in found if one.state == "missing"]:
+    inputs = inputs_of_members(session, members)
+    if missing := [entry.member for entry in inputs if entry.state == "missing"]:
         return _enqueued(session, dataset, missing, Context(user_id))
-    if lost := [one.member.name for one in found if one.state == "lost"]:
+    if lost := [entry.member.name for entry in inputs if entry.state == "lost"]:
         raise inputs_impossible(lost)
     raise inputs_complete(f"version {dataset.name!r}", len(members))
 
@@ -181,7 +183,7 @@ def follow_publication(session: Session, dataset: Dataset, user_id: str) -> None
 
     Sequences without a recording are left out; nothing is queued while the queue is draining.
     """
-    possible = [one for one in session.scalars(members_of(dataset.id, OPEN)) if is_possible(session, one)]
+    possible = [member for member in session.scalars(members_of(dataset.id, OPEN)) if is_possible(session, member)]
     if possible:
         with suppress(QueueDrainingError):
             _enqueued(session, dataset, possible, Context(user_id, None, LAST))

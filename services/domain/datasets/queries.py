@@ -46,13 +46,13 @@ def open_parts(session: Session, dataset: Dataset) -> tuple[DatasetPart, ...]:
 
 def locate_part(session: Session, dataset: Dataset, part: str) -> tuple[DatasetPart, ExportLocation]:
     """Return a part and the location of its files. Raises `hidden_part` for test and unknown parts."""
-    found = next((row for row in open_parts(session, dataset) if row.part == part), None)
-    if found is None:
+    part_row = next((row for row in open_parts(session, dataset) if row.part == part), None)
+    if part_row is None:
         raise Refused("hidden_part", f"the files of {part!r} cannot be downloaded; the files of train and val can")
     packs = select(Blob.object_key).join(DatasetPack, DatasetPack.blob_sha256 == Blob.sha256)
     of_part = packs.where(DatasetPack.dataset_id == dataset.id, DatasetPack.part == part).order_by(DatasetPack.ordinal)
-    index = session.get_one(Blob, found.index_sha256)
-    return found, ExportLocation(index.object_key, tuple(session.scalars(of_part)))
+    index = session.get_one(Blob, part_row.index_sha256)
+    return part_row, ExportLocation(index.object_key, tuple(session.scalars(of_part)))
 
 
 def _entry(row: DatasetMember) -> CatalogueEntry:

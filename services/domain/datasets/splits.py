@@ -37,7 +37,7 @@ class CurrentSplits:
 def current_splits(session: Session) -> CurrentSplits:
     row = session.get(Splits, NAME)
     members = session.execute(select(SplitMember.part, SplitMember.sequence_id).order_by(SplitMember.sequence_id)).all()
-    train, val, test = (tuple(one for of, one in members if of == part) for part in PARTS)
+    train, val, test = (tuple(sequence_id for of, sequence_id in members if of == part) for part in PARTS)
     return CurrentSplits(row.revision if row else 0, Split(train, val, test))
 
 
@@ -50,19 +50,24 @@ def lock_splits(session: Session) -> Splits:
 
 def judged(split: Split, labelled: Iterable[CatalogueSequence]) -> tuple[RuleFinding, ...]:
     """Return the findings of every rule about the split."""
-    named = {one for ids in split.parts.values() for one in ids}
+    named = {sequence_id for ids in split.parts.values() for sequence_id in ids}
     return check_split(split, (entry for entry in entries_of(labelled) if entry.id in named))
 
 
 def gap_record(split: Split, entries: Iterable[CatalogueEntry]) -> dict[str, Any] | None:
     """Return the distance of train and test in place and time, in numbers and a sentence; None if one is empty."""
     known = {entry.id: entry for entry in entries}
-    train, test = ({one: known[one].track for one in ids if one in known} for ids in (split.train, split.test))
+    train, test = (
+        {sequence_id: known[sequence_id].track for sequence_id in ids if sequence_id in known}
+        for ids in (split.train, split.test)
+    )
     return _gap_record(gap_between(train, test), known) if train and test else None
 
 
 def _gap_record(gap: TrackGap, known: Mapping[str, CatalogueEntry]) -> dict[str, Any]:
-    nearest, soonest = ([known[one].name for one in pair] if pair else None for pair in (gap.nearest, gap.soonest))
+    nearest, soonest = (
+        [known[sequence_id].name for sequence_id in pair] if pair else None for pair in (gap.nearest, gap.soonest)
+    )
     distance_m, time_s = (None if value is None else round(value, 3) for value in (gap.distance_m, gap.time_s))
     return {
         "distance_m": distance_m,
@@ -95,7 +100,7 @@ def errors_of(findings: Iterable[RuleFinding]) -> tuple[RuleFinding, ...]:
 def replace_splits(session: Session, row: Splits, split: Split) -> None:
     """Replace the draft splits with `split`, which the rules allow; `row` is locked."""
     session.execute(delete(SplitMember))
-    values = [{"sequence_id": one, "part": part} for part, ids in split.parts.items() for one in ids]
+    values = [{"sequence_id": sequence_id, "part": part} for part, ids in split.parts.items() for sequence_id in ids]
     insert_new(session, SplitMember, values)
     row.revision += 1
     row.changed_ns = now_ns()

@@ -62,31 +62,31 @@ class NewDataset:
 
 
 def manifest_bytes(
-    asked: NewDataset, created_ns: int, members: Members, files: Mapping[str, tuple[DatasetFile, ...]]
+    new: NewDataset, created_ns: int, members: Members, files: Mapping[str, tuple[DatasetFile, ...]]
 ) -> bytes:
     """Return the manifest as a file; `files` are the files of the open parts."""
     record = {
         "stone_dataset": FORMAT,
-        "version": asked.name,
-        "licence": asked.licence,
+        "version": new.name,
+        "licence": new.licence,
         "created_ns": created_ns,
         "code_version": code_version("labels"),
-        "splits": {part: [one.sequence.name for one in labelled] for part, labelled in members.items()},
-        "sequences": [_described(one, part) for part, labelled in members.items() for one in labelled],
-        "statistics": told_statistics(members),
+        "splits": {part: [member.sequence.name for member in labelled] for part, labelled in members.items()},
+        "sequences": [_described(member, part) for part, labelled in members.items() for member in labelled],
+        "statistics": public_statistics(members),
         "grid": grid_of_members(members).as_record(),
-        "gap": told_gap(members),
+        "gap": public_gap(members),
         "files": {part: [file.as_record() for file in of_part] for part, of_part in files.items()},
     }
     return (json.dumps(record, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n").encode()
 
 
-def told_statistics(members: Members) -> dict[str, Any]:
+def public_statistics(members: Members) -> dict[str, Any]:
     """Return the statistics of all parts, with voxels only of the open parts."""
     return statistics_record({part: open_entries(part, entries_of(labelled)) for part, labelled in members.items()})
 
 
-def told_gap(members: Members) -> dict[str, Any] | None:
+def public_gap(members: Members) -> dict[str, Any] | None:
     """Return the gap between train and test, as `gap_record`."""
     entries = {part: entries_of(labelled) for part, labelled in members.items()}
     every = tuple(entry for of_part in entries.values() for entry in of_part)
@@ -99,10 +99,10 @@ def open_entries(part: str, entries: Iterable[CatalogueEntry]) -> tuple[Catalogu
     return tuple(replace(entry, voxels=None, quality=UNKNOWN) if part == HIDDEN else entry for entry in entries)
 
 
-def _described(one: CatalogueSequence, part: str) -> dict[str, Any]:
+def _described(labelled: CatalogueSequence, part: str) -> dict[str, Any]:
     """Return the public record of a sequence; for an open part with the recipe and totals of its labels."""
-    entry = one.entry
-    said = {
+    entry = labelled.entry
+    record = {
         "name": entry.name,
         "split": part,
         "environment": entry.environment,
@@ -115,20 +115,20 @@ def _described(one: CatalogueSequence, part: str) -> dict[str, Any]:
         "distance_m": entry.distance_m,
     }
     if part == HIDDEN:
-        return said
+        return record
     voxels = dict(zip(CLASSES, entry.voxels, strict=True)) if entry.voxels is not None else None
-    label_set = {"id": one.labels.id, "recipe": one.labels.recipe, "quality": entry.quality.as_record()}
-    return {**said, "label_set": label_set, "voxels": voxels}
+    label_set = {"id": labelled.labels.id, "recipe": labelled.labels.recipe, "quality": entry.quality.as_record()}
+    return {**record, "label_set": label_set, "voxels": voxels}
 
 
 def grid_of_members(members: Members) -> LabelGrid:
     """Return the one grid of all labels of a version. Raises `mixed_grids`."""
-    named = {recorded_grid(one.labels.grid): one for labelled in members.values() for one in labelled}
+    named = {recorded_grid(member.labels.grid): member for labelled in members.values() for member in labelled}
     if len(named) > 1:
-        found = "; ".join(f"{one.entry.name} has {grid}" for grid, one in list(named.items())[:3])
+        examples = "; ".join(f"{member.entry.name} has {grid}" for grid, member in list(named.items())[:3])
         raise Refused(
             "mixed_grids",
-            f"the label sets in the splits have {len(named)} different grids: {found}. A version has exactly one "
+            f"the label sets in the splits have {len(named)} different grids: {examples}. A version has exactly one "
             "grid; process the sequences again with one grid, or remove them from the splits",
         )
     return next(iter(named), PAPER)
@@ -161,29 +161,29 @@ class PreparedDataset:
     warnings: tuple[RuleFinding, ...] = ()
 
 
-def prepare_dataset(platform: Platform, asked: NewDataset, folder: Path) -> PreparedDataset:
+def prepare_dataset(platform: Platform, new: NewDataset, folder: Path) -> PreparedDataset:
     """Prepare a version except for its rows; its own files are written to `folder`.
 
     Raises `no_splits`, `splits_broken`, `mixed_grids`, `held_out_low`, `bad_member`, `name_taken`, `StoreFullError`.
     """
     with platform.database.reading() as session:
-        if session.scalar(select(Dataset.id).where(Dataset.name == asked.name)) is not None:
-            raise name_taken("dataset version", asked.name)
+        if session.scalar(select(Dataset.id).where(Dataset.name == new.name)) is not None:
+            raise name_taken("dataset version", new.name)
         current, members, warnings = members_now(session)
     grid_of_members(members)
     refuse_low(members, platform.settings.publishing.least_held_out_recall)
-    return replace(assembled(platform, asked, folder, (current.revision, members)), warnings=warnings)
+    return replace(assembled(platform, new, folder, (current.revision, members)), warnings=warnings)
 
 
-def assembled(platform: Platform, asked: NewDataset, folder: Path, found: tuple[int, Members]) -> PreparedDataset:
+def assembled(platform: Platform, new: NewDataset, folder: Path, splits: tuple[int, Members]) -> PreparedDataset:
     """Return a version of these members of the splits at that revision. Raises `bad_member`, `StoreFullError`."""
-    created_ns, (revision, members) = now_ns(), found
+    created_ns, (revision, members) = now_ns(), splits
     with platform.database.reading() as session:
         files = {part: files_of(session, labelled) for part, labelled in members.items()}
     parts: dict[str, PreparedPart] = {part: _prepared_part(platform, folder, part, files[part]) for part in PARTS}
-    manifest = manifest_bytes(asked, created_ns, members, {part: parts[part].files for part in OPEN})
+    manifest = manifest_bytes(new, created_ns, members, {part: parts[part].files for part in OPEN})
     blob = _stored(platform, folder / "manifest.json", manifest)
-    return PreparedDataset(asked, revision, created_ns, members, blob, parts)
+    return PreparedDataset(new, revision, created_ns, members, blob, parts)
 
 
 def write_dataset(session: Session, prepared: PreparedDataset) -> Dataset:
@@ -233,20 +233,20 @@ def members_now(session: Session) -> tuple[CurrentSplits, Members, tuple[RuleFin
     if broken := errors_of(findings):
         raise broken_splits([finding.message for finding in broken])
     parts = current.split.parts
-    members: Members = {part: tuple(one for one in labelled if one.entry.id in parts[part]) for part in PARTS}
+    members: Members = {part: tuple(member for member in labelled if member.entry.id in parts[part]) for part in PARTS}
     return current, members, findings
 
 
 def refuse_low(members: Members, least_recall: float) -> None:
     """Raise `held_out_low` if the held-out recall of a label set is unknown or below the limit; 0 is no limit."""
-    entries = [one.entry for labelled in members.values() for one in labelled]
-    low = [one for one in entries if (one.quality.held_out_recall or 0.0) < least_recall]
+    entries = [member.entry for labelled in members.values() for member in labelled]
+    low = [member for member in entries if (member.quality.held_out_recall or 0.0) < least_recall]
     if low:
         raise Refused(
             "held_out_low",
             f"the held-out recall of {counted(len(low), 'label set')} is below the limit of {least_recall:.2%}: "
-            f"{_first([_recall(one) for one in low])}. Process these sequences again or remove them from the splits. "
-            "The setting STONE_PUBLISHING__LEAST_HELD_OUT_RECALL is the limit (0: no limit)",
+            f"{_first([_recall(member) for member in low])}. Process these sequences again or remove them from the "
+            "splits. The setting STONE_PUBLISHING__LEAST_HELD_OUT_RECALL is the limit (0: no limit)",
         )
 
 
@@ -288,8 +288,8 @@ def _stored(platform: Platform, path: Path, content: bytes) -> PreparedBlob:
 
 def _write_members(session: Session, dataset_id: str, members: Members) -> None:
     for part, labelled in members.items():
-        for one in labelled:
-            entry, labels = one.entry, one.labels
+        for member in labelled:
+            entry, labels = member.entry, member.labels
             row = DatasetMember(dataset_id=dataset_id, sequence_id=entry.id, label_set_id=labels.id, part=part)
             row.name, row.recipe = entry.name, labels.recipe
             row.environment, row.illumination, row.region = entry.environment, entry.illumination, entry.region

@@ -38,14 +38,14 @@ def refuse_existing(session: Session, imported: DatasetImport, names: Sequence[s
 
     Raises `sequences_exist` if there are any and the import does not add labels to them.
     """
-    found = dict[str, SequenceRow]()
+    existing = dict[str, SequenceRow]()
     for start in range(0, len(names), AT_A_TIME):
         named = SequenceRow.name.in_(names[start : start + AT_A_TIME])
         alive = select(SequenceRow).where(SequenceRow.owner_id == imported.owner_id, SequenceRow.deleted_ns.is_(None))
-        found |= {row.name: row for row in session.scalars(alive.where(named))}
-    if found and imported.existing == "refuse":
-        raise existing_sequences([name for name in names if name in found])
-    return found
+        existing |= {row.name: row for row in session.scalars(alive.where(named))}
+    if existing and imported.existing == "refuse":
+        raise existing_sequences([name for name in names if name in existing])
+    return existing
 
 
 def sequences_of_scenes(session: Session, imported: DatasetImport) -> list[SequenceRow]:
@@ -106,7 +106,10 @@ def follow_splits(session: Session, imported: DatasetImport) -> tuple[str, ...]:
         return (NO_SPLITS,)
     split = Split(
         *(
-            (*(one for one in current[part] if one not in parts), *(one for one, of in parts.items() if of == part))
+            (
+                *(sequence_id for sequence_id in current[part] if sequence_id not in parts),
+                *(sequence_id for sequence_id, of in parts.items() if of == part),
+            )
             for part in PARTS
         )
     )

@@ -136,9 +136,9 @@ def _uploaded(session: Session, new: NewImport, owner: User) -> _Archive:
     return _Archive(upload.filename, upload.sha256, upload.length_bytes, upload.id)
 
 
-def _placed(in_place: InPlaceSettings, asked: RecordingPlace) -> _Archive:
+def _placed(in_place: InPlaceSettings, requested: RecordingPlace) -> _Archive:
     """Return the archive at a place; its file is not read yet, so the hash is that of the place."""
-    place = requested_dataset(in_place, asked)
+    place = requested_dataset(in_place, requested)
     return _Archive(place.name, sha256(str(place).encode()).hexdigest(), 0, place=place.as_record())
 
 
@@ -258,7 +258,7 @@ def import_of_attempt(platform: Platform, attempt: Attempt) -> DatasetImport:
     """
     with platform.database.reading() as session:
         begun = session.get_one(Job, attempt.root_id).arguments["code_version"]
-        imported = _found(session, _made_by(attempt))
+        imported = _require_import(session, _made_by(attempt))
     if begun == code_version("imports"):
         return imported
     try:
@@ -287,10 +287,10 @@ def begin_run_again(platform: Platform, attempt: Attempt, reason: str) -> None:
 
 def kept_import(session: Session, attempt: Attempt) -> DatasetImport:
     """Return the import, locked until the end of the transaction. Raises `JobCancelledError`."""
-    return _found(session, _made_by(attempt).with_for_update(key_share=True))
+    return _require_import(session, _made_by(attempt).with_for_update(key_share=True))
 
 
-def _found(session: Session, statement: Select[DatasetImport]) -> DatasetImport:
+def _require_import(session: Session, statement: Select[DatasetImport]) -> DatasetImport:
     imported = session.scalars(statement.execution_options(populate_existing=True)).one_or_none()
     if imported is None:
         raise JobCancelledError(GONE)

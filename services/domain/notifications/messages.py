@@ -73,24 +73,24 @@ def _labels(session: Session, event: NotificationEvent) -> EventWords | None:
 
 def _submission(session: Session, event: NotificationEvent) -> EventWords | None:
     submission = session.get(SubmissionRow, event.subject_id)
-    place = None if submission is None else _place(session, submission.phase_id)
-    if submission is None or place is None:
+    phase = None if submission is None else _place(session, submission.phase_id)
+    if submission is None or phase is None:
         return None
     ends = {
         events.SUBMISSION_SCORED: "is scored",
         events.SUBMISSION_INVALID: "is invalid",
         events.SUBMISSION_FAILED: "could not be scored",
     }
-    text = f"The submission {_quoted(submission.method)} to {place[0]} {ends[event.kind]}."
-    return EventWords(text, f"/submissions/{submission.id}", {"submission_id": submission.id, "phase": place[0]})
+    text = f"The submission {_quoted(submission.method)} to {phase[0]} {ends[event.kind]}."
+    return EventWords(text, f"/submissions/{submission.id}", {"submission_id": submission.id, "phase": phase[0]})
 
 
 def _phase(session: Session, event: NotificationEvent) -> EventWords | None:
-    place = _place(session, event.subject_id)
-    if place is None:
+    phase = _place(session, event.subject_id)
+    if phase is None:
         return None
-    text = f"The phase {place[0]} is {'open' if event.kind == events.PHASE_OPENED else 'closed'}."
-    return EventWords(text, place[1], {"phase_id": event.subject_id, "phase": place[0]})
+    text = f"The phase {phase[0]} is {'open' if event.kind == events.PHASE_OPENED else 'closed'}."
+    return EventWords(text, phase[1], {"phase_id": event.subject_id, "phase": phase[0]})
 
 
 def _quota(session: Session, event: NotificationEvent) -> EventWords | None:
@@ -103,11 +103,11 @@ def _quota(session: Session, event: NotificationEvent) -> EventWords | None:
             "/account",
             dict(facts),
         )
-    place = _place(session, event.subject_id)
-    if place is None:
+    phase = _place(session, event.subject_id)
+    if phase is None:
         return None
     return EventWords(
-        f"Your team has {counted(facts['left'], 'submission')} left in {place[0]}.", place[1], dict(facts)
+        f"Your team has {counted(facts['left'], 'submission')} left in {phase[0]}.", phase[1], dict(facts)
     )
 
 

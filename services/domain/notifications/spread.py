@@ -50,8 +50,8 @@ def spread_events(platform: Platform) -> int:
     """Create the deliveries of new events; return the number of events."""
     unspread = select(NotificationEvent.id).where(NotificationEvent.spread_ns.is_(None))
     with platform.database.reading() as session:
-        found = session.scalars(unspread.order_by(NotificationEvent.id).limit(AT_A_TIME)).all()
-    return sum(_spread(platform, event_id) for event_id in found)
+        event_ids = session.scalars(unspread.order_by(NotificationEvent.id).limit(AT_A_TIME)).all()
+    return sum(_spread(platform, event_id) for event_id in event_ids)
 
 
 def queue_due(platform: Platform) -> int:
@@ -60,11 +60,11 @@ def queue_due(platform: Platform) -> int:
         NotificationDelivery.state == "waiting", NotificationDelivery.due_ns <= now_ns()
     )
     with platform.database.reading() as session:
-        found = session.scalars(due.order_by(NotificationDelivery.due_ns).limit(AT_A_TIME)).all()
-    return sum(_queue(platform, delivery_id) for delivery_id in found)
+        delivery_ids = session.scalars(due.order_by(NotificationDelivery.due_ns).limit(AT_A_TIME)).all()
+    return sum(_queue(platform, delivery_id) for delivery_id in delivery_ids)
 
 
-def take_back_lost(platform: Platform) -> int:
+def retry_lost(platform: Platform) -> int:
     """Retry deliveries whose job ended without a result; return their number.
 
     Only the deliveries that are queued longest are checked: jobs run in order.
@@ -73,11 +73,11 @@ def take_back_lost(platform: Platform) -> int:
     longest = queued.order_by(NotificationDelivery.due_ns).limit(AT_A_TIME).subquery()
     ended = select(longest.c.id, Job.state).join(Job, Job.id == longest.c.job_id).where(Job.state.in_(TERMINAL))
     with platform.database.reading() as session:
-        found = session.execute(ended).all()
-    return sum(_take_back(platform, delivery_id, state == "cancelled") for delivery_id, state in found)
+        deliveries = session.execute(ended).all()
+    return sum(_take_back(platform, delivery_id, state == "cancelled") for delivery_id, state in deliveries)
 
 
-def forget_told(platform: Platform) -> int:
+def delete_old_events(platform: Platform) -> int:
     """Delete events older than the retention of deliveries, a limited number per turn; return their number."""
     old = NotificationEvent.created_ns <= now_ns() - int(platform.settings.notifications.kept_s * 1e9)
     some = select(NotificationEvent.id).where(old).limit(AT_A_TIME)
@@ -153,7 +153,7 @@ def audience_of(session: Session, event: NotificationEvent) -> Iterator[tuple[st
         yield row.user_id, row.channel
 
 
-def is_to_be_told(session: Session, event: NotificationEvent, user_id: str, channel: str) -> bool:
+def is_in_audience(session: Session, event: NotificationEvent, user_id: str, channel: str) -> bool:
     """Return whether the user is still in the event's audience on this channel."""
     if event.kind in UNASKED:
         is_active = select(User.is_active).where(User.id == user_id)
@@ -205,7 +205,7 @@ def choose(session: Session, user_id: str, choices: Choices) -> None:
 LATEST_NS = 2 * 86_400 * 10**9
 
 
-def tell_phases(platform: Platform) -> int:
+def record_phase_events(platform: Platform) -> int:
     """Record recent openings and closings; return the number of new events."""
     now = now_ns()
     moments: list[tuple[str, str, int]] = []

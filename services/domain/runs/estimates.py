@@ -70,9 +70,9 @@ class QueueFacts:
         return max(1, self.workers[queue]) / (1 + len(others))
 
 
-def queue_facts(session: Session, asked: Iterable[tuple[str, int]]) -> QueueFacts:
+def queue_facts(session: Session, requested: Iterable[tuple[str, int]]) -> QueueFacts:
     """Return the facts of these queues and urgencies, and all paused queues."""
-    wanted = sorted(set(asked))
+    wanted = sorted(set(requested))
     queues = sorted({queue for queue, _ in wanted})
     paused = frozenset(row.name for row in _paused().rows(session, {}))
     return QueueFacts(_workers(session, queues), _rivals(session, wanted, queues), paused)
@@ -80,8 +80,8 @@ def queue_facts(session: Session, asked: Iterable[tuple[str, int]]) -> QueueFact
 
 def _workers(session: Session, queues: list[str]) -> dict[str, int]:
     """Return the number of workers per queue with a recent heartbeat."""
-    heard = [row.queues.split(",") for row in _heard().rows(session, {})]
-    return {queue: sum(queue in listened for listened in heard) for queue in queues}
+    alive = [row.queues.split(",") for row in _select_workers().rows(session, {})]
+    return {queue: sum(queue in listened for listened in alive) for queue in queues}
 
 
 def _rivals(session: Session, wanted: list[tuple[str, int]], queues: list[str]) -> dict[tuple[str, int], Set[str]]:
@@ -97,7 +97,7 @@ def _rivals(session: Session, wanted: list[tuple[str, int]], queues: list[str]) 
 
 
 @cache
-def _heard() -> KeptSelect:
+def _select_workers() -> KeptSelect:
     return KeptSelect(select(Worker.queues).where(Worker.beat_ns > database_ns() - FRESH_NS))
 
 
@@ -119,10 +119,10 @@ def _owners_at_work() -> KeptSelect:
 def _next_owner(after: CTE | None = None) -> ScalarSelect[str]:
     """Return the first owner with a running job in the queue, or the next owner."""
     job = aliased(Job)
-    found = select(job.owner_id).where(*_runs_there(job)).order_by(job.owner_id).limit(literal_column("1"))
+    owner = select(job.owner_id).where(*_runs_there(job)).order_by(job.owner_id).limit(literal_column("1"))
     if after is not None:
-        found = found.where(job.owner_id > after.c.owner_id).correlate(after)
-    return found.scalar_subquery()
+        owner = owner.where(job.owner_id > after.c.owner_id).correlate(after)
+    return owner.scalar_subquery()
 
 
 def _runs_there(job: type[Job]) -> tuple[ColumnElement[bool], ...]:
@@ -224,12 +224,12 @@ NOT_BEGUN = RunStages()
 
 def alive_runs(session: Session, runs: Sequence[AliveRow], at_ns: int) -> list[AliveRun]:
     """Return the state of the runs at `at_ns`."""
-    found = stages_of(session, [run.id for run in runs], at_ns)
-    queues = {run.id: _queue_of(run, found.get(run.id, NOT_BEGUN).stages) for run in runs}
+    stages = stages_of(session, [run.id for run in runs], at_ns)
+    queues = {run.id: _queue_of(run, stages.get(run.id, NOT_BEGUN).stages) for run in runs}
     facts = queue_facts(session, [(queues[run.id], run.priority) for run in runs])
     share = cache(facts.share)  # shared by many runs of a list
     workers = {run.id: share(queues[run.id], run.owner_id, run.priority) for run in runs}
-    works = _workloads(session, runs, found, workers)
+    works = _workloads(session, runs, stages, workers)
     return [
         AliveRun(run, work, queue, _waits_for(work, queue, facts.paused))
         for run, work, queue in zip(runs, works, queues.values(), strict=True)
@@ -246,12 +246,12 @@ def stages_of(session: Session, root_ids: Sequence[str], at_ns: int) -> Mapping[
     rows = _counts(places_for(len(root_ids))).rows(session, numbered(root_ids))
     running = _running_jobs(session, list(dict.fromkeys(row[0] for row in rows if row[2])), at_ns)
     stages, frames = defaultdict[str, list[StageWork]](list), dict[str, int]()
-    for root_id, kind, _, queued, done, busy_ns, told in rows:
+    for root_id, kind, _, queued, done, busy_ns, frame_count in rows:
         at_it = tuple(running.get((root_id, kind), ()))
         stages[root_id].append(StageWork(kind, int(queued), at_it, int(done), int(busy_ns or 0) / 1e9))
-        if told:
-            frames[root_id] = int(float(told))
-    return {root_id: RunStages(tuple(found), frames.get(root_id)) for root_id, found in stages.items()}
+        if frame_count:
+            frames[root_id] = int(float(frame_count))
+    return {root_id: RunStages(tuple(stages_of_run), frames.get(root_id)) for root_id, stages_of_run in stages.items()}
 
 
 def _running_jobs(session: Session, root_ids: Sequence[str], at_ns: int) -> dict[tuple[str, str], list[RunningJob]]:
@@ -272,8 +272,8 @@ def _counts(places: int) -> KeptSelect:
         return func.sum(case((Job.state == state, 1), else_=0))
 
     busy = cast(func.sum(case((Job.state == "succeeded", BUSY), else_=0)), BigInteger)
-    found = and_(Job.kind == SYNCHRONISE, Job.state == "succeeded")
-    frames = func.max(case((found, Job.result["frames"].as_string())))
+    synchronised = and_(Job.kind == SYNCHRONISE, Job.state == "succeeded")
+    frames = func.max(case((synchronised, Job.result["frames"].as_string())))
     columns = (*(counted(state) for state in ("running", "queued", "succeeded")), busy, frames)
     of_runs = (Job.root_id.in_(numbered_parameters(places)), Job.queue != "")
     grouped = select(Job.root_id, Job.kind, *columns).where(*of_runs).group_by(Job.root_id, Job.kind)
@@ -288,18 +288,20 @@ def _at_work(places: int) -> KeptSelect:
 
 
 def _workloads(
-    session: Session, runs: Sequence[AliveRow], found: Mapping[str, RunStages], workers: Mapping[str, float]
+    session: Session, runs: Sequence[AliveRow], stages_by_run: Mapping[str, RunStages], workers: Mapping[str, float]
 ) -> list[RunWorkload]:
     """Return the workload of each run."""
     inputs = [run.inputs for run in runs if run.inputs]
-    lengths = _recorded_s(session, sorted({one for made_of in inputs for one in made_of.recording_ids}))
+    lengths = _recorded_s(
+        session, sorted({recording_id for made_of in inputs for recording_id in made_of.recording_ids})
+    )
 
     def workload(run: AliveRow) -> RunWorkload:
-        stages, frames = found.get(run.id, NOT_BEGUN)
+        stages, frames = stages_by_run.get(run.id, NOT_BEGUN)
         if run.inputs is None:
             return RunWorkload(run.kind, stages, workers=workers[run.id])
         recording_ids, makes_labels = run.inputs
-        recorded_s = sum(lengths.get(one, 0.0) for one in recording_ids) or None
+        recorded_s = sum(lengths.get(recording_id, 0.0) for recording_id in recording_ids) or None
         return RunWorkload(run.kind, stages, recorded_s, frames, makes_labels, workers[run.id])
 
     return [workload(run) for run in runs]
@@ -312,8 +314,8 @@ def _recorded_s(session: Session, recording_ids: Sequence[str]) -> dict[str, flo
 
 @cache
 def _lengths(places: int) -> KeptSelect:
-    told = select(Recording.id, Recording.inspection["duration_ns"].as_string())
-    return KeptSelect(told.where(Recording.id.in_(numbered_parameters(places))))
+    lengths = select(Recording.id, Recording.inspection["duration_ns"].as_string())
+    return KeptSelect(lengths.where(Recording.id.in_(numbered_parameters(places))))
 
 
 def _queue_of(run: AliveRow, stages: Sequence[StageWork]) -> str:
@@ -338,45 +340,51 @@ def time_left(session: Session, job_ids: Sequence[str]) -> Mapping[str, int]:
     if not runs:
         return {}
     scores = [run for run in runs if run.kind == SCORE]
-    return {**_of_others(session, [run for run in runs if run.kind != SCORE]), **_of_scores(session, scores)}
+    return {
+        **_other_estimates(session, [run for run in runs if run.kind != SCORE]),
+        **_score_estimates(session, scores),
+    }
 
 
-def _of_others(session: Session, runs: list[AliveRow]) -> dict[str, int]:
+def _other_estimates(session: Session, runs: list[AliveRow]) -> dict[str, int]:
     if not runs:
         return {}
-    asked = {run.id for run in runs}
-    before = [run for run in older_of_the_same(session, runs) if run.id not in asked]
+    run_ids = {run.id for run in runs}
+    before = [run for run in older_of_the_same(session, runs) if run.id not in run_ids]
     alive = alive_runs(session, [*runs, *before], now_ns())
-    paces = {kind: pace_of(session, kind) for kind in {one.run.kind for one in alive}}
-    left = {one.run.id: None if _is_untold(one) else seconds_left(one.work, paces[one.run.kind]) for one in alive}
+    paces = {kind: pace_of(session, kind) for kind in {alive_run.run.kind for alive_run in alive}}
+    left = {
+        alive_run.run.id: None if _is_unknown(alive_run) else seconds_left(alive_run.work, paces[alive_run.run.kind])
+        for alive_run in alive
+    }
     ahead_s = _ahead_s(alive, left)
-    based = asked - {one.run.id for one in alive if _is_without_basis(one)}
-    told = {run_id: own_s for run_id, own_s in left.items() if own_s is not None and run_id in based}
-    return {run_id: rounded_s(own_s + ahead_s[run_id]) for run_id, own_s in told.items()}
+    based = run_ids - {alive_run.run.id for alive_run in alive if _is_without_basis(alive_run)}
+    known = {run_id: own_s for run_id, own_s in left.items() if own_s is not None and run_id in based}
+    return {run_id: rounded_s(own_s + ahead_s[run_id]) for run_id, own_s in known.items()}
 
 
 def _ahead_s(alive: Sequence[AliveRun], left: Mapping[str, float | None]) -> dict[str, float]:
     """Return, by run, the seconds that older runs of the same owner in its queue take; their jobs run first."""
     sums, ahead_s = defaultdict[tuple[str, str, int], float](float), dict[str, float]()
-    for one in sorted(alive, key=lambda one: one.run.id):
-        same = (one.queue, one.run.owner_id, one.run.priority)
-        ahead_s[one.run.id] = sums[same]
-        sums[same] += left[one.run.id] or 0.0
+    for run in sorted(alive, key=lambda run: run.run.id):
+        same = (run.queue, run.run.owner_id, run.run.priority)
+        ahead_s[run.run.id] = sums[same]
+        sums[same] += left[run.run.id] or 0.0
     return ahead_s
 
 
-def _is_untold(one: AliveRun) -> bool:
+def _is_unknown(alive: AliveRun) -> bool:
     """Return whether no estimate is possible: a queue is paused, or an import has not listed its scenes yet."""
-    scenes = any(stage.kind == SCENE for stage in one.work.stages)
-    return one.is_paused or (one.run.kind == IMPORT and not scenes)
+    scenes = any(stage.kind == SCENE for stage in alive.work.stages)
+    return alive.is_paused or (alive.run.kind == IMPORT and not scenes)
 
 
-def _is_without_basis(one: AliveRun) -> bool:
+def _is_without_basis(alive: AliveRun) -> bool:
     """Return whether this is a labelling run without a finished job; other recordings may differ tenfold."""
-    return one.run.kind == LABELLING and not any(stage.done for stage in one.work.stages)
+    return alive.run.kind == LABELLING and not any(stage.done for stage in alive.work.stages)
 
 
-def _of_scores(session: Session, runs: list[AliveRow]) -> dict[str, int]:
+def _score_estimates(session: Session, runs: list[AliveRow]) -> dict[str, int]:
     """Return the estimates shown on the submissions' pages."""
     if not runs:
         return {}
@@ -396,8 +404,8 @@ BUSY = func.coalesce(Job.finished_ns - Job.started_ns, 0)
 def pace_of(session: Session, kind: str) -> Pace:
     """Return the durations of jobs in the last successful runs of this kind."""
     root_ids = [row.id for row in _newest().rows(session, {"kind": kind})]
-    found = _took().rows(session, numbered(root_ids)) if root_ids else ()
-    rows = [row for row in found if row[2]]
+    jobs = _took().rows(session, numbered(root_ids)) if root_ids else ()
+    rows = [row for row in jobs if row[2]]
     counts, busy_s = defaultdict[str, int](int), defaultdict[str, float](float)
     for _, stage, count, busy_ns in rows:
         counts[stage] += int(count)

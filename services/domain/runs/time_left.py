@@ -206,9 +206,9 @@ def _job_s(stage: StageWork, work: RunWorkload, before_s: float | None, scale: f
         return (JOB_WEIGHT * scale * before_s + stage.busy_s) / (JOB_WEIGHT + stage.done)
     if stage.done:
         return stage.busy_s / stage.done
-    done = sum(one.done for one in work.stages)
+    done = sum(other.done for other in work.stages)
     if done:
-        return sum(one.busy_s for one in work.stages) / done
+        return sum(other.busy_s for other in work.stages) / done
     shares = [job for job in stage.running if job.share and job.share >= LEAST_SHARE and stage.kind in SHARES]
     return max(job.elapsed_s / (job.share or 1.0) for job in shares) if shares else None
 

@@ -32,7 +32,7 @@ def chosen_recordings(session: Session, sequence: SequenceRow, ids: Sequence[str
     if not registered:
         raise no_recording(sequence.id, len(recordings))
     chosen = [recording for recording in registered.values() if not ids or recording.id in ids]
-    return _told_apart(sequence, chosen)
+    return _require_distinct_names(sequence, chosen)
 
 
 def offsets_by_name(recordings: Sequence[Recording], given_ns: Mapping[str, int]) -> dict[str, int]:
@@ -44,7 +44,7 @@ def offsets_by_name(recordings: Sequence[Recording], given_ns: Mapping[str, int]
             "is no other clock to align it with",
         )
     names = {key: recording.filename for recording in recordings for key in (recording.id, recording.filename)}
-    found = dict[str, int]()
+    offsets = dict[str, int]()
     for key, offset_ns in sorted(given_ns.items()):
         if key not in names:
             known = ", ".join(sorted(recording.filename for recording in recordings))
@@ -52,21 +52,21 @@ def offsets_by_name(recordings: Sequence[Recording], given_ns: Mapping[str, int]
                 "bad_clock_offset",
                 f"a clock offset is given for {key[:120]}, but the recordings of the run are {known}",
             )
-        if found.setdefault(names[key], offset_ns) != offset_ns:
+        if offsets.setdefault(names[key], offset_ns) != offset_ns:
             raise Refused(
                 "bad_clock_offset",
                 f"two different clock offsets are given for {key[:120]}, one by its id and one by its name",
             )
-    return found
+    return offsets
 
 
 def recording_ids_of(arguments: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the ids of the recordings that a run with these arguments reads; an earlier version stored one id."""
     named = arguments.get("recording_ids") or [arguments.get("recording_id")]
-    return tuple(one for one in named if one is not None)
+    return tuple(recording_id for recording_id in named if recording_id is not None)
 
 
-def _told_apart(sequence: SequenceRow, recordings: Sequence[Recording]) -> tuple[Recording, ...]:
+def _require_distinct_names(sequence: SequenceRow, recordings: Sequence[Recording]) -> tuple[Recording, ...]:
     by_content = {recording.sha256: recording for recording in reversed(recordings)}
     apart = sorted(by_content.values(), key=lambda recording: recording.id)
     names = [recording.filename.casefold() for recording in apart]

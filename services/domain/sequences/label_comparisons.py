@@ -95,10 +95,10 @@ def _require_one_grid(session: Session, a_id: str, b_id: str) -> None:
 
 def compared_by(session: Session, attempt: Attempt) -> LabelComparison:
     """Return the attempt's comparison. Raises `JobCancelledError`."""
-    found = session.get(LabelComparison, attempt.arguments["comparison_id"], populate_existing=True)
-    if found is None or found.job_id != attempt.job_id:
+    comparison = session.get(LabelComparison, attempt.arguments["comparison_id"], populate_existing=True)
+    if comparison is None or comparison.job_id != attempt.job_id:
         raise JobCancelledError("its comparison was deleted, or another job computes it")
-    return found
+    return comparison
 
 
 def write_comparison(session: Session, attempt: Attempt, record: Mapping[str, Any]) -> None:
@@ -124,8 +124,8 @@ def stored_pair(session: Session, comparison: LabelComparison, token: str) -> St
     if stamp_ns is None:
         return None
     pair = [_frame_at(session, label_set_id, stamp_ns) for label_set_id in ids]
-    found = [_stored(row, _object_key(session, row)) for row in pair if row is not None]
-    return StoredPair(*found) if len(found) == len(pair) else None
+    files = [_stored(row, _object_key(session, row)) for row in pair if row is not None]
+    return StoredPair(*files) if len(files) == len(pair) else None
 
 
 def stored_frame(session: Session, labels: LabelSet, token: str) -> StoredLabelFile | None:
@@ -154,10 +154,10 @@ def _by_microsecond(session: Session, label_set_id: str) -> dict[int, StoredLabe
         .where(LabelledFrameRow.label_set_id == label_set_id)
         .order_by(LabelledFrameRow.ordinal)
     )
-    found = dict[int, StoredLabelFile]()
+    files = dict[int, StoredLabelFile]()
     for row, key in session.execute(frames):
-        found.setdefault(row.stamp_ns // NS_PER_US, _stored(row, key))
-    return found
+        files.setdefault(row.stamp_ns // NS_PER_US, _stored(row, key))
+    return files
 
 
 def _object_key(session: Session, row: LabelledFrameRow) -> str:
@@ -176,8 +176,8 @@ def _existing_comparison(session: Session, a_id: str, b_id: str) -> LabelCompari
 
 def _require_label_set(session: Session, sequence: SequenceRow, label_set_id: str) -> None:
     """Return the label set of the sequence. Raises `unknown_label_set`."""
-    found = session.get(LabelSet, label_set_id)
-    if found is None or found.sequence_id != sequence.id:
+    labels = session.get(LabelSet, label_set_id)
+    if labels is None or labels.sequence_id != sequence.id:
         raise Refused(
             "unknown_label_set",
             f"sequence {sequence.id} has no label set {label_set_id[:80]!r}; does it belong to another sequence?",

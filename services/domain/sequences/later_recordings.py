@@ -98,12 +98,12 @@ def _processed_again(platform: Platform, sequence_id: str) -> bool:
 def _with_several(session: Session, walk: SequenceWalk) -> list[str]:
     """Return the sequences with several recordings among the next recordings, and advance the walk."""
     ordered = select(Recording.sequence_id).where(Recording.sequence_id > walk.after).order_by(Recording.sequence_id)
-    found = list(session.scalars(ordered.limit(AT_A_TIME)))
-    is_last = len(found) < AT_A_TIME
-    if not is_last and found[0] != found[-1]:  # the last sequence may continue beyond the limit
-        found = [sequence_id for sequence_id in found if sequence_id != found[-1]]
-    walk.after = "" if is_last else found[-1]
-    return sorted({one for one, other in pairwise(found) if one == other})
+    sequence_ids = list(session.scalars(ordered.limit(AT_A_TIME)))
+    is_last = len(sequence_ids) < AT_A_TIME
+    if not is_last and sequence_ids[0] != sequence_ids[-1]:  # the last sequence may continue beyond the limit
+        sequence_ids = [sequence_id for sequence_id in sequence_ids if sequence_id != sequence_ids[-1]]
+    walk.after = "" if is_last else sequence_ids[-1]
+    return sorted({first for first, other in pairwise(sequence_ids) if first == other})
 
 
 def _lacks(session: Session, sequence_id: str) -> bool:

@@ -45,7 +45,7 @@ def prepared_previews(
     """Store (name, media type, bytes), one after the other; at most `MOST_PREVIEWS`."""
     folder = work / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
-    return tuple(_prepared(platform, folder, *one) for one, _ in zip(drawn, range(MOST_PREVIEWS), strict=False))
+    return tuple(_prepared(platform, folder, *picture) for picture, _ in zip(drawn, range(MOST_PREVIEWS), strict=False))
 
 
 def replace_previews(session: Session, shown: PreviewSubject, previews: Iterable[PreparedPreview]) -> None:

@@ -255,5 +255,5 @@ def _existing_run(session: Session, sequence: SequenceRow, recipe: str) -> Job |
 
 
 def unknown_stages(stages: tuple[str, ...], known: tuple[str, ...]) -> Refused:
-    asked = ", ".join(stages)[:120] or "none"
-    return Refused("bad_stages", f"stages {asked} cannot be run; request {known[0]}, or {' and '.join(known)}")
+    requested = ", ".join(stages)[:120] or "none"
+    return Refused("bad_stages", f"stages {requested} cannot be run; request {known[0]}, or {' and '.join(known)}")

@@ -76,14 +76,14 @@ def add_recording(
 
 
 def add_in_place(
-    session: Session, settings: InPlaceSettings, sequence: SequenceRow, asked: RecordingPlace
+    session: Session, settings: InPlaceSettings, sequence: SequenceRow, requested: RecordingPlace
 ) -> tuple[Recording, Job]:
     """Return a recording that is read in place, and the job that reads it.
 
     The job checks whether the recording exists, on a machine that has the root. Raises `unknown_root`, `bad_place`,
     `not_by_ranges`, `SequenceDeletedError`, `QueueDrainingError`.
     """
-    place = requested_place(settings, asked)
+    place = requested_place(settings, requested)
     sequence = lock_sequence(session, sequence.id)
     named = sha256(str(place).encode()).hexdigest()
     recording = Recording(sequence_id=sequence.id, filename=place.name, size_bytes=0, sha256=named, files=[])

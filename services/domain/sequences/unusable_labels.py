@@ -11,7 +11,7 @@ from services.runtime.orm import SequenceRow
 LONGEST = 500
 
 
-def tell_unusable(session: Session, sequence_id: str, findings: Iterable[Mapping[str, Any]]) -> None:
+def record_unusable(session: Session, sequence_id: str, findings: Iterable[Mapping[str, Any]]) -> None:
     """Record the first of these findings (`stone/findings.py`) that is an error, if any."""
     errors = [finding for finding in findings if finding["severity"] == "error"]
     if not errors:

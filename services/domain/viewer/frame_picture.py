@@ -131,10 +131,10 @@ SIDE_PX = 512
 ROBOT_PX = ((0, -9), (6, 7), (0, 3), (-6, 7))  # an arrowhead that points forward
 
 
-def picture_bytes(semantics: Grid, observed: Grid, place: LabelGrid | None = None) -> bytes:
+def picture_bytes(semantics: Grid, observed: Grid, grid: LabelGrid | None = None) -> bytes:
     """Return a PNG of the grids (X, Y, Z), with the robot at the ego origin of `place`, by default in the middle."""
     image = Image.fromarray(enlarged(plan_indices(semantics, observed)))
-    right, down = np.array(image.size) / 2 if place is None else _robot_px(place)
+    right, down = np.array(image.size) / 2 if grid is None else _robot_px(grid)
     outline = [(right + x, down + y) for x, y in ROBOT_PX]
     ImageDraw.Draw(image).polygon(outline, fill=ROBOT_INDEX, outline=CASING_INDEX)
     return png_of(np.asarray(image))
@@ -209,12 +209,12 @@ _INDEX = np.array([GROUND_INDEX if code == BOTH_FREE else DIFFERENCE_INDEX + cod
 
 def comparison_picture(a: SeenGrid, b: SeenGrid) -> bytes:
     """Return a PNG with A, B and the difference side by side, of grids (X, Y, Z)."""
-    panels = [enlarged(one) for one in (plan_indices(*a), plan_indices(*b), _difference_indices(a[0], b[0]))]
+    panels = [enlarged(panel) for panel in (plan_indices(*a), plan_indices(*b), _difference_indices(a[0], b[0]))]
     high_px, wide_px = panels[0].shape
     whole = np.full((high_px + HEAD_PX, len(panels) * wide_px + (len(panels) - 1) * GAP_PX), GROUND_INDEX, np.uint8)
     words, font = Image.new("L", whole.shape[::-1]), ImageFont.load_default(18)
-    for place, (name, indices) in enumerate(zip(PANELS, panels, strict=True)):
-        left = place * (wide_px + GAP_PX)
+    for index, (name, indices) in enumerate(zip(PANELS, panels, strict=True)):
+        left = index * (wide_px + GAP_PX)
         ImageDraw.Draw(words).text((left, 2), name, fill=255, font=font)
         whole[HEAD_PX:, left : left + wide_px] = indices
     return png_of(with_words(whole, words))

@@ -100,7 +100,8 @@ def _shown(store: Store, located: ExportLocation) -> PlaybackChannels:
     span = (0, int(stored.files.sizes_bytes[ordinal]))
     record = json.loads(b"".join(file_pieces(stored.files, ordinal, span, stored.reader(store))))
     sensors = tuple(
-        PlacedSensor(one["channel"], one["kind"], tuple(one["ego_from_sensor"])) for one in record.get("sensors", [])
+        PlacedSensor(sensor["channel"], sensor["kind"], tuple(sensor["ego_from_sensor"]))
+        for sensor in record.get("sensors", [])
     )
     has_rays = bool(record.get("has_rays", False))
     has_radars = bool(record.get("has_radars", False))

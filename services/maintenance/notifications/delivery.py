@@ -15,7 +15,7 @@ from sqlalchemy.orm import Session
 
 from services.domain.notifications.email_addresses import new_secret
 from services.domain.notifications.messages import EventWords, message_of
-from services.domain.notifications.spread import DELIVER, QUEUE, is_to_be_told, missed
+from services.domain.notifications.spread import DELIVER, QUEUE, is_in_audience, missed
 from services.domain.notifications.webhooks import note_refused, note_taken, switch_off
 from services.maintenance.notifications.channels import Letter, NotTakenError, WebhookTarget, send_email, send_webhook
 from services.runtime.jobs.claims import wake_ups_wanted
@@ -48,7 +48,7 @@ class PreparedDelivery:
 def prepared(session: Session, row: NotificationDelivery, settings: Settings) -> PreparedDelivery | str:
     """The delivery ready to be sent, or why it is not to be sent at all."""
     event = session.get_one(NotificationEvent, row.event_id)
-    if not is_to_be_told(session, event, row.user_id, row.channel):
+    if not is_in_audience(session, event, row.user_id, row.channel):
         return "not sent: preferences changed, account deactivated, or no longer in the team"
     message = message_of(session, event)
     if message is None:

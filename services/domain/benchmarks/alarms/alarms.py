@@ -89,13 +89,13 @@ def flat_cells(cells: Mapping[str, Any]) -> Cells:
     return np.asarray([cells[name] for name in sorted(cells)], np.int64).reshape(-1)
 
 
-def differing_ratio(one: Cells, others: Cells) -> NDArray[np.float64]:
+def differing_ratio(entry: Cells, others: Cells) -> NDArray[np.float64]:
     """Return a lower bound of the share of voxels in which `one` (k) and each row of `others` (n, k) differ.
 
     The bound is 1 if there are no voxels.
     """
-    moved = np.abs(others - one).sum(axis=1) / 2
-    voxels = int(one.sum())
+    moved = np.abs(others - entry).sum(axis=1) / 2
+    voxels = int(entry.sum())
     return np.asarray(moved / voxels if voxels else np.ones(len(others)), np.float64)
 
 
@@ -103,7 +103,7 @@ def suspicions(
     mine: ScoredEntry, own: Sequence[ScoredEntry], foreign: Sequence[ScoredEntry], limits: AlarmLimits
 ) -> list[AlarmCandidate]:
     """Return the alarms about `mine`, given other entries of its team and entries of other teams."""
-    equal = [(one, 0.0) for one in foreign if one.content_sha256 == mine.content_sha256]
+    equal = [(entry, 0.0) for entry in foreign if entry.content_sha256 == mine.content_sha256]
     return [
         *_about_the_later(EQUAL_CONTENT, mine, equal),
         *_about_the_later(NEAR_EQUAL_TEAMS, mine, _near(mine, foreign, limits)),
@@ -124,37 +124,39 @@ def late_suspicion(mine: ScoredEntry, late: Mapping[str, Any] | None, limits: Al
 
 def _near(mine: ScoredEntry, foreign: Sequence[ScoredEntry], limits: AlarmLimits) -> list[tuple[ScoredEntry, float]]:
     """Return the entries that are near but not equal, with the share of voxels in which they differ."""
-    unequal = [one for one in foreign if one.content_sha256 != mine.content_sha256]
+    unequal = [entry for entry in foreign if entry.content_sha256 != mine.content_sha256]
     if not unequal:
         return []
-    differing = differing_ratio(mine.cells, np.stack([one.cells for one in unequal])).tolist()
-    return [(one, by) for one, by in zip(unequal, differing, strict=True) if by < limits.near_ratio]
+    differing = differing_ratio(mine.cells, np.stack([entry.cells for entry in unequal])).tolist()
+    return [(entry, by) for entry, by in zip(unequal, differing, strict=True) if by < limits.near_ratio]
 
 
 def _about_the_later(
     kind: str, mine: ScoredEntry, others: Sequence[tuple[ScoredEntry, float]]
 ) -> Iterator[AlarmCandidate]:
     """Yield one alarm about `mine` if there are earlier entries, and one alarm about each later entry."""
-    earlier = [{**one.facts(), "differing_ratio": by} for one, by in others if one.submission_id < mine.submission_id]
+    earlier = [
+        {**entry.facts(), "differing_ratio": by} for entry, by in others if entry.submission_id < mine.submission_id
+    ]
     if earlier:
         yield AlarmCandidate(kind, mine.submission_id, {**mine.facts(), "others": earlier})
-    for one, by in others:
-        if one.submission_id > mine.submission_id:
+    for entry, by in others:
+        if entry.submission_id > mine.submission_id:
             seen = {**mine.facts(), "differing_ratio": by}
-            yield AlarmCandidate(kind, one.submission_id, {**one.facts(), "others": [seen]})
+            yield AlarmCandidate(kind, entry.submission_id, {**entry.facts(), "others": [seen]})
 
 
 def _probing(entries: Sequence[ScoredEntry], limits: AlarmLimits) -> Iterator[AlarmCandidate]:
     """Yield an alarm about the team's day if a window that contains the first entry is full of near entries."""
-    mine, cells = entries[0], np.stack([one.cells for one in entries])
-    ends_ns = np.array([one.finalized_ns for one in entries], np.int64)
+    mine, cells = entries[0], np.stack([entry.cells for entry in entries])
+    ends_ns = np.array([entry.finalized_ns for entry in entries], np.int64)
     near = np.stack([differing_ratio(row, cells) < limits.near_ratio for row in cells])
     np.fill_diagonal(near, False)
     for end_ns in sorted({int(end) for end in ends_ns if 0 <= end - mine.finalized_ns < limits.window_ns}):
         inside = (ends_ns > end_ns - limits.window_ns) & (ends_ns <= end_ns)
         is_probe = inside & (near & inside).any(axis=1)
         if is_probe.sum() >= limits.near_entries:
-            probes = [one.facts() for one, is_one in zip(entries, is_probe.tolist(), strict=True) if is_one]
+            probes = [entry.facts() for entry, is_one in zip(entries, is_probe.tolist(), strict=True) if is_one]
             facts = {"team_id": mine.team_id, "team": mine.team, "entries": probes}
             yield AlarmCandidate(NEAR_EQUAL, f"{mine.team_id}:{end_ns // DAY_NS}", facts)
             return
@@ -179,15 +181,15 @@ def raise_alarms(session: Session, score: Score, limits: AlarmLimits = DEFAULTS)
         return
     entries = _entries(score, ON_BOARDS if phase.is_hidden else ("entry",))
     mine = _scored(session, entries.where(SubmissionRow.id == own.id), 1)[0]
-    found = _seen(session, entries, score, own.team_id, limits)
-    others = [one for one in found if one.submission_id != own.id]
-    of_team = [one for one in others if one.team_id == own.team_id]
-    foreign = [one for one in others if one.team_id != own.team_id]
+    seen = _seen(session, entries, score, own.team_id, limits)
+    others = [entry for entry in seen if entry.submission_id != own.id]
+    of_team = [entry for entry in others if entry.team_id == own.team_id]
+    foreign = [entry for entry in others if entry.team_id != own.team_id]
     raised = {"phase_id": own.phase_id, "created_ns": now_ns()}
     about = suspicions(mine, of_team, foreign, limits)
     if phase.is_hidden:
         about += late_suspicion(mine, score.record.get("late"), limits)
-    insert_new(session, Alarm, [{"id": new_id(), **raised, **vars(one)} for one in about])
+    insert_new(session, Alarm, [{"id": new_id(), **raised, **vars(entry)} for entry in about])
 
 
 def raise_impossible_counts(session: Session, submission: SubmissionRow) -> None:
@@ -255,8 +257,8 @@ def _seen(session: Session, entries: Select[Any], score: Score, team_id: str, li
         entries.where(foreign),
         entries.where(foreign, Score.content_sha256 == score.content_sha256),
     )
-    found = [one for query in queries for one in _scored(session, query, limits.looked_at)]
-    return list({one.submission_id: one for one in found}.values())
+    entries_seen = [entry for query in queries for entry in _scored(session, query, limits.looked_at)]
+    return list({entry.submission_id: entry for entry in entries_seen}.values())
 
 
 def _scored(session: Session, query: Select[Any], most: int) -> list[ScoredEntry]:

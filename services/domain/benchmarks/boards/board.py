@@ -88,9 +88,9 @@ def _phase() -> KeptSelect:
     """Return the statement that reads the phase and its active evaluation version."""
     other = aliased(Activation)
     newest = select(other.id).where(other.phase_id == Phase.id).order_by(other.activated_ns.desc(), other.id.desc())
-    said = (Phase.id, Phase.name, Phase.is_hidden, Phase.closes_ns, Phase.named_from_ns, Benchmark.name)
+    columns = (Phase.id, Phase.name, Phase.is_hidden, Phase.closes_ns, Phase.named_from_ns, Benchmark.name)
     in_force = (Activation.id, Activation.truth_id, Activation.metric)
-    phases = select(*said, *in_force).join(Benchmark, Benchmark.id == Phase.benchmark_id)
+    phases = select(*columns, *in_force).join(Benchmark, Benchmark.id == Phase.benchmark_id)
     joined = phases.join(Activation, Activation.id == newest.limit(1).scalar_subquery(), isouter=True)
     return KeptSelect(joined.where(Phase.id == parameter("phase")))
 
@@ -100,20 +100,20 @@ def _entries(is_on_track: bool) -> KeptSelect:
     """Return the statement that reads scores on the board, and mutable columns of submissions and teams."""
     may_change = (SubmissionRow.kind, SubmissionRow.method, SubmissionRow.modality, SubmissionRow.finalized_ns)
     of_version = (Score.truth_id == parameter("truth"), Score.metric == parameter("metric"))
-    found = (
+    rows = (
         select(Score.id, SubmissionRow.team_id, *may_change, Team.name)
         .join(SubmissionRow, SubmissionRow.id == Score.submission_id)
         .join(Team, Team.id == SubmissionRow.team_id)
         .where(SubmissionRow.phase_id == parameter("phase"), *of_version, was_on_board_at(None))
         .order_by(Score.id)
     )
-    return KeptSelect(found.where(SubmissionRow.modality == parameter("track")) if is_on_track else found)
+    return KeptSelect(rows.where(SubmissionRow.modality == parameter("track")) if is_on_track else rows)
 
 
 @cache
 def _reported_revision(is_on_track: bool) -> KeptSelect:
-    found = select(*Reported.__table__.columns).where(Reported.phase_id == parameter("phase")).order_by(Reported.id)
-    return KeptSelect(found.where(is_reported_on(parameter("track"))) if is_on_track else found)
+    rows = select(*Reported.__table__.columns).where(Reported.phase_id == parameter("phase")).order_by(Reported.id)
+    return KeptSelect(rows.where(is_reported_on(parameter("track"))) if is_on_track else rows)
 
 
 # Rank confidence of leaderboard entries, from the stored spectra of their scores. Files are read from the store outside
@@ -158,13 +158,15 @@ def rank_confidence_of(store: Store, ranked: Sequence[RankedScore], key_of: Mapp
     """Return how certain the ranks of a board are; `key_of` gives the key of each blob. Raises `store_unavailable`."""
     compared = ranked[:MOST_COMPARED]
     with ThreadPoolExecutor(READERS) as readers:
-        found = list(readers.map(lambda one: _spectra(store, one.spectra_sha256, key_of[one.spectra_sha256]), compared))
-    known = [one for one in found if one is not None]
+        spectra = list(
+            readers.map(lambda entry: _spectra(store, entry.spectra_sha256, key_of[entry.spectra_sha256]), compared)
+        )
+    known = [entry for entry in spectra if entry is not None]
     if len(known) < len(compared):
         return _silent(ranked, WITHDRAWN)
     if len(ranked) < 2:
         return _silent(ranked, None)
-    claims = surely_above(np.array([one.value for one in compared]), board_spectra(known))
+    claims = surely_above(np.array([entry.value for entry in compared]), board_spectra(known))
     if claims is None:
         return _silent(ranked, "few_frames")
     beneath = (None,) * (len(ranked) - len(compared))
@@ -181,8 +183,8 @@ def _silent(ranked: Sequence[RankedScore], silence: Silence | None) -> RankConfi
 @cached(_SPECTRA, key=lambda store, sha256, object_key: sha256, lock=Lock())
 def _spectra(store: Store, sha256: str, object_key: str) -> EntrySpectra | None:
     """Return the spectra of the ranked ratio only."""
-    found = read_spectra(store, object_key)
-    return None if found is None else entry_spectra(found, RANKED_BY)
+    spectra = read_spectra(store, object_key)
+    return None if spectra is None else entry_spectra(spectra, RANKED_BY)
 
 
 MOST_ROWS = 2000
@@ -305,16 +307,16 @@ def _kept_board(platform: Platform, phase_id: str, query: BoardQuery, viewer: Vi
     now = now_ns()
     with platform.database.snapshot() as session:
         revision = board_revision(session, phase_id, query, viewer, now)
-        place = (phase_id, query, viewer.is_administrator, revision.teams)
+        key = (phase_id, query, viewer.is_administrator, revision.teams)
         with _KEPT_LOCK:
-            kept = _KEPT.get(place)
+            kept = _KEPT.get(key)
         if kept is not None and kept.revision == revision.digest:
             return kept
         read = _read(session, session.get_one(Phase, phase_id), query, viewer, now)
     made = replace(_made(platform, read), revision=revision.digest)
     if len(made.rows) < MOST_KEPT_ROWS:
         with _KEPT_LOCK:
-            _KEPT[place] = made
+            _KEPT[key] = made
     return made
 
 
@@ -340,7 +342,7 @@ def sequences_of(truth: GroundTruthRow) -> int:
 def drives_of(truth: GroundTruthRow) -> int:
     """Return the number of drives in a ground truth."""
     facts = truth.facts.get("sequences", ())
-    return len({(bool(one.get("drive")), one.get("drive") or one["name"]) for one in facts})
+    return len({(bool(sequence.get("drive")), sequence.get("drive") or sequence["name"]) for sequence in facts})
 
 
 def _read(session: Session, phase: Phase, query: BoardQuery, viewer: Viewer, now: int) -> _BoardRecords:
@@ -356,11 +358,11 @@ def _read(session: Session, phase: Phase, query: BoardQuery, viewer: Viewer, now
     benchmark = session.get_one(Benchmark, phase.benchmark_id)
     at = (query, secrecy_of(phase, now), phase.is_hidden, pair, len(entries.ranked))
     empty = Board(benchmark.name, phase.name, *at, ())
-    told = _bounded(entries)
-    every = (*told.ranked, *told.baselines, *told.undefined)
-    keys = _object_keys(session, [entry.spectra_sha256 for entry in told.ranked])
+    shown = _bounded(entries)
+    every = (*shown.ranked, *shown.baselines, *shown.undefined)
+    keys = _object_keys(session, [entry.spectra_sha256 for entry in shown.ranked])
     return _BoardRecords(
-        empty, told, viewer, phase, _details(session, every), keys, _reported(session, phase, query), now
+        empty, shown, viewer, phase, _details(session, every), keys, _reported(session, phase, query), now
     )
 
 
@@ -380,19 +382,19 @@ def _board_version(
 
 def _details(session: Session, entries: Sequence[BoardEntry]) -> dict[str, _ScoreDetails]:
     """Return the details by score, without the rest of the records."""
-    found: dict[str, _ScoreDetails] = {}
+    details_by_score: dict[str, _ScoreDetails] = {}
     parts = (Score.record["intervals"]["these_places"], Score.record["support"], Score.record["confusion"])
     for ids in _chunks([entry.score_id for entry in entries]):
         rows = session.execute(select(Score.id, *parts).where(Score.id.in_(ids)))
-        found |= {score_id: _ScoreDetails(*details) for score_id, *details in rows}
-    return found
+        details_by_score |= {score_id: _ScoreDetails(*details) for score_id, *details in rows}
+    return details_by_score
 
 
 def _object_keys(session: Session, shas: Sequence[str]) -> dict[str, str]:
-    found: dict[str, str] = {}
+    keys: dict[str, str] = {}
     for some in _chunks(shas):
-        found |= dict(session.execute(select(Blob.sha256, Blob.object_key).where(Blob.sha256.in_(some))).all())
-    return found
+        keys |= dict(session.execute(select(Blob.sha256, Blob.object_key).where(Blob.sha256.in_(some))).all())
+    return keys
 
 
 def _chunks(values: Sequence[str]) -> Iterable[Sequence[str]]:
@@ -401,12 +403,14 @@ def _chunks(values: Sequence[str]) -> Iterable[Sequence[str]]:
 
 def _reported(session: Session, phase: Phase, query: BoardQuery) -> tuple[LeaderboardRow, ...]:
     """Return the results published elsewhere and the ceilings, the best first."""
-    found = select(Reported).where(Reported.phase_id == phase.id)
+    rows_of_phase = select(Reported).where(Reported.phase_id == phase.id)
     if query.as_of_ns is not None:
-        found = found.where(Reported.created_ns <= query.as_of_ns)
+        rows_of_phase = rows_of_phase.where(Reported.created_ns <= query.as_of_ns)
     if query.track != "all":
-        found = found.where(is_reported_on(query.track))
-    rows = sorted(session.scalars(found), key=lambda row: (-(-1.0 if row.miou is None else row.miou), row.method))
+        rows_of_phase = rows_of_phase.where(is_reported_on(query.track))
+    rows = sorted(
+        session.scalars(rows_of_phase), key=lambda row: (-(-1.0 if row.miou is None else row.miou), row.method)
+    )
     return tuple(
         LeaderboardRow(
             "ceiling" if row.kind == "ceiling" else "reported",
@@ -422,10 +426,10 @@ def _reported(session: Session, phase: Phase, query: BoardQuery) -> tuple[Leader
 
 
 def _ranked(read: _BoardRecords, confidence: RankConfidence) -> Iterable[LeaderboardRow]:
-    for place, (entry, rank) in enumerate(zip(read.order.ranked, read.order.ranks, strict=True)):
+    for index, (entry, rank) in enumerate(zip(read.order.ranked, read.order.ranks, strict=True)):
         row = replace(_row(read, entry), rank=rank)
         if policy_of(read.viewer, read.phase, entry.team_id, read.now_ns).shows("ranks"):
-            row = replace(row, rank_interval=confidence.rank_intervals[place], tie_group=confidence.tie_groups[place])
+            row = replace(row, rank_interval=confidence.rank_intervals[index], tie_group=confidence.tie_groups[index])
         yield row
 
 

@@ -74,9 +74,9 @@ def compare(
     totals = {name: _totals(a, b, name) for name in RATIOS}
     if is_withheld:
         return EntryComparison(a, b, totals, True)
-    found = _differences(platform.store, keys, [totals[name].difference for name in RATIOS])
+    estimates = _differences(platform.store, keys, [totals[name].difference for name in RATIOS])
     compared = {
-        name: replace(_compared(totals[name], found, column), sign_flip=_flipped(a, b, name))
+        name: replace(_compared(totals[name], estimates, column), sign_flip=_flipped(a, b, name))
         for column, name in enumerate(RATIOS)
     }
     return EntryComparison(a, b, compared, False)
@@ -91,16 +91,16 @@ def _differences(store: Store, keys: Sequence[str], values: Sequence[float | Non
     return {scope: estimates(of_ratios, a.minus(b), scope) for scope in SCOPES}
 
 
-def _compared(totals: RatioDifference, found: Found, column: int) -> RatioDifference:
-    of_ratio = {scope: of_scope[column] for scope, of_scope in found.items()}
-    known = {scope: _told(one) for scope, one in of_ratio.items() if isinstance(one, Estimate)}
-    silences = {scope: None if isinstance(one, Estimate) else one for scope, one in of_ratio.items()}
+def _compared(totals: RatioDifference, estimates: Found, column: int) -> RatioDifference:
+    of_ratio = {scope: of_scope[column] for scope, of_scope in estimates.items()}
+    known = {scope: _clip(estimate) for scope, estimate in of_ratio.items() if isinstance(estimate, Estimate)}
+    silences = {scope: None if isinstance(estimate, Estimate) else estimate for scope, estimate in of_ratio.items()}
     return replace(totals, these_places=known.get("these_places"), new_place=known.get("new_place"), silences=silences)
 
 
-def _told(found: Estimate) -> DifferenceEstimate:
-    low, high = found.interval()
-    return DifferenceEstimate((max(low, -1.0), min(high, 1.0)), found.error, found.degrees, found.p)
+def _clip(estimate: Estimate) -> DifferenceEstimate:
+    low, high = estimate.interval()
+    return DifferenceEstimate((max(low, -1.0), min(high, 1.0)), estimate.error, estimate.degrees, estimate.p)
 
 
 def _scored(session: Session, viewer: Viewer, phase: Phase, submission: SubmissionRow) -> ScoreView:

@@ -94,7 +94,7 @@ def entries_on_board(
 ) -> tuple[BoardEntry, ...]:
     """Return the entries on the board by `pair`, unordered."""
     ratios = [getattr(Score, name) for name in RATIOS]
-    found = (
+    rows = (
         select(Score, SubmissionRow, Team.name)
         .options(load_only(Score.signature, Score.spectra_sha256, *ratios), load_only(*_SHOWN))
         .join(SubmissionRow, SubmissionRow.id == Score.submission_id)
@@ -103,8 +103,8 @@ def entries_on_board(
         .where(was_on_board_at(query.as_of_ns))
     )
     if query.track != "all":
-        found = found.where(SubmissionRow.modality == query.track)
-    return tuple(_entry(*row) for row in session.execute(found))
+        rows = rows.where(SubmissionRow.modality == query.track)
+    return tuple(_entry(*row) for row in session.execute(rows))
 
 
 def board_order_of(entries: Iterable[BoardEntry], which: Which = "all") -> BoardOrder:
@@ -154,4 +154,4 @@ def _entry(score: Score, submission: SubmissionRow, team: str) -> BoardEntry:
 
 def _best_first(entries: Sequence[BoardEntry]) -> list[BoardEntry]:
     earliest = sorted(entries, key=lambda entry: (entry.finalized_ns, entry.submission_id))
-    return [earliest[place] for place in in_order([entry.key for entry in earliest])]
+    return [earliest[index] for index in in_order([entry.key for entry in earliest])]

@@ -56,7 +56,7 @@ def history(session: Session, phase: Phase, track: Track = "all") -> tuple[Board
     moments = [*_comings(session, phase, track), *(BoardChange(at_ns, is_new_pair=True) for at_ns, _ in pairs)]
     since = [change for change in moments if change.at_ns >= pairs[0][0]]
     stays = _stays(session, phase, track)
-    return tuple(replace(one, best=_best(stays, pairs, one.at_ns)) for one in _told(since))
+    return tuple(replace(moment, best=_best(stays, pairs, moment.at_ns)) for moment in _round_and_merge(since))
 
 
 def tracks_with_rows(session: Session, phase: Phase) -> frozenset[str]:
@@ -71,19 +71,21 @@ def _of_board(phase: Phase) -> tuple[Any, ...]:
 
 
 def _versions(session: Session, phase: Phase) -> list[tuple[int, tuple[str, str]]]:
-    found = select(Activation).where(Activation.phase_id == phase.id).order_by(Activation.activated_ns, Activation.id)
-    return [(row.activated_ns, (row.truth_id, row.metric)) for row in session.scalars(found)]
+    activations = (
+        select(Activation).where(Activation.phase_id == phase.id).order_by(Activation.activated_ns, Activation.id)
+    )
+    return [(row.activated_ns, (row.truth_id, row.metric)) for row in session.scalars(activations)]
 
 
 def _comings(session: Session, phase: Phase, track: Track) -> Iterable[BoardChange]:
-    found = select(SubmissionRow.settled_ns, SubmissionRow.withdrawn_ns, SubmissionRow.hidden_ns).where(
+    submissions = select(SubmissionRow.settled_ns, SubmissionRow.withdrawn_ns, SubmissionRow.hidden_ns).where(
         *_of_board(phase)
     )
     reported = select(Reported.created_ns).where(Reported.phase_id == phase.id)
     if track != "all":
-        found = found.where(SubmissionRow.modality == track)
+        submissions = submissions.where(SubmissionRow.modality == track)
         reported = reported.where(is_reported_on(track))
-    for settled_ns, withdrawn_ns, hidden_ns in session.execute(found):
+    for settled_ns, withdrawn_ns, hidden_ns in session.execute(submissions):
         ends = [at_ns for at_ns in (withdrawn_ns, hidden_ns) if at_ns is not None]
         if settled_ns is None or (ends and min(ends) <= settled_ns):
             continue
@@ -96,15 +98,15 @@ def _comings(session: Session, phase: Phase, track: Track) -> Iterable[BoardChan
 def _stays(session: Session, phase: Phase, track: Track) -> list[_BoardPeriod]:
     times = (SubmissionRow.kind, SubmissionRow.settled_ns, SubmissionRow.withdrawn_ns, SubmissionRow.hidden_ns)
     ratios = [getattr(Score, name) for name in RATIOS]
-    found = (
+    scores = (
         select(Score.truth_id, Score.metric, *times, *ratios)
         .join(SubmissionRow, SubmissionRow.id == Score.submission_id)
         .where(*_of_board(phase), SubmissionRow.settled_ns.is_not(None))
     )
     if track != "all":
-        found = found.where(SubmissionRow.modality == track)
+        scores = scores.where(SubmissionRow.modality == track)
     stays = []
-    for truth_id, metric, kind, settled_ns, withdrawn_ns, hidden_ns, *values in session.execute(found):
+    for truth_id, metric, kind, settled_ns, withdrawn_ns, hidden_ns, *values in session.execute(scores):
         is_ranked = kind != "baseline" and all(value is not None for value in values)
         ends = [at_ns for at_ns in (withdrawn_ns, hidden_ns) if at_ns is not None]
         miou = rounded(values[RATIOS.index("miou")]) if is_ranked else None
@@ -117,23 +119,23 @@ def _best(stays: Sequence[_BoardPeriod], pairs: Sequence[tuple[int, tuple[str, s
     return max((s.miou for s in stays if s.miou is not None and s.pair == pair and s.stands(at_ns)), default=None)
 
 
-def _told(moments: Iterable[BoardChange]) -> list[BoardChange]:
+def _round_and_merge(moments: Iterable[BoardChange]) -> list[BoardChange]:
     """Return the changes in order, rounded up to the microsecond as in API requests, without duplicates."""
-    exact = [replace(one, at_ns=-(-one.at_ns // 1000) * 1000) for one in moments]
-    told = _merged(exact, 1)
-    return told if len(told) <= MOST_CHANGES else _merged(told, DAY_NS)[-MOST_CHANGES:]
+    exact = [replace(moment, at_ns=-(-moment.at_ns // 1000) * 1000) for moment in moments]
+    merged = _merged(exact, 1)
+    return merged if len(merged) <= MOST_CHANGES else _merged(merged, DAY_NS)[-MOST_CHANGES:]
 
 
 def _merged(moments: Iterable[BoardChange], within_ns: int) -> list[BoardChange]:
     """Merge the changes within each stretch of this length into the last of them."""
-    ordered = sorted(moments, key=lambda one: one.at_ns)
-    stretches = (list(some) for _, some in groupby(ordered, key=lambda one: one.at_ns // within_ns))
+    ordered = sorted(moments, key=lambda change: change.at_ns)
+    stretches = (list(some) for _, some in groupby(ordered, key=lambda change: change.at_ns // within_ns))
     return [
         BoardChange(
             some[-1].at_ns,
-            sum(one.entered for one in some),
-            sum(one.left for one in some),
-            any(one.is_new_pair for one in some),
+            sum(change.entered for change in some),
+            sum(change.left for change in some),
+            any(change.is_new_pair for change in some),
         )
         for some in stretches
     ]

@@ -51,13 +51,13 @@ def table_bytes(board: Board, form: Form) -> bytes:
 def cells(board: Board, row: LeaderboardRow) -> dict[str, Cell]:
     """Return a row's cells by column name."""
     low, high = row.rank_interval or (None, None)
-    found: dict[str, Cell] = {name: getattr(row, name) for name in OF_ROW} | {"rank_low": low, "rank_high": high}
+    values: dict[str, Cell] = {name: getattr(row, name) for name in OF_ROW} | {"rank_low": low, "rank_high": high}
     for name in RATIO_NAMES:
         bounds = (row.intervals or {}).get(name) or (None, None)
-        found |= {name: row.ratios[name], f"{name}_low": bounds[0], f"{name}_high": bounds[1]}
+        values |= {name: row.ratios[name], f"{name}_low": bounds[0], f"{name}_high": bounds[1]}
     of_ours = row.source is None and board.pair is not None
     return (
-        found
+        values
         | _danger(row)
         | {
             "submitted_at": None if row.submitted_ns is None else _moment(row.submitted_ns),
@@ -78,8 +78,8 @@ def _csv(board: Board) -> bytes:
     writer = csv.writer(out, lineterminator="\r\n")
     writer.writerow(columns())
     for row in board.rows:
-        said = cells(board, row)
-        writer.writerow([_spelled(said[name]) for name in columns()])
+        values = cells(board, row)
+        writer.writerow([_spelled(values[name]) for name in columns()])
     return out.getvalue().encode()
 
 
@@ -91,11 +91,11 @@ def _parquet(board: Board) -> bytes:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    said = [cells(board, row) for row in board.rows]
+    rows = [cells(board, row) for row in board.rows]
     kinds: dict[str, Any] = dict.fromkeys(NUMBERS, pa.int64()) | dict.fromkeys(TEXTS, pa.string())
     schema = pa.schema([(name, kinds.get(name, pa.float64())) for name in columns()])
     out = pa.BufferOutputStream()
-    pq.write_table(pa.Table.from_pylist(said, schema=schema), out, compression="zstd")
+    pq.write_table(pa.Table.from_pylist(rows, schema=schema), out, compression="zstd")
     return bytes(out.getvalue())
 
 
@@ -148,17 +148,17 @@ def _notes(board: Board, plain: Callable[[str], str]) -> str:
         for title, standing in (("Ceiling", "ceiling"), ("Reported", "reported"))
         if (sources := dict.fromkeys(row.source or "" for row in board.rows if row.standing == standing))
     ]
-    said = [f"{plain(', '.join(rows))}: {plain(note)}" for note, rows in _rows_by_note(board).items()]
-    return " ".join(["Per cent. Rank with its 95 % interval.", *notes(board), *reported, *said])
+    by_row = [f"{plain(', '.join(rows))}: {plain(note)}" for note, rows in _rows_by_note(board).items()]
+    return " ".join(["Per cent. Rank with its 95 % interval.", *notes(board), *reported, *by_row])
 
 
 def _rows_by_note(board: Board) -> Mapping[str, list[str]]:
     """Return the notes of reported rows and ceilings, each with the methods of its rows."""
-    found: dict[str, list[str]] = {}
+    rows: dict[str, list[str]] = {}
     for row in board.rows:
         if row.note is not None:
-            found.setdefault(row.note, []).append(f"{row.method} ({row.modality})")
-    return found
+            rows.setdefault(row.note, []).append(f"{row.method} ({row.modality})")
+    return rows
 
 
 def notes(board: Board) -> Iterator[str]:
@@ -207,8 +207,8 @@ def _rank(row: LeaderboardRow) -> str:
 
 
 def _percents(row: LeaderboardRow) -> list[str]:
-    found, digits = (*(row.ratios[name] for name in RATIO_NAMES), *_danger(row).values()), row.percent_digits
-    return ["--" if value is None else f"{100 * round(value, digits + 2):.{digits}f}" for value in found]
+    ratios, digits = (*(row.ratios[name] for name in RATIO_NAMES), *_danger(row).values()), row.percent_digits
+    return ["--" if value is None else f"{100 * round(value, digits + 2):.{digits}f}" for value in ratios]
 
 
 def _danger(row: LeaderboardRow) -> dict[str, float | None]:

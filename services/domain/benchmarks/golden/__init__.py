@@ -40,10 +40,10 @@ def golden_archive() -> bytes:
 
 
 def _names(folder: Traversable, prefix: str) -> list[str]:
-    found = []
+    names = []
     for entry in folder.iterdir():
         if entry.is_dir() and entry.name != "__pycache__":
-            found += _names(entry, f"{prefix}{entry.name}/")
+            names += _names(entry, f"{prefix}{entry.name}/")
         elif entry.is_file() and not entry.name.endswith((".py", ".pyc")):
-            found.append(f"{prefix}{entry.name}")
-    return found
+            names.append(f"{prefix}{entry.name}")
+    return names

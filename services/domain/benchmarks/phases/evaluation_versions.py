@@ -30,8 +30,8 @@ def in_force(session: Session, phase_id: str, at_ns: int | None = None) -> Activ
 
 def active(session: Session, phase_id: str, at_ns: int | None = None) -> EvaluationVersion | None:
     """Return the evaluation version that the board shows, or showed at `at_ns`; None if no ground truth was ready."""
-    found = in_force(session, phase_id, at_ns)
-    return EvaluationVersion(found.truth_id, found.metric) if found else None
+    activation = in_force(session, phase_id, at_ns)
+    return EvaluationVersion(activation.truth_id, activation.metric) if activation else None
 
 
 def pending(session: Session, phase_id: str) -> tuple[EvaluationVersion, ...]:
@@ -39,7 +39,7 @@ def pending(session: Session, phase_id: str) -> tuple[EvaluationVersion, ...]:
     query = select(Rescore.truth_id, Rescore.metric).where(
         Rescore.phase_id == phase_id, Rescore.activated_ns.is_(None), Rescore.abandoned_ns.is_(None)
     )
-    return tuple(dict.fromkeys(EvaluationVersion(*found) for found in session.execute(query.order_by(Rescore.id))))
+    return tuple(dict.fromkeys(EvaluationVersion(*row) for row in session.execute(query.order_by(Rescore.id))))
 
 
 def versions_to_score(session: Session, phase_id: str) -> tuple[EvaluationVersion, ...]:

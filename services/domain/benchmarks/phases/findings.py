@@ -27,15 +27,15 @@ def _findings(session: Session, phase: Phase) -> Iterator[Finding]:
     members = select(func.count(func.distinct(DatasetMember.sequence_id))).where(DatasetMember.sequence_id.in_(own))
     total = counted(session.scalar(members) or 0, "sequence")
     if phase.is_hidden and (public := session.scalar(members.where(DatasetMember.part != HIDDEN_PART))):
-        told = f"{public} of {total} are in train or val of a published version; their labels may be known"
-        yield Finding("labels_are_public", "warning", "", told)
+        sentence = f"{public} of {total} are in train or val of a published version; their labels may be known"
+        yield Finding("labels_are_public", "warning", "", sentence)
     shown = select(func.count()).select_from(SequenceRow).where(SequenceRow.published_ns.is_not(None))
     if phase.is_hidden and (public := session.scalar(shown.where(SequenceRow.id.in_(own)))):
-        told = f"{public} of {total} are or were public on their own; their labels may have been downloaded"
-        yield Finding("labels_were_public", "warning", "", told)
+        sentence = f"{public} of {total} are or were public on their own; their labels may have been downloaded"
+        yield Finding("labels_were_public", "warning", "", sentence)
     if not phase.is_hidden and (hidden := session.scalar(members.where(DatasetMember.part == HIDDEN_PART))):
-        told = (
+        sentence = (
             f"{hidden} of {total} are in test of another version; this phase reveals labels that the other version "
             "hides"
         )
-        yield Finding("labels_are_hidden_elsewhere", "warning", "", told)
+        yield Finding("labels_are_hidden_elsewhere", "warning", "", sentence)

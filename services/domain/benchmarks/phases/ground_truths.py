@@ -56,7 +56,7 @@ def compare_frames(platform: Platform, phase_id: str, dataset: Dataset) -> Truth
         if pair is None:
             return None
         truth = session.get_one(GroundTruthRow, pair.truth_id)
-        keys = [_index_key(session, one, truth.part) for one in (truth.dataset_id, dataset.id)]
+        keys = [_index_key(session, dataset_id, truth.part) for dataset_id in (truth.dataset_id, dataset.id)]
     before, after = (_tokens(platform, key) if key else frozenset() for key in keys)
     return TruthFrameComparison(truth.id, dataset.id, len(before - after), len(after - before))
 

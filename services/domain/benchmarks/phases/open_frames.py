@@ -69,11 +69,11 @@ def locate_open_truth(session: Session, phase: Phase, truth: GroundTruthRow) -> 
     return OpenTruth(locate_part(session, dataset, truth.part)[1], names, recorded_grid(dataset.grid))
 
 
-def open_frames(store: Store, found: OpenTruth) -> OpenFrames:
+def open_frames(store: Store, truth: OpenTruth) -> OpenFrames:
     """Return the frames. Reads the part's index from the store: call it outside transactions."""
-    places = _places(stored_files(store, found.located).files)
-    shown = {token: name for token, (name, _) in places.items() if name in found.sequences}
-    return OpenFrames(found.located, MappingProxyType(shown), found.grid)
+    places = _places(stored_files(store, truth.located).files)
+    shown = {token: name for token, (name, _) in places.items() if name in truth.sequences}
+    return OpenFrames(truth.located, MappingProxyType(shown), truth.grid)
 
 
 def all_tokens(store: Store, located: ExportLocation) -> tuple[str, ...]:
@@ -97,5 +97,5 @@ def truth_grids(store: Store, located: ExportLocation, token: str) -> tuple[Grid
 @lru_cache(maxsize=HELD)
 def _places(files: PackedFiles) -> Mapping[str, tuple[str, int]]:
     """Return sequence and path of each frame's label file by token, reading each shared object once."""
-    named = ((LABEL_FILE.fullmatch(name), place) for place, name in enumerate(files.names))
-    return MappingProxyType({found[2]: (found[1], place) for found, place in named if found})
+    named = ((LABEL_FILE.fullmatch(name), index) for index, name in enumerate(files.names))
+    return MappingProxyType({match[2]: (match[1], index) for match, index in named if match})

@@ -83,11 +83,11 @@ TEST = NewPhase("test", "test", True, rules=Rules("Test: hidden ground truth", s
 DEFAULTS = (VAL, TEST)
 
 
-def create_benchmark(session: Session, asked: NewBenchmark) -> Benchmark:
+def create_benchmark(session: Session, new: NewBenchmark) -> Benchmark:
     """Create a benchmark. Raises `name_taken`."""
-    if session.scalar(select(Benchmark.id).where(Benchmark.name == asked.name)) is not None:
-        raise name_taken("benchmark", asked.name)
-    row = Benchmark(name=asked.name, title=asked.title, description=asked.description, created_by=asked.user_id)
+    if session.scalar(select(Benchmark.id).where(Benchmark.name == new.name)) is not None:
+        raise name_taken("benchmark", new.name)
+    row = Benchmark(name=new.name, title=new.title, description=new.description, created_by=new.user_id)
     _insert(session, row, "benchmark")
     return row
 
@@ -102,20 +102,20 @@ def change_benchmark_columns(session: Session, benchmark: Benchmark, changes: Ma
 def default_phases(session: Session, dataset: Dataset) -> tuple[NewPhase, ...]:
     """Return `val` (open) and `test` (hidden) as far as the version has them. Raises `empty_part` without any."""
     parts = set(session.scalars(select(DatasetMember.part).where(DatasetMember.dataset_id == dataset.id).distinct()))
-    found = tuple(phase for phase in DEFAULTS if phase.part in parts)
-    if not found:
+    phases = tuple(phase for phase in DEFAULTS if phase.part in parts)
+    if not phases:
         raise empty_part(dataset.name, "val or test")
-    return found
+    return phases
 
 
-def create_phase(session: Session, benchmark: Benchmark, dataset: Dataset, asked: NewPhase) -> Phase:
+def create_phase(session: Session, benchmark: Benchmark, dataset: Dataset, new: NewPhase) -> Phase:
     """Create a phase. Raises `name_taken`, `empty_part`, `open_test`, `bad_phase`."""
-    if phase_named(session, benchmark.name, asked.name) is not None:
-        raise name_taken("phase", asked.name)
-    row = Phase(benchmark_id=benchmark.id, dataset_id=dataset.id, name=asked.name)
-    row.part, row.mask, row.is_hidden, row.every_nth = asked.part, asked.mask, asked.is_hidden, asked.every_nth
-    row.token_key = None if asked.every_nth is None else token_hex(32)
-    for name, value in vars(asked.rules).items():
+    if phase_named(session, benchmark.name, new.name) is not None:
+        raise name_taken("phase", new.name)
+    row = Phase(benchmark_id=benchmark.id, dataset_id=dataset.id, name=new.name)
+    row.part, row.mask, row.is_hidden, row.every_nth = new.part, new.mask, new.is_hidden, new.every_nth
+    row.token_key = None if new.every_nth is None else token_hex(32)
+    for name, value in vars(new.rules).items():
         setattr(row, name, value)
     refuse_contradictions(session, row, dataset)
     _insert(session, row, "phase")
@@ -136,7 +136,7 @@ def change_phase(session: Session, phase_id: str, changes: Mapping[str, Any]) ->
             f"phase {phase.name!r} has a ground truth, so {', '.join(name.removesuffix('_id') for name in fixed)} "
             "cannot change; add another phase instead",
         )
-    if "closes_ns" in changed and _has_told(session, phase):
+    if "closes_ns" in changed and _has_public_results(session, phase):
         raise Refused(
             "phase_ended",
             f"hidden phase {phase.name!r} has ended and its results by sequence are already visible; add another "
@@ -213,7 +213,7 @@ def refuse_empty(session: Session, dataset: Dataset, part: str) -> None:
         raise empty_part(dataset.name, part)
 
 
-def _has_told(session: Session, phase: Phase) -> bool:
+def _has_public_results(session: Session, phase: Phase) -> bool:
     """Return whether the phase is hidden, has ended, and has a scored submission."""
     if not phase.is_hidden or phase_status(phase, now_ns()) != "closed":
         return False

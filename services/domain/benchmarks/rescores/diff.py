@@ -105,8 +105,8 @@ def rescore_diff(session: Session, rescore: Rescore) -> RescoreDiff:
 
 def _entries(session: Session, phase: Phase, pair: EvaluationVersion | None) -> dict[str, BoardEntry]:
     """Return the entries on the board by the evaluation version, by submission id."""
-    found = entries_on_board(session, phase, pair, BoardQuery(entries="all")) if pair else ()
-    return {entry.submission_id: entry for entry in found}
+    entries = entries_on_board(session, phase, pair, BoardQuery(entries="all")) if pair else ()
+    return {entry.submission_id: entry for entry in entries}
 
 
 def _ranks(entries: Mapping[str, BoardEntry]) -> dict[str, int]:
@@ -147,8 +147,8 @@ def rescore_page(diff: RescoreDiff, progress: RescoreProgress, reason: str) -> s
     """Return the page, with one row for each entry and baseline in the order of the new ranks."""
     old, new = (_version_cell(side) if side else "no board" for side in (diff.old, diff.new))
     table = [_row(HEAD), _row(("---",) * len(HEAD)), *(_row(_cells(moved)) for moved in diff.rows)]
-    said = [f"# From {old} to {new}", f"Reason: {plain(reason)}", _progress(progress), _summary(diff)]
-    return "\n\n".join([*said, "\n".join(table)]) + "\n"
+    paragraphs = [f"# From {old} to {new}", f"Reason: {plain(reason)}", _progress(progress), _summary(diff)]
+    return "\n\n".join([*paragraphs, "\n".join(table)]) + "\n"
 
 
 def plain(text: str) -> str:
@@ -161,15 +161,15 @@ def _version_cell(side: RescoreSide) -> str:
 
 
 def _progress(progress: RescoreProgress) -> str:
-    told = [
+    parts = [
         f"{progress.scored} of {progress.total} submissions on the board have a score by the new evaluation version"
     ]
-    told += [f"still missing: {progress.missing}"] if progress.missing else []
-    told += [f"{progress.hidden} hidden submissions have no score"] if progress.hidden else []
-    told += (
+    parts += [f"still missing: {progress.missing}"] if progress.missing else []
+    parts += [f"{progress.hidden} hidden submissions have no score"] if progress.hidden else []
+    parts += (
         [f"the files of {progress.gone} were deleted, so these submissions leave the board"] if progress.gone else []
     )
-    return "; ".join(told) + "."
+    return "; ".join(parts) + "."
 
 
 def _summary(diff: RescoreDiff) -> str:

@@ -39,7 +39,7 @@ class NewRescore:
     reason: str
 
 
-def start_rescore(session: Session, phase: Phase, asked: NewRescore) -> tuple[Rescore, Job | None]:
+def start_rescore(session: Session, phase: Phase, new: NewRescore) -> tuple[Rescore, Job | None]:
     """Return the re-score of the phase by the version, and the run that scores what is missing (None if nothing is).
 
     A re-score by the board's own evaluation version is refused unless an entry lacks that score (for example an entry
@@ -48,19 +48,21 @@ def start_rescore(session: Session, phase: Phase, asked: NewRescore) -> tuple[Re
     `ground_truth_of_other_phase`, `truth_not_ready`, `already_active`, `QueueDrainingError`.
     """
     lock_phase(session, phase.id)
-    pair = asked.pair
+    pair = new.pair
     _check(session, phase, pair)
-    rescore = _pending(session, phase, pair) or _new(session, phase, asked)
+    rescore = _pending(session, phase, pair) or _new(session, phase, new)
     run = session.get(Job, rescore.job_id) if rescore.job_id else None
     if run is not None and run.state not in TERMINAL:
         return rescore, run
     failed = failed_ids(session, rescore.job_id)
     # The first failure ends a run, so submissions that failed before come last.
-    lacking = sorted(lacking_ids(session, phase.id, pair), key=lambda one: (one in failed, one))
+    lacking = sorted(
+        lacking_ids(session, phase.id, pair), key=lambda submission_id: (submission_id in failed, submission_id)
+    )
     if not lacking:
         return rescore, None
     specs = rescore_specs(session, lacking, pair)
-    run = enqueue_run(session, RUN, specs, Context(asked.user_id, priority=PRIORITY))
+    run = enqueue_run(session, RUN, specs, Context(new.user_id, priority=PRIORITY))
     rescore.job_id = run.id
     session.flush()
     return rescore, run
@@ -160,9 +162,9 @@ def _pending(session: Session, phase: Phase, pair: EvaluationVersion) -> Rescore
     return session.scalars(open_ones.order_by(Rescore.id).limit(1)).first()
 
 
-def _new(session: Session, phase: Phase, asked: NewRescore) -> Rescore:
-    row = Rescore(phase_id=phase.id, truth_id=asked.pair.truth_id, metric=asked.pair.metric, reason=asked.reason)
-    row.created_by = asked.user_id
+def _new(session: Session, phase: Phase, new: NewRescore) -> Rescore:
+    row = Rescore(phase_id=phase.id, truth_id=new.pair.truth_id, metric=new.pair.metric, reason=new.reason)
+    row.created_by = new.user_id
     session.add(row)
     session.flush()
     return row

@@ -40,7 +40,7 @@ def expected_s(session: Session, submission: SubmissionRow) -> int | None:
 
 def expected_of(session: Session, submissions: Iterable[SubmissionRow]) -> dict[str, int]:
     """Return the estimates of `expected_s` by run id, for the submissions that have an estimate."""
-    job_ids = {one.job_id for one in submissions if one.state in LIVE and one.job_id}
+    job_ids = {submission.job_id for submission in submissions if submission.state in LIVE and submission.job_id}
     pace_hz = None if not job_ids or _is_paused(session) else _pace_hz(session)
     if pace_hz is None:
         return {}
@@ -80,10 +80,10 @@ def _pace_hz(session: Session) -> float | None:
 
 def _frames(session: Session, phase_ids: Iterable[str]) -> dict[str, int]:
     """Return the number of frames of each phase's active ground truth."""
-    found = {phase_id: evaluation_versions.active(session, phase_id) for phase_id in phase_ids}
+    pairs = {phase_id: evaluation_versions.active(session, phase_id) for phase_id in phase_ids}
     return {
         phase_id: session.get_one(GroundTruthRow, pair.truth_id).frames if pair else 0
-        for phase_id, pair in found.items()
+        for phase_id, pair in pairs.items()
     }
 
 

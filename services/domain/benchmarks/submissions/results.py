@@ -193,8 +193,8 @@ def _extras(record: Record) -> Ratios:
 
 def _by_scope(seen: ScoreView, name: str, otherwise: Silence | None) -> Mapping[Scope, Any]:
     """Return this part of the record; `otherwise` for a score without silences, whose intervals are withdrawn."""
-    found: Mapping[Scope, Any] = seen.score.record[name] if "silences" in seen.score.record else {}
-    return found or {scope: dict.fromkeys(RATIOS, otherwise) for scope in SCOPES}
+    by_scope: Mapping[Scope, Any] = seen.score.record[name] if "silences" in seen.score.record else {}
+    return by_scope or {scope: dict.fromkeys(RATIOS, otherwise) for scope in SCOPES}
 
 
 def _score(
@@ -211,5 +211,5 @@ def _score(
 
 def _was_in_force(session: Session, phase_id: str, score: Score) -> bool:
     by_version = (Activation.truth_id == score.truth_id, Activation.metric == score.metric)
-    found = select(Activation.id).where(Activation.phase_id == phase_id, *by_version).limit(1)
-    return session.scalar(found) is not None
+    activations = select(Activation.id).where(Activation.phase_id == phase_id, *by_version).limit(1)
+    return session.scalar(activations) is not None

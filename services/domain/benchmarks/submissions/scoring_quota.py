@@ -63,7 +63,7 @@ def reserve(session: Session, phase: Phase, team_id: str, submission_id: str) ->
     if now.limit is not None and now.used + now.reserved >= now.limit:
         raise scorings_exhausted(now.used + now.reserved, now.limit, phase.window_ns, now.next_slot_ns)
     _add(session, ScoringEntry(phase_id=phase.id, team_id=team_id, submission_id=submission_id), 1, RESERVED)
-    _tell_low(session, now, phase, team_id)
+    _record_low_quota(session, now, phase, team_id)
 
 
 def consume(session: Session, submission_id: str) -> None:
@@ -126,7 +126,7 @@ def balance(session: Session, phase_id: str, team_id: str) -> int:
     return int(session.scalar(total) or 0)
 
 
-def _tell_low(session: Session, before: ScoringQuota, phase: Phase, team_id: str) -> None:
+def _record_low_quota(session: Session, before: ScoringQuota, phase: Phase, team_id: str) -> None:
     """Record an event if the scoring just taken leaves only few in the window or in total."""
     in_window = None if before.limit is None else before.limit - before.used - before.reserved
     for left, limit in ((in_window, before.limit), (before.total_left, phase.scorings_total)):

@@ -39,8 +39,8 @@ def settle_ended(platform: Platform) -> int:
     ended = select(SubmissionRow.id, SubmissionRow.job_id).where(SubmissionRow.state.in_(LIVE), state.in_(TERMINAL))
     ended = ended.order_by(SubmissionRow.id).limit(AT_A_TIME)
     with platform.database.reading() as session:
-        found = session.execute(ended).all()
-    return sum(_settle(platform, submission_id, job_id) for submission_id, job_id in found if job_id)
+        rows = session.execute(ended).all()
+    return sum(_settle(platform, submission_id, job_id) for submission_id, job_id in rows if job_id)
 
 
 @dataclass
@@ -95,11 +95,11 @@ def _purgeable_before(before_ns: int) -> tuple[ColumnElement[bool], ColumnElemen
 
 
 def _purgeable(platform: Platform, before_ns: int) -> Sequence[str]:
-    found: list[str] = []
+    submission_ids: list[str] = []
     with platform.database.reading() as session:
         for is_purgeable in _purgeable_before(before_ns):
-            found += session.scalars(select(SubmissionRow.id).where(is_purgeable).limit(AT_A_TIME))
-    return found
+            submission_ids += session.scalars(select(SubmissionRow.id).where(is_purgeable).limit(AT_A_TIME))
+    return submission_ids
 
 
 def _purge(platform: Platform, submission_id: str, before_ns: int) -> bool:
@@ -119,14 +119,16 @@ def _remove_drafts(platform: Platform, before_ns: int, walk: DraftWalk) -> int:
 
     The drafts are locked before their uploads are checked, because creating an upload takes the same lock.
     """
-    place = (SubmissionRow.created_ns, SubmissionRow.id)
-    old = select(*place).where(
-        SubmissionRow.state == "draft", SubmissionRow.created_ns <= before_ns, tuple_(*place) > walk.after
+    position = (SubmissionRow.created_ns, SubmissionRow.id)
+    old = select(*position).where(
+        SubmissionRow.state == "draft", SubmissionRow.created_ns <= before_ns, tuple_(*position) > walk.after
     )
     with platform.database.reading() as session:
-        found = [(age, submission_id) for age, submission_id in session.execute(old.order_by(*place).limit(AT_A_TIME))]
-    walk.after = found[-1] if len(found) == AT_A_TIME else (0, "")
-    are_found = SubmissionRow.id.in_([submission_id for _, submission_id in found])
+        drafts = [
+            (age, submission_id) for age, submission_id in session.execute(old.order_by(*position).limit(AT_A_TIME))
+        ]
+    walk.after = drafts[-1] if len(drafts) == AT_A_TIME else (0, "")
+    are_found = SubmissionRow.id.in_([submission_id for _, submission_id in drafts])
     is_awaited = exists().where(Upload.purpose == "submission", is_waiting(), Upload.target_id == SubmissionRow.id)
     forgotten = delete(SubmissionRow).where(are_found, SubmissionRow.state == "draft", ~is_awaited)
     with platform.database.transaction() as session:

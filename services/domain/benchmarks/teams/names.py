@@ -24,7 +24,7 @@ UNSEEN = re.compile(
 )
 
 
-def taken(session: Session, name: str) -> str:
+def reserve_name(session: Session, name: str) -> str:
     """Return the name in its stored form (NFC), reserved until the end of the transaction.
 
     Raises `bad_team_name`, `name_taken`.

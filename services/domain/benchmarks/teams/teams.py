@@ -16,7 +16,7 @@ from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.phases.phases import DAY_NS, MOST_MEMBERS, phase_status
 from services.domain.benchmarks.teams.errors import already_in_team
-from services.domain.benchmarks.teams.names import taken
+from services.domain.benchmarks.teams.names import reserve_name
 from services.runtime.database.inserts import insert_new
 from services.runtime.orm import Phase, PhaseTeam, ScoringEntry, SubmissionRow, Team, TeamInvitation, TeamMember, User
 from services.runtime.orm.base import now_ns
@@ -30,9 +30,9 @@ MOST_INVITATIONS = 100
 BINDING = ("queued", "scoring", "scored")
 
 
-def found(session: Session, name: str, user_id: str) -> Team:
+def create_team(session: Session, name: str, user_id: str) -> Team:
     """Create a team with this user as its captain. Raises `bad_team_name`, `name_taken`, `too_many`."""
-    team = Team(name=taken(session, name))
+    team = Team(name=reserve_name(session, name))
     _refuse_many_teams(session, user_id)
     session.add(team)
     session.flush()
@@ -224,7 +224,7 @@ def _member_ids(session: Session, team_id: str) -> list[str]:
 def _has_records(session: Session, team_id: str) -> bool:
     """Return whether the team has submissions or granted scorings."""
     ledgers = (select(row.id).where(row.team_id == team_id).limit(1) for row in (SubmissionRow, ScoringEntry))
-    return any(session.scalar(found) is not None for found in ledgers)
+    return any(session.scalar(ledger) is not None for ledger in ledgers)
 
 
 def _hash(secret: str) -> str:

@@ -53,7 +53,7 @@ def another_entrant(place: Place) -> Entrant:
     """Another participant with another team in the same phase."""
     captain = person(place.platform, "participant")
     with place.platform.database.transaction() as session:
-        team = teams.found(session, f"team-{new_id()[-12:]}", captain.user_id)
+        team = teams.create_team(session, f"team-{new_id()[-12:]}", captain.user_id)
         return Entrant(place, captain, team.id)
 
 

@@ -93,7 +93,7 @@ def user(platform: Platform, name: str = "") -> User:
 
 def team(platform: Platform, captain: User, *members: User) -> Team:
     with platform.database.transaction() as session:
-        row = teams.found(session, f"team-{new_id()[-8:]}", captain.id)
+        row = teams.create_team(session, f"team-{new_id()[-8:]}", captain.id)
         for member in members:
             teams.join(session, teams.invite(session, row, captain), member)
         return row

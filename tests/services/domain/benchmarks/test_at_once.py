@@ -217,7 +217,7 @@ def test_teams_that_share_members_and_enter_at_once_do_not_both(platform_on: Pla
 
 def test_of_teams_founded_at_once_with_names_that_look_alike_one_stands(platform_on: Platform) -> None:
     ada = laid.user(platform_on)
-    acts = [partial(teams.found, name=name, user_id=ada.id) for name in ("Gang", "GANG", "gang")]
+    acts = [partial(teams.create_team, name=name, user_id=ada.id) for name in ("Gang", "GANG", "gang")]
     assert sorted(laid.at_once(platform_on, *acts)) == ["", *["name_taken"] * 2]
 
 

@@ -207,17 +207,17 @@ def test_teams_and_invitations_are_bounded(
 
 def test_names_that_look_alike_are_one_and_others_are_kept_composed(platform: Platform, ada: User) -> None:
     with platform.database.transaction() as session:
-        teams.found(session, "Terrain Gang", ada.id)
-        assert teams.found(session, "Équipe", ada.id).name == "Équipe"
-        assert teams.found(session, "Equipe", ada.id).name == "Equipe"
+        teams.create_team(session, "Terrain Gang", ada.id)
+        assert teams.create_team(session, "Équipe", ada.id).name == "Équipe"
+        assert teams.create_team(session, "Equipe", ada.id).name == "Equipe"
     assert team_names.folded("E\u0301QUIPE") == team_names.folded("équipe")
     alike = ("terrain gang", "TERRAIN  GANG", "\uff34errain Gang", "Terrain\u00a0Gang", "Terrain\u3164 Gang\ufe0f")
     for other in alike:
         with refused_as("name_taken"), platform.database.transaction() as session:
-            teams.found(session, other, ada.id)
+            teams.create_team(session, other, ada.id)
 
 
 def test_a_name_of_nothing_that_is_seen_or_too_long_when_composed_is_refused(platform: Platform, ada: User) -> None:
     for name, counted in (("\u3164\ufe0f", "2 .* 0 "), ("\u0958" * 33, "66 .* 66 ")):
         with refused_as("bad_team_name", match=counted), platform.database.transaction() as session:
-            teams.found(session, name, ada.id)
+            teams.create_team(session, name, ada.id)

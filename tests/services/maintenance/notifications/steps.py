@@ -3,7 +3,7 @@
 from dataclasses import replace
 from typing import Any
 
-from services.domain.notifications.spread import choose, queue_due, spread_events, take_back_lost, tell_phases
+from services.domain.notifications.spread import choose, queue_due, record_phase_events, retry_lost, spread_events
 from services.domain.notifications.webhooks import set_webhook
 from services.maintenance.notifications.delivery import deliver_queued
 from services.runtime.notification_settings import NotificationSettings
@@ -44,7 +44,7 @@ def happened(platform: Platform, user_id: str, **facts: Any) -> None:
 
 def turn(platform: Platform) -> int:
     """What the sweeper does in one turn; how much there was to do."""
-    before = tell_phases(platform) + spread_events(platform) + queue_due(platform) + take_back_lost(platform)
+    before = record_phase_events(platform) + spread_events(platform) + queue_due(platform) + retry_lost(platform)
     return before + deliver_queued(platform)
 
 

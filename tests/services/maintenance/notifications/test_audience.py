@@ -6,9 +6,15 @@ from pathlib import Path
 import pytest
 
 from services.domain.benchmarks.submissions.state_machine import settle
-from services.domain.notifications.spread import LATEST_NS, choose, forget_told, spread_events, tell_phases
+from services.domain.notifications.spread import (
+    LATEST_NS,
+    choose,
+    delete_old_events,
+    record_phase_events,
+    spread_events,
+)
 from services.domain.notifications.webhooks import set_webhook
-from services.domain.sequences.unusable_labels import tell_unusable
+from services.domain.sequences.unusable_labels import record_unusable
 from services.runtime.access import storage_quota
 from services.runtime.access.erasure import erase_user
 from services.runtime.jobs.specs import JobSpec
@@ -147,8 +153,8 @@ def test_of_a_deleted_sequence_nothing_is_told(platform: Platform, receiver: Web
             session.add(row)
             session.flush()
             finding = {"code": "REC-104", "severity": "error", "topic": "/lidar", "message": "stamps run back"}
-            tell_unusable(session, row.id, [{**finding, "severity": "warning"}])
-            tell_unusable(session, row.id, [{**finding, "severity": "warning"}, finding])
+            record_unusable(session, row.id, [{**finding, "severity": "warning"}])
+            record_unusable(session, row.id, [{**finding, "severity": "warning"}, finding])
             ids.append(row.id)
     with platform.database.transaction() as session:
         session.get_one(SequenceRow, ids[1]).deleted_ns = now_ns()
@@ -161,14 +167,14 @@ def test_of_a_deleted_sequence_nothing_is_told(platform: Platform, receiver: Web
 
 def test_a_phase_opens_and_closes_once_by_the_clock_and_again_where_it_was_moved(platform: Platform) -> None:
     entrant = entrant_on(platform, opens_ns=now_ns() - 10**9, closes_ns=now_ns() + 3600 * 10**9)
-    assert [tell_phases(platform) for _ in range(3)] == [1, 0, 0]
+    assert [record_phase_events(platform) for _ in range(3)] == [1, 0, 0]
     with platform.database.transaction() as session:
         session.get_one(Phase, entrant.phase_id).closes_ns = now_ns() - 1
-    assert [tell_phases(platform) for _ in range(2)] == [1, 0]
+    assert [record_phase_events(platform) for _ in range(2)] == [1, 0]
     with platform.database.transaction() as session:
         session.get_one(Phase, entrant.phase_id).opens_ns = now_ns() - LATEST_NS - 10**9  # weeks ago is no news
         session.get_one(Phase, entrant.phase_id).closes_ns = now_ns() - 1
-    assert tell_phases(platform) == 1
+    assert record_phase_events(platform) == 1
     assert kinds(platform) == ["phase.opened", "phase.closed", "phase.closed"]
 
 
@@ -185,6 +191,6 @@ def test_what_is_old_is_forgotten_with_its_deliveries(platform: Platform, receiv
     platform = telling(platform, kept_s=1e-6)
     happened(platform, a_user(platform, "ada", receiver.url()))
     all_sent(platform)
-    assert forget_told(platform) == 1
+    assert delete_old_events(platform) == 1
     with platform.database.reading() as session:
         assert session.query(NotificationDelivery).count() == 0
