@@ -251,9 +251,9 @@ class ImpossibleCountsError(Refused):
     """Counting a sound file ended in a way that our program never does; `fault` is for the operator's log."""
 
     def __init__(self, fault: str) -> None:
-        log.warning("counting ended in a way that our program never does", fault=fault)
+        log.warning("counting ended in an impossible way", fault=fault)
         super().__init__(
-            "scoring_crashed", "counting the submission broke off; was it written by numpy.savez_compressed?"
+            "scoring_crashed", "counting the submission was interrupted; was it written by numpy.savez_compressed?"
         )
 
 
@@ -296,10 +296,10 @@ def examine(examination: Examination, watch: SandboxWatch) -> ExaminedRange:
     if counts is None:
         checked = _checked(unseeing, watch)
         if checked.validation.ok:
-            raise ImpossibleCountsError("counted nothing of frames that are sound")
+            raise ImpossibleCountsError("counted nothing although the frames are valid")
         return checked
     if not can_be_counted(counts.arrays(), supports, _is_sampled(examination)):
-        raise ImpossibleCountsError("returned counts that no prediction has against this ground truth")
+        raise ImpossibleCountsError("returned counts that no prediction can have against this ground truth")
     return ExaminedRange(verdict(()), counts)
 
 
@@ -344,10 +344,10 @@ def _checked(examination: Examination, watch: SandboxWatch) -> ExaminedRange:
     except SandboxInterruptedError as error:
         raise _interrupted(error.fate) from error
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-        raise scoring_crashed("answered something else than a validation") from error
+        raise scoring_crashed("returned something other than a validation") from error
     frames = (None, *examination.tokens)
     if any(problem.code not in MISTAKES or problem.frame not in frames for problem in validation.errors):
-        raise scoring_crashed("answered something else than a validation")
+        raise scoring_crashed("returned something other than a validation")
     return ExaminedRange(validation)
 
 
@@ -407,4 +407,4 @@ def scoring_crashed(fate: str) -> Refused:
 
 
 def _interrupted(fate: str) -> PlatformFaultError:
-    return PlatformFaultError("scoring_interrupted", f"the process that read the submission {fate}; it is tried again")
+    return PlatformFaultError("scoring_interrupted", f"the process that read the submission {fate}; the job is retried")

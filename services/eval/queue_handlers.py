@@ -143,8 +143,9 @@ def _write(session: Session, submission_id: str, prepared: PreparedBlob) -> None
 
 
 def upload_damaged(found: str, declared: str) -> Refused:
-    what = f"a file of sha256 {found}" if found else "no file"
+    what = f"a file with sha256 {found}" if found else "no file"
     return Refused(
         "upload_damaged",
-        f"{what} stands where {declared} was declared; was it changed after it was sent? Send it again",
+        f"the upload contains {what} instead of the declared {declared}; was the file changed after sending? Send it "
+        "again",
     )

@@ -40,21 +40,21 @@ class PackedLabelFile:
     def read(self, packs: Mapping[int, Path]) -> bytes:
         """The npz, of packs by number. Raises `labels_unfit`, `short_pack`."""
         if self.length_bytes > MAX_LABELS_BYTES:
-            raise labels_unfit(f"file {self.name}", f"longer than {MAX_LABELS_BYTES} bytes")
+            raise labels_unfit(f"file {self.name}", f"it is longer than {MAX_LABELS_BYTES} bytes")
         with packs[self.pack].open("rb") as pack:
             pack.seek(self.offset_bytes)
             npz = pack.read(self.length_bytes)
         if len(npz) < self.length_bytes:
             raise short_pack(self.pack, self.offset_bytes + len(npz))
         if sha256(npz).hexdigest() != self.sha256:
-            raise labels_unfit(f"file {self.name}", "its sha256 is another than the index says")
+            raise labels_unfit(f"file {self.name}", "its sha256 differs from the index")
         return npz
 
 
 class TruthAnswer(SandboxAnswer):
     """The child's answer: the sha256 of all evaluated voxels, and the number of frames."""
 
-    asked: ClassVar[str] = "what was built"
+    asked: ClassVar[str] = "the summary of the built pack"
     sha256: Hex256
     frames: Annotated[int, Field(gt=0, le=MAX_FRAMES)]
 
@@ -74,7 +74,7 @@ class TruthInputs:
         try:
             return truth_in(file.read(self.packs), self.mask, Path(file.name), self.manifest.grid)
         except GroundTruthError as error:
-            raise labels_unfit(f"file {file.name}", "no label file with the arrays that the phase needs") from error
+            raise labels_unfit(f"file {file.name}", "it lacks the arrays that the phase needs") from error
 
 
 def write_truth(inputs: TruthInputs, folder: Path, progress: ProgressCallback) -> bytes:
@@ -84,4 +84,4 @@ def write_truth(inputs: TruthInputs, folder: Path, progress: ProgressCallback) -
 
 
 def labels_unfit(where: str, fault: str) -> Refused:
-    return Refused("labels_unfit", f"{where} of the dataset version: {fault}; was it labelled by this program?")
+    return Refused("labels_unfit", f"{where} of the dataset version: {fault}; was it written by STONE?")

@@ -82,7 +82,7 @@ class Case:
         if not self.zip_key:
             raise Refused(
                 "submission_purged",
-                f"the file of submission {self.submission_id} was purged and cannot be counted again; send it anew",
+                f"the file of submission {self.submission_id} was deleted and cannot be counted again; send it again",
             )
         return self.zip_key
 

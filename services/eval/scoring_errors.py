@@ -9,5 +9,5 @@ from stone.errors import Refused
 def truth_unready(of: str) -> Refused:
     return Refused(
         "ground_truth_unready",
-        f"{of} has no ground truth that is ready; was the job that builds it not run, or did it fail?",
+        f"{of} has no ready ground truth; did the job that builds it not run, or did it fail?",
     )

@@ -115,7 +115,7 @@ def _built(context: EvalStageContext, source: TruthSource) -> BuiltTruth:
     sandbox = JobSandbox(folder, tuple(inputs.packs.values()), context.attempt, context.platform.settings, warm)
     built = TruthAnswer.believed(sandbox.run(partial(write_truth, inputs), "truth", len(inputs.files)))
     if built.frames != len(inputs.files) or not (folder / PACK).is_file():
-        raise SandboxCrashedError("built something else than what was asked")
+        raise SandboxCrashedError("built something other than requested")
     write_manifest(folder / MANIFEST, inputs.manifest)
     pack, listed = (prepare(store, context.platform.database, folder / name, adopt=True) for name in (PACK, MANIFEST))
     facts: dict[str, Any] = {"sequences": [dict(source.said[name]) for name in inputs.manifest.sequences]}
@@ -152,12 +152,12 @@ def _frames(stored: StoredFiles, said: Mapping[str, Mapping[str, Any]]) -> tuple
             continue
         _, sequence, token, file = name.split("/")
         if not (is_token(token) and SEQUENCE_NAME.fullmatch(sequence) and file == "labels.npz") or token in ordinals:
-            raise labels_unfit(f"file {name[:300]!r}", "not the one label file of a frame")
+            raise labels_unfit(f"file {name[:300]!r}", "it is not the only label file of a frame")
         ordinals[token] = ordinal
         sequences.setdefault(sequence, []).append(token)
     counted = {name: len(tokens) for name, tokens in sequences.items()}
     if counted != {name: facts["frames"] for name, facts in said.items()} or not 0 < len(ordinals) <= MAX_FRAMES:
-        raise labels_unfit("the sequences", f"{len(ordinals)} frames that are not those its rows tell of")
+        raise labels_unfit("the sequences", f"their {len(ordinals)} frames differ from the frames in the database")
     return ordinals, Manifest({name: tuple(tokens) for name, tokens in sequences.items()})
 
 

@@ -172,7 +172,7 @@ class TruthPack:
         size_bytes = os.fstat(self._descriptor).st_size
         trailer = os.pread(self._descriptor, TRAILER.size, max(size_bytes - TRAILER.size, 0))
         if len(trailer) < TRAILER.size or trailer[8:] != MAGIC:
-            raise TruthPackError(self._path, "it does not end as a pack does")
+            raise TruthPackError(self._path, "its end is not that of a pack")
         start, stop = TRAILER.unpack(trailer)[0], size_bytes - TRAILER.size
         if not len(MAGIC) <= start <= stop:
             raise TruthPackError(self._path, f"its index should start at byte {start} of {stop}")
@@ -182,7 +182,7 @@ class TruthPack:
                 keys = ("tokens", "offsets", "counts", "crc32", *arrays.keys() & {"other_supports", "grid", LATE})
                 return {key: arrays[key] for key in keys}
         except (ValueError, OSError, KeyError, EOFError, BadZipFile) as error:
-            raise TruthPackError(self._path, "its index is no npz") from error
+            raise TruthPackError(self._path, "its index is not an npz file") from error
 
     def _grid_in(self, index: dict[str, NDArray[Any]]) -> LabelGrid:
         if "grid" not in index:
@@ -190,7 +190,7 @@ class TruthPack:
         try:
             return grid_of(json.loads(index["grid"].tobytes()))
         except (ValueError, Refused) as error:
-            raise TruthPackError(self._path, "its grid is none") from error
+            raise TruthPackError(self._path, "its grid is invalid") from error
 
 
 class _Index:

@@ -39,7 +39,7 @@ def _kept(pack_path: Path, _version: tuple[int, ...], frames: int) -> Supports:
     limits = SandboxLimits(cpu_s=60, answer_bytes=frames * FRAME_BYTES, reads=(pack_path,))
     answer = sandboxed(partial(read_supports, pack_path), limits)
     if len(answer) != frames * FRAME_BYTES:
-        raise SandboxCrashedError(f"read the supports of something else than {frames} frames")
+        raise SandboxCrashedError(f"returned supports of other than {frames} frames")
     return np.frombuffer(answer, "<i4").reshape(frames, RINGS, SUPPORTS)
 
 
@@ -87,5 +87,5 @@ def _most_pairs(confusions: NDArray[np.int64]) -> NDArray[np.int64]:
 def truth_damaged() -> PlatformFaultError:
     return PlatformFaultError(
         "ground_truth_damaged",
-        "the ground truth that is kept cannot be read; was the store changed by hand, or is it away?",
+        "the stored ground truth cannot be read; was the store changed by hand, or is it unavailable?",
     )

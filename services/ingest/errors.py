@@ -10,7 +10,7 @@ class RecordingChangedError(StoneError):
 
     def __init__(self, filename: str, found: str, expected: str) -> None:
         super().__init__(
-            f"{filename} has sha256 {found} and was received with {expected}; upload it again (is the disk failing?)"
+            f"{filename} has sha256 {found}, but was received with {expected}; upload it again (is the disk failing?)"
         )
 
 

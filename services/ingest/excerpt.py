@@ -74,7 +74,7 @@ class ExcerptMaker:
             if not lacks:
                 return chunks
             here = [*here, *lacks]
-        raise SandboxCrashedError("asked for more of a file than its index")
+        raise SandboxCrashedError("requested more of a file than its index")
 
     def _ask(self, work: Path, task: Any) -> bytes:
         sandbox = JobSandbox(work, (work / self.place.name,), self.attempt, self.platform.settings, warm)
@@ -86,12 +86,12 @@ class ExcerptMaker:
             case {"lacks": list(lacks), "chunks": list(chunks)}:
                 found = [_Chunks((int(number), int(number) + 1), self._ranges(ranges)) for number, ranges in chunks]
                 return list(self._ranges(lacks)), found
-        raise SandboxCrashedError("answered something else than ranges")
+        raise SandboxCrashedError("returned something other than ranges")
 
     def _ranges(self, told: Any) -> tuple[Range, ...]:
         ranges = tuple((int(start), int(stop)) for start, stop in told)
         if any(not 0 <= start < stop <= self.place.size_bytes for start, stop in ranges):
-            raise SandboxCrashedError("asked for bytes that the object does not have")
+            raise SandboxCrashedError("requested bytes beyond the object's end")
         return ranges
 
 
@@ -133,4 +133,4 @@ def _write(
 
 def _refuse_link(path: Path) -> None:
     if path.is_symlink() or not path.is_file():
-        raise SandboxCrashedError("wrote no excerpt where it was to")
+        raise SandboxCrashedError("wrote no excerpt at the given path")

@@ -379,12 +379,12 @@ def _believed(parcel: SandboxResult, brought: ReceivedBag, folder: Path) -> Reco
         } if set(map(str, row_ids)) <= {file.row_id for file in brought.files}:
             recovered = {row_id: _plain(folder, f"{RECOVERED}/{row_id}.mcap") for row_id in row_ids}
             return RecordingSurvey(inspection, quality, topics, findings, recovered, parcel.files, content)
-    raise SandboxCrashedError("answered something else than what was seen")
+    raise SandboxCrashedError("returned something other than a survey")
 
 
 def _plain(folder: Path, name: str) -> Path:
     """A file of the folder itself, reached by no link."""
     path = folder / name
     if path.resolve() != folder.resolve() / name or not path.is_file():
-        raise SandboxCrashedError("recovered no file where it said it did")
+        raise SandboxCrashedError("recovered no file at the reported path")
     return path

@@ -147,13 +147,13 @@ def with_description(made: SynchronisationResult, joint: Path, bags: StoredBags)
     """With `joined.json`, and in the result the offset of each clock. Raises `SandboxCrashedError` where it lies."""
     path = joint / JOINED
     if not path.is_file() or path.is_symlink() or joint.is_symlink():
-        raise SandboxCrashedError("left no description of how the recordings are joined")
+        raise SandboxCrashedError("wrote no description of the joined recordings")
     try:
         members = read_joined(joint)
     except JoinedFileError as error:
-        raise SandboxCrashedError(f"described the joined recordings otherwise than is known: {error}") from None
+        raise SandboxCrashedError(f"wrote an invalid description of the joined recordings: {error}") from None
     if {member.name: member.sha256 for member in members} != dict(bags.sha256s):
-        raise SandboxCrashedError("joined other recordings than it was given")
+        raise SandboxCrashedError("joined other recordings than the given ones")
     clocks = [
         {"recording": one.name, "offset_ns": one.offset_ns, "sigma_ns": one.sigma_ns, "known_by": list(one.known_by)}
         for one in members
@@ -175,7 +175,7 @@ def _believed(parcel: SandboxResult, folder: Path) -> SynchronisationResult:
             "contents": dict(contents),
         } if all(path.is_file() and not path.is_symlink() for path in files.values()):
             return SynchronisationResult(result, files, contents)
-    raise SandboxCrashedError("answered something else than a sequence")
+    raise SandboxCrashedError("returned something other than a sequence")
 
 
 def short_records(findings: Iterable[Finding]) -> list[dict[str, Any]]:
@@ -243,4 +243,4 @@ def _believed_check(parcel: SandboxResult, path: Path) -> CheckResult:
     match parcel.record:
         case {"findings": list(), "is_checked": True} if path.is_file() and not path.is_symlink():
             return CheckResult(parcel.record, path, parcel.files)
-    raise SandboxCrashedError("answered something else than what it found")
+    raise SandboxCrashedError("returned something other than findings")

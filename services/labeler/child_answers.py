@@ -43,7 +43,7 @@ class JobAnswer(SandboxAnswer):
     @classmethod
     def _is_known(cls, kind: str) -> str:
         if kind not in KINDS:
-            raise ValueError("nobody does such a job")
+            raise ValueError("unknown kind of job")
         return kind
 
     def spec(self) -> JobSpec:
@@ -63,7 +63,7 @@ class GraphAnswer(SandboxAnswer):
         known = set[str]()
         for job in self.jobs:
             if not known.issuperset(job.needs) or (job.key and job.key in known):
-                raise ValueError("a job waits for none of those before it, or is there twice")
+                raise ValueError("a job needs a later or unknown job, or is listed twice")
             known.add(job.key)
         return self
 
@@ -78,7 +78,7 @@ class FilesAnswer(SandboxAnswer):
 class WorkAnswer(SandboxAnswer):
     """The result for a job's row, the facts for its log, and the files that the job wrote."""
 
-    asked: ClassVar[str] = "what a job did"
+    asked: ClassVar[str] = "the result of a job"
     written: tuple[Name, ...]
     result: dict[str, Count]
     facts: dict[str, Fact]
@@ -87,7 +87,7 @@ class WorkAnswer(SandboxAnswer):
     @classmethod
     def _are_known(cls, told: dict[str, Fact]) -> dict[str, Fact]:
         if not FACTS.issuperset(told):
-            raise ValueError("nobody asked for that")
+            raise ValueError("unknown fact or result")
         return told
 
 
@@ -125,7 +125,7 @@ class TotalsAnswer(SandboxAnswer):
     @classmethod
     def _has_a_meaning(cls, code: str | None) -> str | None:
         if code is not None and code not in CATALOGUE:
-            raise ValueError("no finding has this code")
+            raise ValueError("unknown finding code")
         return code
 
 
@@ -147,7 +147,7 @@ class PublicationAnswer(SandboxAnswer):
     """What rows say of a run that is done: its frames in order, its packs, its totals; the record of the grid of
     imported labels, None if it is the paper's."""
 
-    asked: ClassVar[str] = "what is to be published"
+    asked: ClassVar[str] = "the rows to publish"
     tokens: Annotated[list[Token], Field(max_length=MOST_FRAMES)]
     stamps_ns: list[Stamp]
     packs: list[PackAnswer]
@@ -165,14 +165,14 @@ class PublicationAnswer(SandboxAnswer):
     @model_validator(mode="after")
     def _agrees(self) -> Self:
         if len(self.tokens) != len(self.stamps_ns) or len(set(self.tokens)) != len(self.tokens):
-            raise ValueError("there are not as many stamps as frames, or a frame is there twice")
+            raise ValueError("the number of stamps differs from the number of frames, or a frame is listed twice")
         first = 0
         for pack in self.packs:
             if pack.first != first:
-                raise ValueError("packs do not follow each other")
+                raise ValueError("packs are not consecutive")
             first += len(pack.ranges)
         if first != len(self.tokens):
-            raise ValueError("there are not as many labels as frames")
+            raise ValueError("the number of labels differs from the number of frames")
         return self
 
     def frame(self, ordinal: int) -> dict[str, Any]:

@@ -91,7 +91,7 @@ def located_inputs(platform: Platform, label_set_id: str, folder: Path, exporter
     folder.mkdir(parents=True, exist_ok=True)
     linked = {name: keys[name] for name in (REPORT, SEQUENCE_FILE, MESH, TABLE, *({JOINED} & set(keys)))}
     read = {*linked.values(), *(at.pack for at in ranges)}
-    refuse_damaged(platform.store, platform.database, read, "a file of the labels")
+    refuse_damaged(platform.store, platform.database, read, "a label file")
     for name, key in linked.items():
         (folder / name).symlink_to(platform.store.local(key))
     packs = {key: platform.store.local(key) for key in sorted({at.pack for at in ranges})}
@@ -224,9 +224,7 @@ def _made(platform: Platform, attempt: Attempt, folder: Path, files: PackedFiles
 
 
 def recording_deleted(recording: str) -> Refused:
-    return Refused(
-        "recording_deleted", f"recording {recording} was deleted, so what it holds cannot be exported any more"
-    )
+    return Refused("recording_deleted", f"recording {recording} was deleted, so its data cannot be exported any more")
 
 
 def located_recording(platform: Platform, sequence_id: str, sha256s: Collection[str]) -> Path:

@@ -38,5 +38,5 @@ def pack_left(path: Path, pack: PackAnswer) -> LeftFile:
     """A pack of labels. Raises `SandboxCrashedError` where it is not as long as was said."""
     size_bytes = path.stat().st_size
     if size_bytes != pack.size_bytes:
-        raise SandboxCrashedError(f"spoke of {pack.size_bytes} bytes of {pack.name}, which has {size_bytes}")
+        raise SandboxCrashedError(f"reported {pack.size_bytes} bytes of {pack.name}, which has {size_bytes}")
     return LeftFile(f"{LABELS}{path.name}", OTHER_TYPE, path, pack)

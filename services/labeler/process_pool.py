@@ -96,7 +96,9 @@ class Workers:
             begun = {task.key for task in ready}
             waiting = [task for task in waiting if task.key not in begun]
             if not running:
-                raise ValueError(f"{len(waiting)} tasks wait for what nobody does, the first {waiting[0].key}")
+                raise ValueError(
+                    f"{len(waiting)} tasks wait for results that no task produces, the first is {waiting[0].key}"
+                )
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 task = running.pop(future)
                 ended.add(task.key)

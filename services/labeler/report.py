@@ -183,19 +183,19 @@ def label_findings(
     if reference.voxels < FEW_VOXELS:
         advice = f", or use profile {DEFAULT_PROFILE}" if parameters.profile == "paper" else ""
         few = (
-            f"the track covers {reference.voxels} surface voxels; below {FEW_VOXELS} the reference is unreliable: "
-            f"drive farther{advice}"
+            f"the track covers {reference.voxels} surface voxels; below {FEW_VOXELS} the reference is unreliable. "
+            f"Drive farther{advice}"
         )
         found.append(Finding("LAB-601", "warning", "", few))
     undriven = int((counts.classes[:, 1] == 0).sum())
     if undriven:
-        none = f"{undriven} of {len(counts.classes)} frames hold no driven voxel"
+        none = f"{undriven} of {len(counts.classes)} frames contain no driven voxel"
         found.append(Finding("LAB-602", "warning", "", none))
     if parameters.profile == "paper" and not relief.is_spanned:
         narrow = (
             f"the track spans {relief.track_span_m:.2f} m of elevation, so ground more than about "
-            f"{relief.paper_band_m:.2f} m above or below its mean is labelled non-traversable regardless of its shape: "
-            f"profile {DEFAULT_PROFILE} does not use absolute elevation"
+            f"{relief.paper_band_m:.2f} m above or below its mean is labelled non-traversable regardless of its "
+            f"shape. Process again with profile {DEFAULT_PROFILE}"
         )
         found.append(Finding("LAB-603", "warning", "", narrow))
     return tuple(found)
@@ -209,15 +209,15 @@ def reference_findings(
     sigma_deg = float(np.rad2deg(np.sqrt(reference.covariance[1, 1])))
     if sigma_deg > STEEP_SIGMA_DEG:
         steep = (
-            f"the slope of the driven ground scatters by {sigma_deg:.0f}°, more than drivable ground does: are "
+            f"the slope of the driven ground scatters by {sigma_deg:.0f}°, more than that of drivable ground. Are "
             "surfaces beside or above the track included, or is the footprint too high?"
         )
         found.append(Finding("LAB-604", "warning", "", steep))
     share = comparison.unlike / max(comparison.driven, 1)
     if comparison.driven >= FEW_VOXELS and share > UNLIKE_TIMES * parameters.reference.alpha:
         unlike = (
-            f"{share:.1%} of the driven voxels are unlike the rest of them, where {parameters.reference.alpha:.0%} "
-            "would be by chance: the driven terrain is of several kinds, or a few of its voxels are wrong"
+            f"{share:.1%} of the driven voxels differ from the others, but {parameters.reference.alpha:.0%} are "
+            "expected by chance: the driven terrain has several kinds, or a few of its voxels are wrong"
         )
         found.append(Finding("LAB-605", "warning", "", unlike))
     return tuple(found)

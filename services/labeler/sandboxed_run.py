@@ -42,7 +42,7 @@ class LateSweeps:
     def sweep(self, index: int) -> Sweep:
         if self.opened is None:
             if self.recording is None:
-                raise ValueError("a stage that says it reads no sweeps reads one")
+                raise ValueError("a stage that declares no sweeps reads a sweep")
             recording = self.recording
             sweeps = read_sweeps(self.description.read_bytes(), lambda _: recording)
             self.opened = replace(sweeps, is_in_place=self.is_in_place)

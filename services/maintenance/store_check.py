@@ -167,9 +167,9 @@ def _checked(platform: Platform, options: argparse.Namespace) -> list[DamagedBlo
     for folder in options.sources:
         back = restore_objects(platform, lost, folder)
         lost = [one for one in lost if one not in back]
-        _say(f"{len(back)} were put back from {folder}; {len(lost)} are lost")
+        _say(f"{len(back)} objects were restored from {folder}; {len(lost)} are lost")
     if options.forget and lost:
-        _say(f"{forget_derived(platform, lost)} label sets and exports are forgotten; ask for them again")
+        _say(f"{forget_derived(platform, lost)} label sets and exports were deleted; request them again")
     return lost
 
 
@@ -179,11 +179,19 @@ def _say(sentence: str) -> None:
 
 def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m services.maintenance.store_check", description=__doc__)
-    parser.add_argument("--bytes", action="store_true", help="read every object and compare its sha256")
+    parser.add_argument("--bytes", action="store_true", help="Read every object and compare its sha256")
     parser.add_argument(
-        "--from", action="append", default=[], type=Path, dest="sources", metavar="FOLDER", help="put back from here"
+        "--from",
+        action="append",
+        default=[],
+        type=Path,
+        dest="sources",
+        metavar="FOLDER",
+        help="Restore lost objects from the files of this folder",
     )
-    parser.add_argument("--forget", action="store_true", help="let lost labels and exports be made again")
+    parser.add_argument(
+        "--forget", action="store_true", help="Delete damaged label sets and exports, so that they can be made again"
+    )
     return parser.parse_args(arguments)
 
 

@@ -88,7 +88,7 @@ class Chore:
         try:
             self.work()
         except (SQLAlchemyError, RedisError, PlatformFaultError, OSError) as error:
-            log.warning("not done this time", chore=self.name, reason=f"{type(error).__name__}: {error}"[:500])
+            log.warning("chore failed", chore=self.name, reason=f"{type(error).__name__}: {error}"[:500])
             process_counters().add(CHORE_FAILURES, (self.name,))
             return False
         self.told(self.name)

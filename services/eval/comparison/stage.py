@@ -73,7 +73,7 @@ class CountsAnswer(SandboxAnswer):
     def counts(self, frames: int, grid: LabelGrid) -> LabelSetCounts:
         """Raises `SandboxCrashedError` where they are not those of this many frames of the grid."""
         if len(self.agreements) != frames or sum(self.confusion) != frames * grid.voxels:
-            raise SandboxCrashedError(f"counted something else than {frames} frames")
+            raise SandboxCrashedError(f"counted other than {frames} frames")
         agreements = np.array([nan if one is None else one for one in self.agreements])
         if self.seen_confusion is None:
             return LabelSetCounts(_by_ring(self.confusion), None, agreements)
@@ -162,6 +162,6 @@ def _by_ring(cells: list[int]) -> Counted:
 def no_shared_frame(a: str, b: str, frames: tuple[int, int]) -> Refused:
     return Refused(
         "nothing_in_common",
-        f"{a} ({frames[0]} frames) and {b} ({frames[1]} frames) share no frame token; tokens are made of the"
-        " sequence's name and the stamp, so are these labels of one run, labelled under one name?",
+        f"{a} ({frames[0]} frames) and {b} ({frames[1]} frames) share no frame token. Tokens are made from the "
+        "sequence's name and the stamp; were the labels made from the same run, under the same name?",
     )

@@ -101,7 +101,7 @@ def pose_offset(name: str, open_at: OpenAt, calibration: Path, options: Synchron
         with open_at(ClockOffset(offset_ns, None, (SWEEPS,))) as bag:
             lag = _lag(bag, calibration, options)
         if lag is None or lag.sigma_ns > MOST_SIGMA_NS:
-            raise unmeasured_offset([name], ["its poses and the sweeps turn too little to be compared"])
+            raise unmeasured_offset([name], ["its poses and the sweeps rotate too little for a comparison"])
         offset_ns, sigma_ns = offset_ns - lag.lag_ns, lag.sigma_ns
         if 2 * abs(lag.lag_ns) < lag.sigma_ns:
             break
@@ -153,7 +153,7 @@ def reference_of(bag: Bag, calibration: Path, options: SynchroniseOptions) -> Ru
     rig, _ = read_calibration(calibration, bag)
     sequence, sweeps = unjoined_sequence(bag, rig, options, sequence_name(bag.path))
     if sequence.track is None or len(sequence.frames) < 2:
-        raise unmeasured_offset([bag.path.name], ["it has too few sweeps with a pose to compare others with"])
+        raise unmeasured_offset([bag.path.name], ["it has too few sweeps with a pose to compare other clocks with"])
     look = lidar_look(bag, sweeps, typical_period_ns(sequence.frames.stamps_ns))
     return RunReference(bag.path.name, sequence, RobotMotion(sequence.track, rig, sequence.max_pose_gap_ns), look)
 
@@ -171,7 +171,9 @@ def measured_offset(bag: Bag, name: str, reference: RunReference) -> ClockOffset
         if fit is not None:
             found[kind] = fit
         elif own:
-            reasons.append(f"{len(own)} topics of its {role}s tell no time: the robot turned and sped up too little")
+            reasons.append(
+                f"{len(own)} topics of its {role}s give no clock offset: the robot rotated and accelerated too little"
+            )
     if not found:
         raise unmeasured_offset([name], reasons)
     offset = _weighed(name, found)
@@ -199,8 +201,8 @@ def _weighed(name: str, found: dict[str, LagFit]) -> ClockOffset:
         told = [f"{fit.offset_s:+.4f} ± {fit.sigma_s:.4f} s by {kind}" for kind, fit in found.items()]
         raise IngestError(
             "SYN-524",
-            f"the sensors in {name} give different clock offsets: {', '.join(told)}; is a mount in the "
-            f"calibration wrong, or one of them stamped by another clock? Give it: {OPTION.format(name=name)}",
+            f"the sensors in {name} give different clock offsets: {', '.join(told)}; is a mount in the calibration "
+            f"wrong, or does a sensor use another clock? Set the offset with {OPTION.format(name=name)}",
         )
     return ClockOffset(round(mean_s * 1e9), round(float(weights.sum()) ** -0.5 * 1e9), tuple(found))
 
@@ -263,14 +265,14 @@ def checked_paths(asked: JoinRequest) -> tuple[Path, ...]:
     """In order of their names, so that it does not matter in which they were named. Raises: `SYN-526`."""
     names = sorted(path.name for path in asked.paths)
     if not 2 <= len(names) <= MOST_MEMBERS:
-        raise not_joined(f"these are {len(names)} recordings, 2 to {MOST_MEMBERS} are joined")
+        raise not_joined(f"{len(names)} recordings were given, but 2 to {MOST_MEMBERS} can be joined")
     if len({name.casefold() for name in names}) < len(names):
-        raise not_joined(f"two of the recordings have one name: {', '.join(names)}")
+        raise not_joined(f"two of the recordings have the same name: {', '.join(names)}")
     for path in asked.paths:
         if not is_member_name(path.name) or is_joined(path):
-            raise not_joined(f"{path.name!r} is joined of others already, or has no name that a file can have")
+            raise not_joined(f"{path.name!r} is already a joined recording, or its name is not a valid file name")
     if unknown := sorted(set(asked.given_ns) - set(names)):
-        raise not_joined(f"an offset is given for {unknown[0]!r}, which is none of {', '.join(names)}")
+        raise not_joined(f"an offset is given for {unknown[0]!r}, which is not one of {', '.join(names)}")
     return tuple(sorted(asked.paths, key=lambda path: path.name))
 
 
@@ -298,7 +300,7 @@ def check_given(asked: JoinRequest, held: Sequence[HeldMessages]) -> None:
     for number, one in enumerate(held):
         has_lidar = not number or any(topic.name in lidars for topic in one.topics)
         if has_lidar and asked.given_ns.get(one.name):
-            raise not_joined(f"{one.name} has the LiDAR, whose clock is the run's: its offset is 0")
+            raise not_joined(f"{one.name} contains the LiDAR, whose clock is the run's, so its offset is 0")
 
 
 Held = Sequence[HeldMessages]
@@ -340,7 +342,7 @@ def _measured(asked: JoinRequest, held: Held, known: Mapping[int, ClockOffset]) 
     waiting = [number for number in range(len(held)) if number not in known]
     if asked.calibration is None:
         names = [held[number].name for number in waiting]
-        raise unmeasured_offset(names, ["no calibration says where its sensors sit"])
+        raise unmeasured_offset(names, ["no calibration gives the mounts of its sensors"])
     posed = {} if has_poses((held[number] for number in known), asked.options) else _with_poses(asked, held, known)
     found = {number: offset for number, offset in posed.items() if SWEEPS in offset.known_by}
     with _on_one_clock(asked, held, {**posed, **known}) as run:
@@ -427,4 +429,6 @@ def join_recordings(asked: JoinRequest) -> JoinedRecording:
 
 
 def not_joined(problem: str) -> IngestError:
-    return IngestError("SYN-526", f"{problem}; name each recording of the run once, one of them with the LiDAR")
+    return IngestError(
+        "SYN-526", f"{problem}; name each recording of the run once, including the recording with the LiDAR"
+    )

@@ -130,5 +130,5 @@ def parted_names(joined: NDArray[np.uint8]) -> tuple[str, ...]:
     """The names that `joined_names` joined. Raises ValueError if there are others."""
     count, *names = joined.tobytes().decode("ascii").split("\n")
     if int(count) != len(names):
-        raise ValueError("a list of names is cut off")
+        raise ValueError("a list of names is truncated")
     return tuple(names)

@@ -112,14 +112,16 @@ def _described(report: Mapping[str, Any]) -> tuple[str, int]:
     """The sequence that a report is of, and its frames."""
     name, frames = report.get("sequence"), report.get("frames")
     if not isinstance(name, str) or not NAME.fullmatch(name) or not isinstance(frames, int):
-        raise damaged_labels(Path("report.json"), "it names no sequence, or not how many frames there are")
+        raise damaged_labels(Path("report.json"), "it contains no sequence name or no number of frames")
     return name, frames
 
 
 def _opened(open_source: Callable[[], LabelledSequence], name: str) -> LabelledSequence:
     source = open_source()
     if source.sequence.name != name:
-        raise damaged_labels(Path("sequence.npz"), f"it is of sequence {source.sequence.name}, the report of {name}")
+        raise damaged_labels(
+            Path("sequence.npz"), f"it describes sequence {source.sequence.name}, but the report describes {name}"
+        )
     return source
 
 
@@ -136,9 +138,9 @@ def read_manifest(out: Path, format_name: str) -> dict[str, ExportFolderEntry]:
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise not_an_export(out, f"{MANIFEST} cannot be read ({error})"[:200]) from error
     if not is_ours:
-        raise not_an_export(out, f"{MANIFEST} cannot be read (a sequence has no plain name or no number)")
+        raise not_an_export(out, f"{MANIFEST} cannot be read (a sequence has an invalid name or no number)")
     if found != format_name:
-        raise not_an_export(out, f"it holds an export in format {found}, not {format_name}")
+        raise not_an_export(out, f"it contains an export in format {found}, not {format_name}")
     return entries
 
 
@@ -163,8 +165,8 @@ def _move_in(fresh: Path, staging: Path, name: str) -> tuple[int, int]:
         if (staging / relative).exists():
             raise Refused(
                 "export_clash",
-                f"{relative.as_posix()[:200]} of sequence {name} is another sequence's file in this export "
-                "already; was one recording labelled under two names?",
+                f"{relative.as_posix()[:200]} of sequence {name} already belongs to another sequence in this export; "
+                "was one recording labelled under two names?",
             )
         (staging / relative).parent.mkdir(parents=True, exist_ok=True)
         with path.open("rb") as file:
@@ -187,9 +189,9 @@ def _link_kept(out: Path, staging: Path, name: str) -> None:
         raise not_an_export(out, f"{listing} cannot be read ({error})"[:200]) from error
     for relative in (*files, listing):
         if PurePosixPath(relative).is_absolute() or ".." in PurePosixPath(relative).parts:
-            raise not_an_export(out, f"{listing} names {relative[:80]!r}")
+            raise not_an_export(out, f"{listing} lists a path outside the export: {relative[:80]!r}")
         if not (out / relative).is_file():
-            raise not_an_export(out, f"{relative[:120]} of sequence {name} is gone")
+            raise not_an_export(out, f"{relative[:120]} of sequence {name} is missing")
         (staging / relative).parent.mkdir(parents=True, exist_ok=True)
         _link(out / relative, staging / relative)
 
@@ -255,5 +257,5 @@ def _join_table(folder: Path, table: str, numbers: Mapping[str, int]) -> None:
 
 def not_an_export(out: Path, reason: str) -> Refused:
     return Refused(
-        "not_an_export", f"{out} cannot take this export in: {reason}; choose another --output, or remove the folder"
+        "not_an_export", f"{out} cannot receive this export: {reason}; choose another --output, or remove the folder"
     )

@@ -92,12 +92,12 @@ def open_mesh(path: Path) -> MeshFile:
         record = VERTEX if FEATURES in head else BARE_VERTEX
         header = header_of(counts[0], counts[1], has_features=record is VERTEX)
     except (OSError, ValueError, IndexError) as error:
-        raise damaged_labels(path, str(error) or "it is no mesh of ours") from error
+        raise damaged_labels(path, str(error) or "it is not a mesh written by STONE") from error
     start = len(written) + len(END)
     faces_at = start + counts[0] * record.itemsize
     expected = faces_at + counts[1] * FACE.itemsize
     if _facts(head) != _facts(header.removesuffix(END).decode()) or path.stat().st_size != expected:
-        raise damaged_labels(path, f"its header promises {expected} bytes")
+        raise damaged_labels(path, f"its header requires {expected} bytes")
     return MeshFile(_mapped(path, record, start, counts[0]), _mapped(path, FACE, faces_at, counts[1]))
 
 
@@ -140,7 +140,7 @@ def write_glb(file: IO[bytes], mesh: MeshFile) -> None:
     if total > MOST_BYTES:
         raise Refused(
             "mesh_too_large",
-            f"the mesh takes {total} bytes as binary glTF, the format ends at {MOST_BYTES}; use the PLY",
+            f"the mesh needs {total} bytes as binary glTF, but the format allows at most {MOST_BYTES}; use the PLY",
         )
     file.write(struct.pack("<3I", MAGIC, VERSION, total))
     file.write(struct.pack("<2I", len(document), JSON_CHUNK) + document)

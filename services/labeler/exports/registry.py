@@ -49,5 +49,7 @@ EXPORTERS: Mapping[str, Exporter] = {
 def exporter_of(name: str) -> Exporter:
     """Raises `unknown_format`."""
     if name not in EXPORTERS:
-        raise Refused("unknown_format", f"{name[:80]!r} is no format of an export; known are {', '.join(EXPORTERS)}")
+        raise Refused(
+            "unknown_format", f"{name[:80]!r} is not an export format; the formats are {', '.join(EXPORTERS)}"
+        )
     return EXPORTERS[name]

@@ -47,13 +47,13 @@ from stone_recordings.sync.sequence_file import read_sequence
 
 FILES = "files"
 MOST_INPUTS = 1000
-UNASKED = "a format that says it reads no samples reads one"
+UNASKED = "a format that declares no samples reads a sample"
 
 
 class SourceAnswer(SandboxAnswer):
     """The hashes of what a sequence was made of."""
 
-    asked: ClassVar[str] = "what a sequence was made of"
+    asked: ClassVar[str] = "the inputs of a sequence"
     sha256s: Annotated[list[Hex256], Field(max_length=MOST_INPUTS)]
 
 
@@ -82,7 +82,7 @@ class PackedLabels:
             file.seek(at.offset_bytes)
             payload = file.read(at.length_bytes)
         if sha256(payload).hexdigest() != at.sha256:
-            raise damaged_labels(Path(at.token) / "labels.npz", "its sha256 is another")
+            raise damaged_labels(Path(at.token) / "labels.npz", "its sha256 differs")
         return payload
 
 
@@ -230,7 +230,9 @@ class DatasetSamples:
             return None
         span = self._files.span(filename)
         if span is None:
-            raise table_span(self._files, "sample_data").damaged(f"it names {filename[:200]!r}, which is not there")
+            raise table_span(self._files, "sample_data").damaged(
+                f"it refers to {filename[:200]!r}, which does not exist"
+            )
         return span
 
     def _taken_ns(self, channel: str, index: int) -> int:
@@ -280,7 +282,7 @@ def lidar_sample(span: ExportFileSpan) -> LidarSample:
     """A `.pcd.bin`: rows of x y z intensity ring, float32. Raises `DamagedExportError`."""
     content = span.read(MOST_SWEEP_BYTES)
     if len(content) % (COLUMNS * 4):
-        raise span.damaged(f"its {len(content)} bytes are no rows of {COLUMNS} float32")
+        raise span.damaged(f"its {len(content)} bytes are not rows of {COLUMNS} float32")
     rows = np.frombuffer(content, "<f4").reshape(-1, COLUMNS)
     rows = rows[(np.abs(rows[:, :3]) < FARTHEST_RETURN_M).all(axis=1) & (rows[:, :3] != 0).any(axis=1)]
     measured = np.where(np.isfinite(rows[:, 3:]), rows[:, 3:], np.float32(0))

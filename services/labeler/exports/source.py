@@ -113,8 +113,8 @@ def read_report(directory: Path) -> Mapping[str, Any]:
         if not (directory / name).exists():
             raise Refused(
                 "not_labels",
-                f"{directory} has no {name}, so it is not a folder that `stone label` of this version wrote; give "
-                "the folder that was named with --output, or label the recording again",
+                f"{directory} has no {name}, so it is not an output folder of this version of `stone label`; give the "
+                "folder that was passed as --output, or label the recording again",
             )
     return _json(directory / REPORT)
 
@@ -143,10 +143,14 @@ def _json(path: Path) -> Mapping[str, Any]:
     except (ValueError, RecursionError) as error:
         raise damaged_labels(path, str(error)) from error
     if not isinstance(content, dict):
-        raise damaged_labels(path, "it is no JSON object")
+        raise damaged_labels(path, "it is not a JSON object")
     return content
 
 
 def recording_gone(path: Path | None) -> Refused:
-    where = f"the recording {path} is gone" if path else "nothing says where the recording of these labels is"
-    return Refused("recording_gone", f"{where}; say with --bag where it is now")
+    where = (
+        f"the recording {path} does not exist any more"
+        if path
+        else "the labels do not contain the path of their recording"
+    )
+    return Refused("recording_gone", f"{where}; give its current path with --bag")

@@ -37,7 +37,7 @@ class IndexedSceneAnswer(SandboxAnswer):
 class ExtraFileAnswer(SandboxAnswer):
     """A file that no table names, by its name below the dataset's root."""
 
-    asked: ClassVar[str] = "a file that no table names"
+    asked: ClassVar[str] = "a file outside the tables"
     name: ExtraName
     size_bytes: Count
 
@@ -54,9 +54,9 @@ class DatasetIndexAnswer(SandboxAnswer):
     @model_validator(mode="after")
     def _are_told_apart(self) -> Self:
         if [scene.ordinal for scene in self.scenes] != list(range(len(self.scenes))):
-            raise ValueError("scenes are not numbered in their order")
+            raise ValueError("scenes are not numbered in order")
         if len({scene.name for scene in self.scenes}) < len(self.scenes):
-            raise ValueError("two scenes have one name")
+            raise ValueError("two scenes have the same name")
         if len({file.name for file in self.extra}) < len(self.extra):
-            raise ValueError("two files have one name")
+            raise ValueError("two files have the same name")
         return self

@@ -225,7 +225,8 @@ class FusedLabels:
         first = np.flatnonzero(np.append(True, np.diff(keys) != 0)[: len(keys)])
         if len(first) > MOST_TILE_VOXELS:
             what = (
-                f"labels of {self.name} occupy {len(first)} voxels of 48 m × 48 m, at most {MOST_TILE_VOXELS} are read"
+                f"labels of {self.name} occupy {len(first)} voxels of 48 m × 48 m, but at most {MOST_TILE_VOXELS} are "
+                "read"
             )
             raise DatasetFaultError("DST-072", DatasetPlace(f"gts/{self.name}"), what)
         merged = np.empty(len(first), VOTE)

@@ -58,7 +58,7 @@ def _stored(context: ImportStageContext, folder: Path, told: DatasetIndexAnswer)
             or not path.is_file()
             or path.stat().st_size != file.size_bytes
         ):
-            raise SandboxCrashedError(f"spoke of file {number} and left another")
+            raise SandboxCrashedError(f"listed file {number} but wrote another file")
         stored.append((file.name, prepare(context.platform.store, context.platform.database, path, adopt=True)))
     return stored
 
@@ -67,8 +67,8 @@ def _refuse(context: ImportStageContext, told: DatasetIndexAnswer) -> None:
     if unlabelled := [scene.name for scene in told.scenes if not scene.is_labelled]:
         raise Refused(
             "scenes_unlabelled",
-            f"{len(unlabelled)} scenes have no labels in gts/, or not of every frame: {_shown(unlabelled)}; what "
-            "has no labels is no label set: upload its recording instead, or leave these scenes out of the tables",
+            f"{len(unlabelled)} scenes have no labels in gts/, or not for every frame: {_shown(unlabelled)}; upload "
+            "the recordings of scenes without labels, or remove these scenes from the tables",
         )
     with context.platform.database.reading() as session:
         refuse_existing(session, context.imported, [scene.name for scene in told.scenes])
@@ -81,7 +81,7 @@ def _keep(folder: Path, work: Path, ordinal: int) -> None:
     """
     left, kept = folder / scene_folder(ordinal), work / scene_folder(ordinal)
     if left.is_symlink() or not left.is_dir():
-        raise SandboxCrashedError(f"spoke of scene {ordinal} and left no files of it")
+        raise SandboxCrashedError(f"listed scene {ordinal} but wrote no files for it")
     kept.parent.mkdir(parents=True, exist_ok=True)
     try:
         left.rename(kept)

@@ -52,7 +52,7 @@ def index_dataset(opening: DatasetOpening, folder: Path, progress: ProgressCallb
     index, tar = reading.index, reading.index.files
     if not isinstance(tar, DatasetArchive):
         raise DatasetFaultError(
-            "DST-001", DatasetPlace(index.files.path.name), "it is a folder, where a tar or zip is imported"
+            "DST-001", DatasetPlace(index.files.path.name), "it is a folder; only a tar or zip can be imported"
         )
     check_fit(index, opening.classes)
     inputs = {opening.name: opening.sha256}

@@ -87,7 +87,7 @@ def _scene(context: ImportStageContext, ordinal: int, files: Sequence[ImportedFi
     """Raises `JobCancelledError`, `SandboxCrashedError`."""
     path = context.workspace.folder / told_path(ordinal)
     if not path.exists():
-        gone = "what its scenes left was removed"
+        gone = "the intermediate files of its scenes were deleted"
         begin_run_again(context.platform, context.attempt, gone)
         raise JobCancelledError(gone)
     told = PublicationAnswer.believed(path.read_bytes())
@@ -97,7 +97,7 @@ def _scene(context: ImportStageContext, ordinal: int, files: Sequence[ImportedFi
         for file in files
     )
     if packs or any(file.pack is not None and file.pack.size_bytes != file.size_bytes for file in artefacts):
-        raise SandboxCrashedError(f"told of other packs of scene {ordinal} than were kept")
+        raise SandboxCrashedError(f"listed packs of scene {ordinal} other than the stored packs")
     return _SceneRows(told, artefacts)
 
 

@@ -120,7 +120,7 @@ def _checked(parts: SceneParts, number: int, sensors: dict[str, ExportedSensor])
     if not channel:
         return span
     if channel not in sensors:
-        raise scene_damaged(f"{span.name} is of {channel!r}, which the rig does not have")
+        raise scene_damaged(f"{span.name} belongs to {channel!r}, which is not in the rig")
     place = DatasetPlace(ANNOTATIONS) if row < 0 else DatasetPlace(f"{parts.about.version}/sample_data.json", row + 1)
     check_sample(span, sensors[channel], place, has_no_returns=parts.layout.has_no_returns)
     return span
@@ -261,8 +261,8 @@ def voxel_totals(counts: FrameVoxelCounts) -> Mapping[str, int]:
 
 
 NO_MASK = {
-    "mask_lidar": "which voxels a ray reached is unknown: free voxels may never have been observed",
-    "mask_camera": "which voxels a camera sees is unknown: scores within the cameras' view count all",
+    "mask_lidar": "it is unknown which voxels a ray reached, so free voxels may be unobserved",
+    "mask_camera": "it is unknown which voxels a camera sees, so scores within the cameras' view count all voxels",
 }
 
 

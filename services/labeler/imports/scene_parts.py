@@ -110,11 +110,11 @@ def _check(parts: SceneParts) -> None:
     counts = {len(spans.names), len(spans.held), len(spans.channels), len(spans.places), len(spans.rows)}
     wanted = (len(parts.sequence.frames), len(PLACE))
     if len(counts) > 1 or spans.places.shape[1:] != wanted[1:] or spans.labels.shape != wanted:
-        raise scene_damaged(f"{parts.folder.name} has not as many spans as files, or as labels as frames")
+        raise scene_damaged(f"{parts.folder.name} has fewer or more spans than files, or than labels and frames")
     for offset, size, packed, limit, *_ in np.concatenate([spans.places, spans.labels]).tolist():
         stop = offset + size if packed < 0 else limit
         if offset < 0 or size < 0 or not offset <= stop <= size_bytes:
-            raise scene_damaged(f"a span of {size} bytes from {offset} on leaves the {size_bytes} bytes of the archive")
+            raise scene_damaged(f"a span of {size} bytes from {offset} exceeds the {size_bytes} bytes of the archive")
 
 
 # What the sandboxed children of an import are given: the archive of a dataset, and what is to be made of it.
@@ -167,4 +167,6 @@ def extra_path(folder: Path, number: int) -> Path:
 
 
 def scene_damaged(what: str) -> Refused:
-    return Refused("scene_damaged", f"{what[:200]}: was the dataset, or what its index left, changed? import it again")
+    return Refused(
+        "scene_damaged", f"{what[:200]}: did the dataset or its index files change? Import the dataset again"
+    )

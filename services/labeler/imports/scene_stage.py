@@ -73,7 +73,7 @@ def _require_indexed(context: ImportStageContext, ordinal: int) -> None:
     """Raises `JobCancelledError`."""
     context.workspace.pull(f"{scene_folder(ordinal)}/")
     if not (context.workspace.folder / scene_folder(ordinal)).is_dir():
-        gone = "what its index left was removed"
+        gone = "its index files were deleted"
         begin_run_again(context.platform, context.attempt, gone)
         raise JobCancelledError(gone)
 
@@ -85,7 +85,7 @@ def _files(out: Path, told: PublicationAnswer) -> list[LeftFile]:
     missing = [name for name in (*NEEDED, *packs) if name not in found]
     unasked = [name for name in found if len(name) > LONGEST_NAME or (name.startswith(LABELS) and name not in packs)]
     if missing or unasked:
-        raise SandboxCrashedError(f"left a scene without {missing[:3]}, or with {unasked[:3]}")
+        raise SandboxCrashedError(f"wrote a scene without {missing[:3]}, or with {unasked[:3]}")
     return [pack_left(file.path, packs[name]) if name in packs else file for name, file in found.items()]
 
 

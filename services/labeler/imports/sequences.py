@@ -40,7 +40,8 @@ def sequence_of(scene: DatasetSequence, data: Poses, inputs: Mapping[str, str], 
     reach_m = float(np.abs(scene.map_from_ego.translation_m).max())
     if reach_m >= farthest_m(grid):
         what = (
-            f"scene {scene.name} reaches {reach_m:.0f} m from its origin, at most {farthest_m(grid):.0f} m are mapped"
+            f"scene {scene.name} extends {reach_m:.0f} m from its origin, but at most {farthest_m(grid):.0f} m can be "
+            "mapped"
         )
         raise DatasetFaultError("DST-049", DatasetPlace("ego_pose"), what)
     stamps_ns, first = np.unique(data[0], return_index=True)

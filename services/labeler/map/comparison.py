@@ -225,11 +225,11 @@ def outlier_findings(
         return []
     steep = max(comparison.steep, 1)
     sentence = (
-        f"of {counts.voxels} driven voxels some are far from the rest: {'; '.join(_far(counts, at) for at in spoilt)}. "
-        f"{comparison.steep_p / steep:.1%} of the ground too steep for the vehicle is potentially traversable, "
-        f"{comparison.steep_p_other / steep:.1%} without them. Was tall grass driven through, or are surfaces beside "
-        f"the ground included? Profile {DEFAULT_PROFILE} leaves such voxels out of the reference; "
-        f"{comparison.reestimated_ratio:.1%} of the map's voxels would change their class"
+        f"some of the {counts.voxels} driven voxels are outliers: {'; '.join(_far(counts, at) for at in spoilt)}. "
+        f"They make {comparison.steep_p / steep:.1%} of the ground too steep for the vehicle potentially traversable; "
+        f"without them it is {comparison.steep_p_other / steep:.1%}. Was tall grass driven through, or are surfaces "
+        f"beside the ground included? Profile {DEFAULT_PROFILE} excludes such voxels from the reference, which would "
+        f"change the class of {comparison.reestimated_ratio:.1%} of the map's voxels"
     )
     return [Finding("LAB-606", "warning", "", sentence)]
 
@@ -248,8 +248,8 @@ def limit_findings(comparison: ProfileComparison) -> list[Finding]:
     if comparison.driven < FEW_VOXELS or ratio <= BEYOND_RATIO:
         return []
     sentence = (
-        f"{ratio:.1%} of the driven voxels are steeper or rougher than the vehicle's limits allow: does the LiDAR sit "
-        "where the calibration says, are the poses true, was tall grass driven through, or are the limits too narrow?"
+        f"{ratio:.1%} of the driven voxels are steeper or rougher than the vehicle's limits allow. Is the LiDAR "
+        "mounted as calibrated, are the poses correct, was tall grass driven through, or are the limits too narrow?"
     )
     return [Finding("LAB-615", "warning", "", sentence)]
 
@@ -259,7 +259,7 @@ def _far(counts: OutlierCounts, at: int) -> str:
     sigma, of_all, farthest = (
         _told(float(values[at]), at) for values in (counts.sigma, counts.sigma_of_all, counts.farthest)
     )
-    return f"{counts.far[at]} in {NAMES[at]} (up to {farthest}), whose σ is {of_all} and {sigma} without them"
+    return f"{counts.far[at]} in {NAMES[at]} (up to {farthest}), with σ {of_all}, or {sigma} without the outliers"
 
 
 def _told(value: float, at: int) -> str:

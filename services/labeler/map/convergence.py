@@ -49,9 +49,9 @@ def convergence_findings(found: Convergence | None, parameters: SurfaceParameter
     if found is None or not found.unconverged:
         return ()
     sentence = (
-        f"the surface of {found.unconverged} of {found.tiles} tiles was left unsolved after {found.rounds} rounds, "
-        f"with a residual of up to {found.residual_ratio:.2g} cells, above {parameters.poisson.tolerance_ratio:g}: "
-        "slopes and heights there are not the points'; is the tolerance below what numbers hold, or does the map "
-        "hold points that are no surface?"
+        f"the surface of {found.unconverged} of {found.tiles} tiles did not converge in {found.rounds} rounds "
+        f"(residual up to {found.residual_ratio:.2g} cells, tolerance {parameters.poisson.tolerance_ratio:g}). Slopes "
+        "and heights there do not match the points; is the tolerance too small, or does the map contain points that "
+        "are not on a surface?"
     )
     return (Finding("LAB-609", "warning", "", sentence),)

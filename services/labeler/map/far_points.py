@@ -56,10 +56,9 @@ def far_point_findings(found: FarPoints) -> tuple[Finding, ...]:
     if not found.points:
         return ()
     sentence = (
-        f"{found.points} points in {found.sweeps} of {found.read} sweeps lie farther than {FARTHEST_POINT_M:g} m from "
-        "the LiDAR, beyond the range of any, and are excluded: does its driver write a number "
-        "where nothing came back, are "
-        "its points in millimetres, or is the recording damaged?"
+        f"{found.points} points in {found.sweeps} of {found.read} sweeps are farther than {FARTHEST_POINT_M:g} m from "
+        "the LiDAR, beyond any LiDAR's range, and are excluded. Does the driver write a number for missing returns, "
+        "are the points in millimetres, or is the recording damaged?"
     )
     return (Finding("LAB-608", "warning", "", sentence),)
 

@@ -110,8 +110,8 @@ def held_out_findings(record: dict[str, Any]) -> tuple[Finding, ...]:
     if recall is None or recall >= FAIR_RECALL or any(half["known_m"] < ENOUGH_KNOWN_M for half in halves):
         return ()
     sentence = (
-        f"labels made from one half of the way call {1 - recall:.0%} of the ground that the robot drove over in the "
-        f"other half non-traversable ({record['judged_m']:g} m of way were judged): ground like it elsewhere is called "
-        "so too"
+        f"labels made from one half of the track classify {1 - recall:.0%} of the ground driven over in the other "
+        f"half as non-traversable ({record['judged_m']:g} m of track were judged). Similar ground elsewhere is "
+        "probably misclassified too"
     )
     return (Finding("LAB-613" if recall < POOR_RECALL else "LAB-614", "warning", "", sentence),)

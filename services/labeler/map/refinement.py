@@ -164,16 +164,16 @@ def _findings(done: Refinement, options: RefinementParameters) -> tuple[Finding,
         "info",
         "",
         f"poses were refined by {options.method}: moved by {1000 * done.correction_median_m:.0f} mm (median; at most "
-        f"{1000 * done.correction_max_m:.0f} mm), and the same points fill {done.after.voxels} voxels of 0.1 m instead "
-        f"of {done.before.voxels}, {1000 * done.after.thickness_m:.1f} mm thick instead of "
+        f"{1000 * done.correction_max_m:.0f} mm). The same points fill {done.after.voxels} voxels of 0.1 m instead of "
+        f"{done.before.voxels}, with a thickness of {1000 * done.after.thickness_m:.1f} mm instead of "
         f"{1000 * done.before.thickness_m:.1f} mm",
     )
     if not sum(done.kept.values()):
         return (said,)
     reasons = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in done.kept.items() if count)
     limits = f"{options.max_correction_m:g} m and {np.rad2deg(options.max_correction_rad):.1f} degrees"
-    kept = f"{sum(done.kept.values())} of {done.frames} poses stayed as given ({reasons}; limits {limits}): "
+    kept = f"{sum(done.kept.values())} of {done.frames} poses were not refined ({reasons}; limits {limits}): "
     if not done.kept["beyond_limit"]:
-        return (said, Finding("LAB-612", "info", "", f"{kept}they lie where the pose source put them"))
-    advice = "poses that far apart are not noise; is the pose source the right one?"
+        return (said, Finding("LAB-612", "info", "", f"{kept}they keep their given poses"))
+    advice = "corrections this large are not noise; is the pose source the right one?"
     return (said, Finding("LAB-612", "warning", "", kept + advice))

@@ -58,8 +58,8 @@ def coverage_findings(found: TrackCoverage, band_m: float) -> tuple[Finding, ...
     if found.closed_ratio >= USUAL_RATIO:
         return ()
     sentence = (
-        f"{1 - found.closed_ratio:.1%} of the footprint's track holds no T ({found.bare} of {found.poses} poses "
-        f"have none at all): no surface lies within ±{band_m:g} m of the footprint there; do the poses drift in z, "
-        "is the footprint too high or too low, or did the LiDAR not observe the ground there?"
+        f"{1 - found.closed_ratio:.1%} of the footprint's track has no T ({found.bare} of {found.poses} poses have "
+        f"none): there is no surface within ±{band_m:g} m of the footprint. Do the poses drift in z, is the footprint "
+        "too high or too low, or did the LiDAR not observe the ground there?"
     )
     return (Finding("LAB-607", "warning", "", sentence),)

@@ -62,7 +62,7 @@ def judged_addresses(host: str, port: int, settings: NotificationSettings, resol
         addresses = []
     judged = [is_allowed(ip_address(address.partition("%")[0]), settings) for address in addresses]
     if not judged or not all(judged):
-        raise NotTakenError(f"{host} is not the name of a public host, as seen from here")
+        raise NotTakenError(f"{host} is not the name of a public host, as resolved by this platform")
     return addresses
 
 
@@ -227,7 +227,7 @@ def send_email(letter: Letter, address: str, settings: NotificationSettings) -> 
         raise NotTakenError(f"answered {code} {words}", is_final=code >= REFUSED_FOR_GOOD) from None
     except (OSError, smtplib.SMTPException) as error:
         raise NotTakenError(f"{type(error).__name__}: {error}") from None
-    return "taken by the mail server"
+    return "accepted by the mail server"
 
 
 def _server(settings: NotificationSettings) -> smtplib.SMTP:
@@ -247,7 +247,7 @@ def _server(settings: NotificationSettings) -> smtplib.SMTP:
 
 def _hint(letter: Letter) -> str:
     if letter.kind == EMAIL_VERIFICATION:
-        return "If you did not ask for this, ignore it: no further mail is sent."
+        return "If you did not enter this address, ignore this e-mail. You will receive no further e-mails."
     return f"You enabled this notification. To disable it: {letter.settings_url}"
 
 

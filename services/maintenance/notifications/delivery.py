@@ -52,7 +52,7 @@ def prepared(session: Session, row: NotificationDelivery, settings: Settings) ->
         return "not sent: preferences changed, account deactivated, or no longer in the team"
     message = message_of(session, event)
     if message is None:
-        return "what it tells of is gone"
+        return "not sent: the subject of the event was deleted"
     if row.channel == "webhook":
         return _by_webhook(session, row, _letter(row, event, message, settings), settings)
     return _by_email(session, row, event, message, settings)
@@ -63,7 +63,7 @@ def _by_webhook(
 ) -> PreparedDelivery | str:
     webhook = session.get(Webhook, row.user_id)
     if webhook is None or webhook.disabled_ns is not None:
-        return "there is no webhook, or it is switched off"
+        return "not sent: there is no webhook, or it is disabled"
     target = WebhookTarget(webhook.url, webhook.secret)
     return PreparedDelivery(lambda: send_webhook(target, letter, settings.notifications), webhook.url)
 
@@ -73,10 +73,10 @@ def _by_email(
 ) -> PreparedDelivery | str:
     email, is_verification = session.get(EmailAddress, row.user_id), event.kind == EMAIL_VERIFICATION
     if email is None or (email.verified_ns is None and not is_verification):
-        return "there is no verified e-mail address"
+        return "not sent: there is no verified e-mail address"
     if is_verification:
         if email.verified_ns is not None:
-            return "the address is verified already"
+            return "not sent: the address is already verified"
         path = f"/account?email_secret={new_secret(session, email)}#notifications"
         message = EventWords(message.text, path)
     address, letter = email.address, _letter(row, event, message, settings)
@@ -163,7 +163,7 @@ def _missed(platform: Platform, attempt: Attempt, ready: PreparedDelivery, error
     if state == "dead":
         raise Refused(
             "delivery_failed",
-            f"the {channel} did not accept it in {tries} attempts; the last: {error!s}; retry the job to try again",
+            f"the {channel} did not accept it in {tries} attempts; last answer: {error!s}; retry the job to try again",
         )
     return Outcome({"state": state, "answer": str(error)})
 

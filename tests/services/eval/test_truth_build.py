@@ -256,8 +256,8 @@ ATTACKS: dict[str, tuple[Callable[..., object], str]] = {
     "a crash": (lambda *_: os.abort(), "was ended by SIGABRT"),
     "all memory": (lambda *_: bytearray(2 * job_sandbox.MEMORY_BYTES), "needed more than"),
     "a connection": (lambda *_: socket.create_connection(("127.0.0.1", 9)), "raised PermissionError"),
-    "an answer of its own": (lambda *_: b'{"sha256":"","frames":1}', "answered something else than what was built"),
-    "no file": (lambda *_: TruthAnswer(sha256="0" * 64, frames=4).packed(), "built something else"),
+    "an answer of its own": (lambda *_: b'{"sha256":"","frames":1}', "something else than the summary of the"),
+    "no file": (lambda *_: TruthAnswer(sha256="0" * 64, frames=4).packed(), "built something other than requested"),
 }
 
 

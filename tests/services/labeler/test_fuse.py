@@ -246,7 +246,7 @@ def test_tasks_that_wait_for_each_other_are_done_in_order_of_their_needs() -> No
 
 def test_a_task_that_waits_for_nobody_is_refused() -> None:
     tasks = [Task(("orphan",), add, (1, 1), frozenset({("nobody",)}))]
-    with Workers(1) as workers, pytest.raises(ValueError, match=r"1 tasks wait for what nobody does.*orphan"):
+    with Workers(1) as workers, pytest.raises(ValueError, match=r"1 tasks wait for results .*orphan"):
         list(workers.run(tasks))
 
 

@@ -93,7 +93,7 @@ def test_points_that_no_lidar_sees_change_no_label_and_are_counted(tmp_path: Pat
     assert reports[1].far.points == 0
     found = next(finding for finding in reports[0].findings if finding.code == "LAB-608")
     assert found.severity == "warning"
-    assert found.message.startswith(f"512 points in 1 of 8 sweeps lie farther than {FARTHEST_POINT_M:g} m")
+    assert found.message.startswith(f"512 points in 1 of 8 sweeps are farther than {FARTHEST_POINT_M:g} m")
     packs = [sorted((folder / "scratch" / "packs").glob("*.pack")) for folder in folders]
     assert packs[0]
     assert [path.read_bytes() for path in packs[0]] == [path.read_bytes() for path in packs[1]]

@@ -148,6 +148,6 @@ def test_the_program_says_what_is_lost_puts_it_back_and_is_content(
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert {line["fault"] for line in lines} == {"missing", "size"}
     assert store_check.main(["--bytes", "--from", str(brought)]) == 0
-    assert "3 were put back" in capsys.readouterr().err
+    assert "3 objects were restored" in capsys.readouterr().err
     assert store_check.main(["--bytes"]) == 0
     assert hashlib.sha256(CONTENTS["gone"]).hexdigest() not in capsys.readouterr().out

@@ -124,8 +124,8 @@ def _blank(places_m: NDArray[np.float64], corners_m: NDArray[np.float64]) -> Mas
     if (high - low > MOST_SIDE_M).any():
         raise Refused(
             "map_too_large",
-            f"the map spans {float(high[0] - low[0]):.0f} × {float(high[1] - low[1]):.0f} m, the limit is "
-            f"{MOST_SIDE_M:.0f} m a side; did a pose of the recording jump?",
+            f"the map spans {float(high[0] - low[0]):.0f} × {float(high[1] - low[1]):.0f} m, but the limit is "
+            f"{MOST_SIDE_M:.0f} m per side; did a pose of the recording jump?",
         )
     size = np.round((high - low) / VOXEL_M).astype(np.int64)
     return Mask((int(low[0]), int(low[1])), np.zeros((int(size[0]), int(size[1])), np.bool_))

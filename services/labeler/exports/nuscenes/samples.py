@@ -37,7 +37,7 @@ class SampleGoneError(Refused):
 
     def __init__(self, index: int, channel: str) -> None:
         super().__init__(
-            "sample_gone", f"frame {index} takes a message of {channel} that is not in the recording or cannot be read"
+            "sample_gone", f"frame {index} uses a message of {channel} that is not in the recording or cannot be read"
         )
 
 
@@ -229,9 +229,12 @@ def _header(count: int) -> bytes:
 
 
 CLASSES = (
-    ("free", "a voxel without surface; mask_lidar says whether it was observed"),
+    ("free", "a voxel without surface; mask_lidar tells whether it was observed"),
     ("traversable", "the robot's footprint swept this surface"),
-    ("potentially_traversable", "surface that is like the traversable one within the confidence of the reference"),
+    (
+        "potentially_traversable",
+        "surface that resembles the traversable surface within the confidence of the reference",
+    ),
     ("non_traversable", "all other surface"),
 )
 VISIBILITIES = ("v0-40", "v40-60", "v60-80", "v80-100")

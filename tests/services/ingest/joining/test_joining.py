@@ -244,10 +244,10 @@ def test_a_topic_of_two_types_is_refused(short: Path, tmp_path: Path) -> None:
     ("change", "why"),
     [
         (lambda paths: JoinRequest(paths[:1]), "1 recordings"),
-        (lambda paths: JoinRequest((paths[0], paths[0])), "one name"),
-        (lambda paths: JoinRequest(paths, given_ns={"other.bag": 1}), "none of"),
-        (lambda paths: JoinRequest(paths, given_ns={"nav.mcap": 1}), "has the LiDAR"),
-        (lambda paths: JoinRequest((*paths, paths[0].parent / "joined")), "joined of others"),
+        (lambda paths: JoinRequest((paths[0], paths[0])), "the same name"),
+        (lambda paths: JoinRequest(paths, given_ns={"other.bag": 1}), "not one of"),
+        (lambda paths: JoinRequest(paths, given_ns={"nav.mcap": 1}), "contains the LiDAR"),
+        (lambda paths: JoinRequest((*paths, paths[0].parent / "joined")), "already a joined recording"),
     ],
 )
 def test_what_cannot_be_a_run_is_refused(

@@ -172,7 +172,7 @@ def test_samples_can_be_given_to_another_process(pair: Pair) -> None:
 def test_a_file_that_the_tables_name_and_the_packs_lack_is_refused(pair: Pair, tmp_path: Path) -> None:
     source = altered(pair.dataset.published, tmp_path, (b"__LIDAR_TOP__", b"__LIDAR_GONE__"), "sample_data.json")
     samples = DatasetSamples(source, pair.imported.sequence)
-    with pytest.raises(DamagedExportError, match="which is not there"):
+    with pytest.raises(DamagedExportError, match="which does not exist"):
         samples.lidar(0)
 
 
