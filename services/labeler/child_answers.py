@@ -1,7 +1,7 @@
-"""What sandboxed children of a labelling run may answer.
+"""Permitted answers of the sandboxed children of a labelling run.
 
-**Conventions.** A child may be in the hands of whoever recorded the bag: names lead nowhere else, numbers are whole and
-bounded, kinds are known, and nothing further is taken (`services/runtime/sandbox/answers.py`).
+**Conventions.** The author of the bag may control a child: names stay within the folder, numbers are whole and bounded,
+kinds are known, and other content is rejected (`services/runtime/sandbox/answers.py`).
 """
 
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -22,7 +22,7 @@ LONGEST_WORD = 200
 Count = Annotated[int, Field(ge=0, lt=2**63)]
 Stamp = Annotated[int, Field(ge=-(2**63), lt=2**63)]
 Place = Annotated[int, Field(ge=-(2**31), lt=2**31)]
-SEGMENT = r"[A-Za-z0-9_\-][A-Za-z0-9_.\-]*"  # no dot first: nothing hidden, and nothing above
+SEGMENT = r"[A-Za-z0-9_\-][A-Za-z0-9_.\-]*"  # no leading dot: no hidden files, no parent folders
 Name = Annotated[str, StringConstraints(pattern=rf"\A{SEGMENT}(/{SEGMENT})*/?\z", max_length=300)]
 Token = Annotated[str, StringConstraints(pattern=r"\A[0-9a-f]{32}\z")]
 Fact = Count | float | bool | Annotated[str, StringConstraints(max_length=200)]
@@ -51,7 +51,7 @@ class JobAnswer(SandboxAnswer):
 
 
 class GraphAnswer(SandboxAnswer):
-    """All the jobs of a run; each waits for earlier ones only."""
+    """All the jobs of a run; each needs only earlier jobs."""
 
     asked: ClassVar[str] = "the jobs of a run"
     jobs: Annotated[list[JobAnswer], Field(max_length=MOST_JOBS)]
@@ -92,7 +92,7 @@ class WorkAnswer(SandboxAnswer):
 
 
 class TrackAnswer(SandboxAnswer):
-    """The time and place that a sequence was driven at, as `stone.splits.drives.DrivenTrack`."""
+    """The time and place of a sequence's drive, as `stone.splits.drives.DrivenTrack`."""
 
     asked: ClassVar[str] = "a track"
     log: Annotated[str, StringConstraints(max_length=LONGEST_WORD)]
@@ -144,8 +144,10 @@ class PackAnswer(SandboxAnswer):
 
 
 class PublicationAnswer(SandboxAnswer):
-    """What rows say of a run that is done: its frames in order, its packs, its totals; the record of the grid of
-    imported labels, None if it is the paper's."""
+    """The rows of a finished run: its frames in order, its packs and totals.
+
+    `grid` is the record of the grid of imported labels, None for the paper's grid.
+    """
 
     asked: ClassVar[str] = "the rows to publish"
     tokens: Annotated[list[Token], Field(max_length=MOST_FRAMES)]
@@ -176,5 +178,5 @@ class PublicationAnswer(SandboxAnswer):
         return self
 
     def frame(self, ordinal: int) -> dict[str, Any]:
-        """The columns that say which frame it is."""
+        """Return the columns that identify a frame."""
         return {"ordinal": ordinal, "token": self.tokens[ordinal], "stamp_ns": self.stamps_ns[ordinal]}

@@ -1,6 +1,6 @@
-"""The ground under the robot by a few sweeps, before a recording is synchronised.
+"""The ground under the robot from a few sweeps, before a recording is synchronised.
 
-A mount that cannot be right so stops a run at once, not after minutes.
+This check stops a run with an impossible mount at once instead of after minutes.
 """
 
 from contextlib import suppress
@@ -15,7 +15,7 @@ from stone_recordings.topics.sources import AskedTopics, choose_sources
 
 
 def require_early_ground(bag: Path, calibration: Path, asked: AskedTopics, parameters: LabelParameters) -> None:
-    """Raises `footprint_off_ground` for a ground that is far off; all else is for synchronisation to refuse."""
+    """Raise `footprint_off_ground` if the ground is far off; synchronisation refuses all other faults."""
     refusal: Refused | None = None
     with suppress(StoneError), open_bag(bag) as opened:
         opened.believe()

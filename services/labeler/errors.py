@@ -1,4 +1,4 @@
-"""Why a sequence cannot be labelled."""
+"""Errors of sequences that cannot be labelled."""
 
 from stone.errors import Refused
 from stone.sensors.sequence import Sequence

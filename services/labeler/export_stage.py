@@ -1,8 +1,8 @@
-"""The stage that exports: a labelled sequence of the platform → files in one format → packs in the store.
+"""The export stage: a labelled sequence of the platform → files in one format → packs in the store.
 
-**Conventions.** An attempt works in a folder of its own, and removes that of an earlier one which was killed; the files
-go from the folder into packs one by one, so the export lies on the disk once. Bytes are stored before any row; rows and
-the job's success are one transaction, in which an export that was deleted meanwhile gets none.
+**Conventions.** An attempt works in its own folder and deletes the folder of an earlier, killed attempt. Files move one
+by one into packs, so the export is on the disk only once. Bytes are stored before any row. Rows and the job's success
+are one transaction; an export deleted meanwhile gets no rows.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
@@ -62,9 +62,9 @@ INPUTS = "inputs"
 
 
 def export(platform: Platform, attempt: Attempt) -> Outcome:
-    """Write the export that the job is for.
+    """Write the job's export.
 
-    Raises `JobCancelledError` when it or its sequence was deleted, and what the exporter raises.
+    Raises `JobCancelledError` if the export or its sequence was deleted, and what the exporter raises.
     """
     with platform.database.transaction() as session:
         require_sequence(session, attempt)
@@ -79,9 +79,9 @@ def export(platform: Platform, attempt: Attempt) -> Outcome:
 
 
 def located_inputs(platform: Platform, label_set_id: str, folder: Path, exporter: Exporter) -> ExportInputs:
-    """What an export of the label set is made of, but what was measured, on this machine.
+    """Return the inputs of the label set's export on this machine, without sensor data.
 
-    `folder` gets links with the files' own names. All files are compared with their published hashes; otherwise decayed
+    `folder` gets links with the files' own names. All files are compared with their published hashes; otherwise damaged
     data would be exported under a new hash. Raises `ObjectMissingError`, `ObjectDamagedError`.
     """
     with platform.database.reading() as session:
@@ -100,14 +100,14 @@ def located_inputs(platform: Platform, label_set_id: str, folder: Path, exporter
 
 @dataclass(frozen=True)
 class ExportSandbox:
-    """Where the children of an attempt work, and what they may read."""
+    """The working folder of an attempt's children, and their permitted inputs."""
 
     platform: Platform
     attempt: Attempt
     folder: Path
 
     def run(self, work: SandboxedWork, inputs: ExportInputs) -> bytes:
-        """Raises as `JobSandbox.run`."""
+        """Run the work in a child. Raises as `JobSandbox.run`."""
         bag = inputs.recording
         files = (path.resolve() for path in inputs.folder.iterdir())
         measured = (*(bag_paths(bag) if bag else ()), *(inputs.source.paths if inputs.source else ()))
@@ -117,13 +117,13 @@ class ExportSandbox:
             return sandbox.run(work, "export", 1)
 
     def fetched(self, read_bytes: int) -> None:
-        """Log the bytes that were read of an object in place."""
+        """Log the number of bytes read from an object in place."""
         self.attempt.log("fetched", read_bytes=read_bytes)
 
 
 @dataclass(frozen=True)
 class ExportedLabels:
-    """The label set that is exported, and its sequence."""
+    """The exported label set and its sequence."""
 
     label_set_id: str
     sequence_id: str
@@ -131,10 +131,10 @@ class ExportedLabels:
 
 @contextmanager
 def with_samples(sandbox: ExportSandbox, inputs: ExportInputs, of: ExportedLabels) -> Iterator[ExportInputs]:
-    """The inputs and what was measured: the source of labels that were imported, else the bag that they were made of;
-    of several, joined as `joined.json` beside it says.
+    """Yield the inputs with sensor data: the source of imported labels, or the labelled bag.
 
-    Raises `recording_deleted`, `JoinedFileError`; if the source is in place what `opened_dataset` raises.
+    Several bags are joined as described in `joined.json`. Raises `recording_deleted`, `JoinedFileError`, and for a
+    source in place what `opened_dataset` raises.
     """
     platform = sandbox.platform
     with platform.database.reading() as session:
@@ -154,7 +154,7 @@ def with_samples(sandbox: ExportSandbox, inputs: ExportInputs, of: ExportedLabel
 
 
 def _recording(sandbox: ExportSandbox, inputs: ExportInputs, of: ExportedLabels) -> Path:
-    """Raises `recording_deleted`, `JoinedFileError`."""
+    """Return the path of the recording. Raises `recording_deleted`, `JoinedFileError`."""
     if (inputs.folder / JOINED).exists():
         return located_members(sandbox.platform, of.sequence_id, inputs.folder)
     made_of = SourceAnswer.believed(sandbox.run(partial(source_of, inputs), inputs))
@@ -162,7 +162,7 @@ def _recording(sandbox: ExportSandbox, inputs: ExportInputs, of: ExportedLabels)
 
 
 def _ranges(session: Session, label_set_id: str) -> tuple[LabelRange, ...]:
-    """Of all frames, in their order."""
+    """Return the label ranges of all frames, in order."""
     frames = (
         select(LabelledFrameRow, Blob.object_key)
         .join(Artefact, Artefact.id == LabelledFrameRow.pack_id)
@@ -177,20 +177,20 @@ def _ranges(session: Session, label_set_id: str) -> tuple[LabelRange, ...]:
 
 
 def attempt_folder(platform: Platform, attempt: Attempt) -> AbstractContextManager[Path]:
-    """A fresh folder of this attempt, as `fresh_folder`."""
+    """Return a fresh folder of this attempt, as `fresh_folder`."""
     work = Workspace(platform.store, platform.settings, attempt.root_id).folder
     return fresh_folder(work, f"export-{attempt.job_id}")
 
 
 def pack_files(attempt: Attempt, folder: Path) -> PackedFiles:
-    """Move what lies in `files` of the attempt's folder into packs, and write their index."""
+    """Move the content of `files` in the attempt's folder into packs, and write their index."""
     files = pack_folder(folder / FILES, folder / "packs", partial(attempt.progress, "pack"))
     (folder / INDEX).write_bytes(index_bytes(files))
     return files
 
 
 def stored_packs(platform: Platform, attempt: Attempt, folder: Path, files: PackedFiles) -> list[PreparedBlob]:
-    """The index and the packs, in the store."""
+    """Store the index and the packs."""
     paths = [folder / INDEX, *(pack_path(folder / "packs", number) for number in range(pack_count(files)))]
     prepared = list[PreparedBlob]()
     attempt.progress("store", 0, len(paths))
@@ -201,7 +201,7 @@ def stored_packs(platform: Platform, attempt: Attempt, folder: Path, files: Pack
 
 
 def _packed(platform: Platform, attempt: Attempt, row: Export, folder: Path) -> PackedFiles:
-    """Have the files written, then move them into packs."""
+    """Write the files in a child, then move them into packs."""
     exporter, sandbox = exporter_of(row.format), ExportSandbox(platform, attempt, folder)
     inputs = located_inputs(platform, row.label_set_id, folder / INPUTS, exporter)
     labels = ExportedLabels(row.label_set_id, row.sequence_id)
@@ -212,7 +212,7 @@ def _packed(platform: Platform, attempt: Attempt, row: Export, folder: Path) -> 
 
 
 def _made(platform: Platform, attempt: Attempt, folder: Path, files: PackedFiles) -> ExportResult:
-    """Hash what the archives will be, and store packs and index."""
+    """Hash the future archives, and store packs and index."""
     read = local_reader(folder / "packs")
     tar = archive_sha256(files, "tar", read, partial(attempt.progress, "tar"))
     zipped = archive_sha256(files, "zip", read, partial(attempt.progress, "zip"))
@@ -220,15 +220,12 @@ def _made(platform: Platform, attempt: Attempt, folder: Path, files: PackedFiles
     return ExportResult(files, index, packs, tar, zipped)
 
 
-# The recordings that labels are made of, located for exports.
-
-
 def recording_deleted(recording: str) -> Refused:
     return Refused("recording_deleted", f"recording {recording} was deleted, so its data cannot be exported any more")
 
 
 def located_recording(platform: Platform, sequence_id: str, sha256s: Collection[str]) -> Path:
-    """The bag of the sequence with one of these hashes, on this machine; it may have been deleted and sent again.
+    """Return the sequence's bag with one of these hashes on this machine; it may have been deleted and uploaded again.
 
     Raises `recording_deleted`.
     """
@@ -240,7 +237,7 @@ def located_recording(platform: Platform, sequence_id: str, sha256s: Collection[
 
 
 def located_members(platform: Platform, sequence_id: str, described: Path) -> Path:
-    """The recordings that the `joined.json` in the folder `described` names, joined on this machine as it says.
+    """Return the joined recordings that `joined.json` in the folder `described` lists.
 
     Raises `recording_deleted`, `JoinedFileError` (BAG-040).
     """
@@ -264,19 +261,16 @@ def _names(members: Iterable[JoinedMember]) -> str:
     return ", ".join(member.name for member in members)
 
 
-# The stage that makes an input of a phase or of a dataset version: a synchronised sequence and what was measured →
-# files → packs in the store.
-#
-# **Conventions.** As `services/labeler/export_stage.py`, but that labels, mesh and report are not even located: what
-# is not opened cannot get into what participants are given. Log lines and results say no more than names, files and
-# bytes.
+# The stage that makes an input of a phase or dataset version: a synchronised sequence and its sensor data → files →
+# packs in the store. Unlike an export, it does not even locate labels, mesh and report, so they cannot reach
+# participants. Log lines and results contain only names, file counts and bytes.
 
 
 def make_input(platform: Platform, attempt: Attempt) -> Outcome:
-    """Write the input that the job is for.
+    """Write the job's input.
 
-    Raises `JobCancelledError` when its phase or version was deleted, `inputs_impossible`, `recording_deleted`,
-    and what the exporter raises.
+    Raises `JobCancelledError` if its phase or version was deleted, `inputs_impossible`, `recording_deleted`, and what
+    the exporter raises.
     """
     is_of_version = "dataset_id" in attempt.arguments
     with platform.database.transaction() as session:
@@ -298,8 +292,10 @@ def make_input(platform: Platform, attempt: Attempt) -> Outcome:
 def _made_input(
     platform: Platform, attempt: Attempt, of: tuple[Mapping[str, str | None], UnorderedFrames | None], folder: Path
 ) -> InputResult:
-    """Store the input files of the sequence and return them; `of` holds the store keys of its sources by name, and the
-    frames selected."""
+    """Store the input files of the sequence and return them.
+
+    `of` has the store keys of the sources by name, and the selected frames.
+    """
     keys, unordered = of
     name = str(attempt.arguments["name"])
     (folder / INPUTS).mkdir()

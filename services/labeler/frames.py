@@ -1,4 +1,4 @@
-"""Stage 3, per part: cut the label grid of every frame out of the labelled map, as the bytes of `labels.npz`."""
+"""Stage 3, per part: crop the label grid of every frame from the labelled map, as the bytes of `labels.npz`."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -34,16 +34,17 @@ from stone_files.npz import npz_bytes
 MAX_WINDOW_BYTES = 192 * 2**20
 GRIDS = ("semantics", "mask_lidar", "mask_camera")
 LATE = "late"
-# Further arrays: D² as float16, to half a part in a thousand, its greatest value for all beyond; and the values that
-# stand for no surface.
+# Further arrays: D² as float16 (relative error up to 0.0005, saturating at its maximum), and the values for no surface.
 MOST_SQUARED = float(np.finfo(np.float16).max)
 NO_SURFACE, UNSURE = -1.0, 0
 
 
 @dataclass(frozen=True, eq=False)
 class FrameVoxelCounts:
-    """Per frame of a part, in order: voxels by class (n, 4), observed by LiDAR and by cameras (n, 2), and labelled
-    voxels that close a gap (n,)."""
+    """Counts per frame of a part, in order.
+
+    Voxels by class (n, 4), observed by LiDAR and by cameras (n, 2), and labelled voxels that close a gap (n,).
+    """
 
     classes: NDArray[np.int64]
     observed: NDArray[np.int64]
@@ -52,7 +53,7 @@ class FrameVoxelCounts:
 
 @dataclass(frozen=True, eq=False)
 class LabelledFrame:
-    """One frame done: its token, the bytes of its `labels.npz`, its counts as in `FrameVoxelCounts`."""
+    """A finished frame: its token, the bytes of its `labels.npz`, its counts as in `FrameVoxelCounts`."""
 
     token: str
     payload: bytes
@@ -62,7 +63,7 @@ class LabelledFrame:
 
 
 def labelled_frames(run: LabelRun, part: Part, reference: Reference) -> Iterator[LabelledFrame]:
-    """The frames of `part` in order, one at a time."""
+    """Yield the frames of `part` in order, one at a time."""
     sight = _sight_of(run)
     for near in _near_together(run, part):
         labelled_map = _map_around(run, near, reference)
@@ -71,7 +72,7 @@ def labelled_frames(run: LabelRun, part: Part, reference: Reference) -> Iterator
 
 
 def _sight_of(run: LabelRun) -> SightBatch:
-    """Return what the cameras of the run can see."""
+    """Return the fields of view of the run's cameras."""
     calibration = run.sequence.calibration
     cameras = tuple(
         (mount.intrinsics, (calibration.ego_from_lidar @ mount.lidar_from_sensor).wxyz_xyz.tobytes())
@@ -83,13 +84,13 @@ def _sight_of(run: LabelRun) -> SightBatch:
 
 @lru_cache(maxsize=1)
 def _sight_in(cameras: tuple[tuple[CameraIntrinsics, bytes], ...], grid: LabelGrid, _thread: int) -> SightBatch:
-    """Kept for the next part of the run: 30 ms a camera, and 90 MB to be filled. Each thread has its own."""
+    """Return the cached fields of view: 30 ms per camera, 90 MB of work memory. Each thread has its own."""
     lines = (sight_lines(intrinsics, SE3(np.frombuffer(pose)), grid) for intrinsics, pose in cameras)
     return SightBatch(list(lines), grid)
 
 
 def counts_of(frames: Sequence[LabelledFrame]) -> FrameVoxelCounts:
-    """The counts of these frames; there is at least one."""
+    """Return the counts of these frames; there is at least one."""
     filled = np.array([f.filled for f in frames])
     return FrameVoxelCounts(np.array([f.classes for f in frames]), np.array([f.observed for f in frames]), filled)
 
@@ -100,7 +101,7 @@ def _labelled(run: LabelRun, batch: Part, labelled_map: "_LabelledMap", sight: S
     later = np.arange(*batch) + run.every(run.parameters.carve.every_frame)
     height, cuts = shape[2], labelled_map.cut(poses[slice(*batch)], later.tolist())
     names = (*GRIDS, LATE)
-    grids = np.empty((len(names), *shape), np.uint8)  # the same memory for every frame: fresh pages cost more
+    grids = np.empty((len(names), *shape), np.uint8)  # reused for every frame: fresh pages cost more
     seen = sight.visible(np.stack([frame.columns.occupied for frame in cuts]))
     for token, frame, visible in zip(run.sequence.frames.tokens[slice(*batch)], cuts, seen, strict=True):
         columns = frame.columns
@@ -116,14 +117,14 @@ def _labelled(run: LabelRun, batch: Part, labelled_map: "_LabelledMap", sight: S
 
 
 def _batches(part: Part) -> list[Part]:
-    """The part in as few batches as there can be, of as equal a size."""
+    """Divide the part into as few batches as possible, of nearly equal size."""
     count = -(-(part[1] - part[0]) // LANES)
     ends = np.linspace(part[0], part[1], count + 1).round().astype(int).tolist()
     return list(pairwise(ends))
 
 
 def _near_together(run: LabelRun, part: Part) -> list[Part]:
-    """The part cut where its frames lie so far apart that one dense window would not fit the memory."""
+    """Split the part where its frames are so far apart that one dense window would exceed the memory."""
     if part[1] - part[0] == 1 or window_bytes(_bounds(run, part)) <= MAX_WINDOW_BYTES:
         return [part]
     middle = (part[0] + part[1]) // 2
@@ -145,9 +146,11 @@ class _CutFrame:
 
 @dataclass(frozen=True, eq=False)
 class _LabelledMap:
-    """The labelled map around some frames, which are cut at `grid`. If confidence is asked for, `table` finds the rows
-    of its voxels (K,), and `further` has the further arrays of their files, (K + 1,) each, by name; the last value
-    stands for no surface."""
+    """The labelled map around some frames, which are cropped at `grid`.
+
+    If confidence is requested, `table` maps voxels to rows (K,), and `further` has the further arrays (K + 1,) by name;
+    the last value stands for no surface.
+    """
 
     grid: LabelGrid
     window: Window
@@ -156,7 +159,7 @@ class _LabelledMap:
     further: Mapping[str, NDArray[Any]]
 
     def cut(self, map_from_ego: SE3, later: Sequence[int]) -> list[_CutFrame]:
-        """Return the frames at these poses (F,); `later` holds the first frame that counts as later, for each frame."""
+        """Return the frames at these poses (F,); `later` has, for each frame, the first frame that counts as later."""
         if self.table is None:
             fine = cut_batch(self.window, map_from_ego, self.grid.on_map)
             return [self._cut_frame(fine[at], map_from_ego[at], frame, {}) for at, frame in enumerate(later)]
@@ -177,9 +180,12 @@ class _LabelledMap:
 
 @dataclass(frozen=True, eq=False)
 class LabelledTile:
-    """A tile as the surface stage left it: of its K voxels the terrain, `is_driven`, the D² `squared` against the
-    reference and the vehicle, the `classes`, and their `confidence`, None in a profile that has none; `arrays` are all
-    that was left."""
+    """A tile from the surface stage with K voxels; `arrays` are all arrays of that stage.
+
+    - `terrain`, `is_driven` of its voxels
+    - `squared`: D² against the reference and the vehicle
+    - `classes`, and `confidence` (None if the profile has none)
+    """
 
     terrain: VoxelTerrain
     is_driven: NDArray[np.bool_]
@@ -190,12 +196,12 @@ class LabelledTile:
 
     @property
     def mesh(self) -> Arrays:
-        """Its `vertices` (V, 3), their `vertex_features` (V, 3) and `triangles`, unpacked each time."""
+        """Return its `vertices` (V, 3), their `vertex_features` (V, 3) and `triangles`, unpacked on each call."""
         return unpacked(self.arrays["mesh"])
 
 
 def labelled_tile(run: LabelRun, tile: Tile, reference: Reference, with_confidence: bool = False) -> LabelledTile:
-    """Return the tile with the class of each of its voxels, and with their confidence if asked for."""
+    """Return the tile with the class of each voxel, and with its confidence if requested."""
     arrays = load(surface_path(run, tile))
     terrain, is_driven = VoxelTerrain(arrays["keys"], arrays["terrain"]), arrays["is_driven"]  # type: ignore[arg-type]
     squared = squared_distances(run, terrain, reference, run.parameters)
@@ -209,7 +215,7 @@ def labelled_tile(run: LabelRun, tile: Tile, reference: Reference, with_confiden
 def squared_distances(
     run: LabelRun, terrain: VoxelTerrain, reference: Reference, parameters: LabelParameters
 ) -> NDArray[np.float64]:
-    """Return the D² (K,) of voxels against a reference and the run's vehicle, as the parameters' profile judges."""
+    """Return the D² (K,) of voxels against a reference and the run's vehicle, by the parameters' profile."""
     return distances(terrain, reference, parameters.rule, _limits(run, parameters))
 
 
@@ -218,7 +224,7 @@ def _limits(run: LabelRun, parameters: LabelParameters) -> tuple[Vehicle, float]
 
 
 def _map_around(run: LabelRun, part: Part, reference: Reference) -> _LabelledMap:
-    """The labelled map around the frames of a part, all of one map."""
+    """Return the labelled map around the frames of a part, all of one map."""
     bounds, is_asked = _bounds(run, part), run.parameters.confidence
     keys, classes, squared = [np.zeros(0, np.int64)], [np.zeros(0, np.uint8)], [np.zeros(0)]
     confidence = [np.zeros(0, np.uint8)]

@@ -1,9 +1,9 @@
 """Compiled kernels for labelling, loaded once in the process that forks children.
 
-**Conventions.** A child can keep nothing that it compiles, so a small run is labelled here by the stages themselves, in
-the default profile and the paper's, and drawn: no kernel of theirs is forgotten, and none is called with other types
-than theirs. Importing this calls one small kernel, after which numba's tables of types and functions are there (0.7 s):
-enough for workers that keep what they compile. No kernel has threads, so a fork takes all of it along.
+**Conventions.** A child cannot keep what it compiles. The stages therefore label a small run here, in the default and
+the paper's profile, and draw it: this covers every kernel with the types of its use. Importing this module calls one
+small kernel, after which numba's tables of types and functions are loaded (0.7 s). This is sufficient for workers that
+keep what they compile. No kernel has threads, so a fork copies all of them.
 """
 
 from collections.abc import Collection
@@ -35,7 +35,7 @@ OPTICAL = np.array([0.5, -0.5, 0.5, -0.5, 0.0, 0.0, 0.0])  # z forward, x right,
 
 @dataclass(frozen=True)
 class WarmupSweeps:
-    """Sweeps of gently waving ground with a wall in it, which something crosses."""
+    """Sweeps of gently waving ground with a wall, which an object crosses."""
 
     def sweep(self, index: int) -> Sweep:
         side = np.arange(-EXTENT_M, EXTENT_M, SPACING_M)
@@ -49,7 +49,7 @@ class WarmupSweeps:
 
 
 def warmup_sequence() -> Sequence:
-    """A run of `FRAMES` frames straight on, with one camera."""
+    """Return a straight run of `FRAMES` frames with one camera."""
     stamps_ns = np.arange(FRAMES, dtype=np.int64) * PERIOD_NS
     poses = np.tile([1.0, 0, 0, 0, 0, 0, 0], (FRAMES, 1))
     poses[:, 4] = np.arange(FRAMES) * STEP_M
@@ -62,8 +62,10 @@ def warmup_sequence() -> Sequence:
 
 @cache
 def warm() -> None:
-    """Label the small run by the default profile with confidence, and by the paper's, and draw it, and at a grid of
-    larger voxels: once a process."""
+    """Label and draw the small run once per process.
+
+    It is labelled in the default profile with confidence, in the paper's profile, and at a grid of larger voxels.
+    """
     from services.labeler.pipeline import MAP, PICTURES
 
     confident = replace(parameters_for(DEFAULT_PROFILE), confidence=True)

@@ -1,4 +1,4 @@
-"""Rows of a label set: its own, those of its artefacts, and those that say where the labels of each frame lie.
+"""Rows of a label set: its own, those of its artefacts, and those that locate the labels of each frame.
 
 **Conventions.** Part of the caller's transaction. Blobs are linked, or held by another row, before.
 """
@@ -26,13 +26,15 @@ MEDIA_TYPES = {
     ".mp4": "video/mp4",
 }
 OTHER_TYPE = "application/octet-stream"
-LABELS = "labels/"  # how the names of packs of labels begin
+LABELS = "labels/"  # prefix of the names of label packs
 
 
 @dataclass(frozen=True)
 class NewLabelSet:
-    """A label set to be: whose it is, which run made it, from what, which kind of code, and its grid's record if it is
-    not the paper's."""
+    """A label set to write: its sequence, run, recipe, kind of code, and grid record.
+
+    The grid record is None for the paper's grid.
+    """
 
     sequence_id: str
     job_id: str
@@ -44,7 +46,7 @@ class NewLabelSet:
 
 @dataclass(frozen=True)
 class NewArtefact:
-    """A stored file of a label set. `pack` says of a pack where its frames lie."""
+    """A stored file of a label set. For a pack, `pack` locates its frames."""
 
     name: str
     media_type: str
@@ -54,7 +56,7 @@ class NewArtefact:
 
 
 def standing_label_set(session: Session, sequence_id: str, recipe: str) -> LabelSet | None:
-    """The label set of the sequence that was made of the same."""
+    """Return the sequence's label set with the same recipe, if any."""
     standing = select(LabelSet).where(LabelSet.sequence_id == sequence_id, LabelSet.recipe == recipe)
     return session.scalars(standing).one_or_none()
 
@@ -88,4 +90,4 @@ def write_artefact(session: Session, label_set_id: str, file: NewArtefact, told:
         {**of_pack, **told.frame(ordinal), "offset_bytes": offset, "length_bytes": length, "sha256": digest}
         for ordinal, (offset, length, digest) in enumerate(file.pack.ranges, start=file.pack.first)
     ]
-    session.execute(insert(LabelledFrameRow).returning(LabelledFrameRow.ordinal), rows)  # many rows a statement
+    session.execute(insert(LabelledFrameRow).returning(LabelledFrameRow.ordinal), rows)  # many rows per statement

@@ -1,4 +1,4 @@
-"""Files that children left to be published, as the parent finds them: by names that objects can have, and no links."""
+"""Files written by children for publication, as seen by the parent: with valid object names, and without links."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +11,7 @@ from services.runtime.store.keys import checked
 
 @dataclass(frozen=True)
 class LeftFile:
-    """A file to publish; `name` is its artefact's. `pack` says of a pack where its frames lie."""
+    """A file to publish; `name` is its artefact's. For a pack, `pack` locates its frames."""
 
     name: str
     media_type: str
@@ -24,7 +24,7 @@ def left_file(name: str, path: Path) -> LeftFile:
 
 
 def files_left(folder: Path) -> list[LeftFile]:
-    """Every file below the folder in the order of their names, but those that are still being written.
+    """Return every file in the folder in the order of names, except unfinished ones.
 
     Raises `bad_key` for a name that no object can have.
     """
@@ -35,7 +35,7 @@ def files_left(folder: Path) -> list[LeftFile]:
 
 
 def pack_left(path: Path, pack: PackAnswer) -> LeftFile:
-    """A pack of labels. Raises `SandboxCrashedError` where it is not as long as was said."""
+    """Return a pack of labels. Raises `SandboxCrashedError` if its length differs from the answer."""
     size_bytes = path.stat().st_size
     if size_bytes != pack.size_bytes:
         raise SandboxCrashedError(f"reported {pack.size_bytes} bytes of {pack.name}, which has {size_bytes}")

@@ -1,11 +1,11 @@
 """One labelling run on this machine: the jobs of `services/labeler/pipeline.py` in a few processes, for `stone label`.
 
-Poses are refined before that where it is asked for.
+Poses are refined first, if requested.
 
-**Conventions.** The output folder appears whole or not at all. Its contents (design §4):
+**Conventions.** The output folder appears atomically. Its contents (design §4):
 `gts/<sequence>/<frame_token>/labels.npz`, `frames.parquet`, `mesh.ply`, `bev.png`, `map.png`, `features.png`,
-`thumbnail.png`, `scene/` for the viewer, `report.json`, `grid.json`, and `sequence.npz`, the synchronised sequence
-itself, of which exports are made. Labels of one more grid, cut from the same map, are `grids/<name>/` with its own
+`thumbnail.png`, `scene/` for the viewer, `report.json`, `grid.json`, and `sequence.npz`, the synchronised sequence,
+from which exports are made. Labels of a further grid, cropped from the same map, are in `grids/<name>/` with its own
 `gts/`, tables and report.
 """
 
@@ -44,14 +44,14 @@ from stone_recordings.sync.sequence_file import sequence_bytes
 
 @dataclass
 class CostMeter:
-    """Takes down every task that is done; stages overlap, so each is given the time its tasks took, added up."""
+    """Records the cost of every finished task. Stages overlap, so a stage's seconds are the sum over its tasks."""
 
     busy_s: dict[str, float] = field(default_factory=dict)
     cpu_s: dict[int, float] = field(default_factory=dict)
     peak_bytes: dict[int, int] = field(default_factory=dict)
 
     def note(self, stage: str, done: TaskResult[Any]) -> None:
-        """Seconds are not given for a stage called ""."""
+        """Add a task's cost; the seconds of the stage "" are not recorded."""
         if stage:
             self.busy_s[stage] = self.busy_s.get(stage, 0.0) + done.busy_s
         self.cpu_s[done.pid] = max(done.cpu_s, self.cpu_s.get(done.pid, 0.0))
@@ -78,13 +78,12 @@ FURTHER = "grids"
 
 @dataclass(frozen=True)
 class LabelOptions:
-    """How to run, as opposed to what to compute: `workers` never changes a label.
+    """Options of the execution: `workers` never changes a label.
 
-    `source` says where the inputs lay (`recording`, `calibration`: absolute paths), for exports made later on this
-    machine; it is written beside the labels as `source.json`. `late_inputs` are hashes that the sequence's `inputs`
-    lack, `late_findings` what is to follow its findings; both are asked for at the end. `joined` are the recordings of
-    a run of several, which are linked beside the labels. `at_end` is called with the run once all its stages are done,
-    while their results are still in scratch.
+    - `source`: absolute paths of the inputs (`recording`, `calibration`), written as `source.json` for later exports
+    - `late_inputs`, `late_findings`: hashes and findings to append to the sequence's; called at the end
+    - `joined`: the recordings of a joined run, which are linked beside the labels
+    - `at_end`: called with the run after all stages, while their results are still in scratch
     """
 
     parameters: LabelParameters = field(default_factory=LabelParameters)
@@ -105,8 +104,8 @@ def label(
 ) -> LabelReport:
     """Label every frame of `sequence` into `directory`, replacing an earlier label set there.
 
-    Raises `no_frames` for a sequence without usable frames, `footprint_off_ground` and `poses_tilted` before anything
-    is computed, `no_reference` when the track touches no surface.
+    Raises `no_frames` for a sequence without usable frames, `footprint_off_ground` and `poses_tilted` before any
+    computation, `no_reference` if the track touches no surface.
     """
     options = options or LabelOptions()
     if len(sequence.frames) == 0:
@@ -134,7 +133,7 @@ def label(
 
 
 def _at_grid(run: LabelRun, grid: LabelGrid) -> LabelRun:
-    """The same run, its map made, with the frames to be cut at another grid: its scratch links to what the map is."""
+    """Return the same run with its finished map, for cropping at another grid: its scratch links to the map's files."""
     scratch = run.scratch / FURTHER / grid.name
     scratch.mkdir(parents=True)
     for made in run.scratch.iterdir():
@@ -167,14 +166,14 @@ def _write_tables(run: LabelRun, report: LabelReport, out: Path, options: LabelO
 
 @dataclass(frozen=True)
 class _Stages:
-    """Tasks are put to the workers, what they cost is noted, and how far each stage is told."""
+    """Runs tasks in the workers, and records their cost and the progress of each stage."""
 
     workers: Workers
     progress: Progress
     meter: CostMeter
 
     def run(self, tasks: Listing[Task]) -> dict[Key, Any]:
-        """The result of every task by its key, whose first word is the stage; of a stage called "" nothing is told."""
+        """Return the result of every task by its key; a key starts with its stage, and stage "" has no progress."""
         totals, counts, results = Counter(_stage(task) for task in tasks), Counter[str](), dict[Key, Any]()
         for stage, total in totals.items():
             self._tell(stage, 0, total)
@@ -196,7 +195,7 @@ def _stage(task: Task) -> str:
 
 
 def tasks_of(run: LabelRun, kinds: Collection[str] = STAGES.keys()) -> list[Task]:
-    """The jobs of a run as tasks of this machine's processes, all but the publishing, or those of some kinds alone."""
+    """Return the jobs of a run, except publishing, as tasks for local processes; optionally only some kinds."""
     jobs = [job for job in label_graph(run) if job.kind in kinds]
     keys: dict[str, Key] = {job.key: (STAGES[job.kind].shown, job.key) for job in jobs}
     waits = {job.key: frozenset(keys[one] for one in job.needs if one in keys) for job in jobs}
@@ -204,7 +203,7 @@ def tasks_of(run: LabelRun, kinds: Collection[str] = STAGES.keys()) -> list[Task
 
 
 def _completed(run: LabelRun, options: LabelOptions, own: int) -> LabelRun:
-    """With what its sequence lacked: late findings follow the `own` ones it came with, those of refinement follow."""
+    """Return the run with late inputs and findings; its `own` findings come first, those of refinement last."""
     sequence, found = run.sequence, run.sequence.findings
     findings = (*found[:own], *options.late_findings(), *found[own:])
     inputs = {**options.late_inputs(), **sequence.inputs}
@@ -212,7 +211,7 @@ def _completed(run: LabelRun, options: LabelOptions, own: int) -> LabelRun:
 
 
 def _published(run: LabelRun, out: Path, options: LabelOptions) -> LabelReport:
-    """Everything but `report.json` put where it stays, and what is to be reported; scratch is gone then."""
+    """Move everything except `report.json` to its final path, delete scratch, and return the report."""
     report = report_of(run)
     options.at_end(run)
     for drawn in map_folder(run).iterdir():

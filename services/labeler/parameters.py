@@ -1,4 +1,4 @@
-"""Every parameter of the labels in one frozen value, and those of each profile."""
+"""All parameters of the labels in one frozen value, and the values of each profile."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -22,9 +22,9 @@ Solver = Literal["lattice", "octree"]
 class SurfaceParameters:
     """Point map and Poisson reconstruction, by the solver of `stone/surface/screened_poisson.py` or by Open3D's octree.
 
-    `width_m` is the cell of the lattice the surface is solved on: given as a width, never as an octree's depth, whose
-    cell grows with the extent. Vertices farther than `trim_m` from any point are not surface but the solver's guess
-    (a density quantile would leave many of them); the lattice reaches no farther than a cell beyond the points.
+    `width_m` is the cell of the lattice on which the surface is solved: a width and not an octree's depth, whose cell
+    grows with the extent. Vertices farther than `trim_m` from any point are extrapolated and removed (a density
+    quantile would keep many of them); the lattice extends at most one cell beyond the points.
     """
 
     point_voxel_m: float = 0.1
@@ -38,10 +38,10 @@ class SurfaceParameters:
 
 @dataclass(frozen=True)
 class TilingParameters:
-    """The map is reconstructed in squares of `cube_cells` cells, of which `halo_m` on each side in plan overlaps.
+    """The map is reconstructed in squares of `cube_cells` cells, which overlap by `halo_m` on each side in plan.
 
     256 cells of 0.2 m are the design's 51.2 m. The surface at a place follows from the points within about a metre, so
-    the halo makes it the same in every tile. `frames_per_part` frames are read or cropped by one task.
+    with the halo it is the same in every tile. One task reads or crops `frames_per_part` frames.
     """
 
     cube_cells: int = 256
@@ -51,11 +51,11 @@ class TilingParameters:
 
 @dataclass(frozen=True)
 class RefinementParameters:
-    """How poses are refined (`services/labeler/map/refinement.py`), where they are.
+    """Parameters of pose refinement (`services/labeler/map/refinement.py`).
 
-    Sweeps are thinned to `sampling_m` and aligned with Gaussians of `voxel_m`; a pose is corrected by no more than the
-    two limits, which are several times what an RTK receiver or a short odometry is off, and each correction is drawn
-    back by `pull_ratio`, so that drift of the alignment itself stays within twenty times that of one frame.
+    Sweeps are thinned to `sampling_m` and aligned with Gaussians of `voxel_m`. The two limits of a correction are
+    several times the error of an RTK receiver or a short odometry. Each correction is reduced by `pull_ratio`, so that
+    the alignment's own drift stays within twenty times that of one frame.
     """
 
     method: Literal["small_gicp"] = "small_gicp"
@@ -73,13 +73,14 @@ class RefinementParameters:
 
 @dataclass(frozen=True)
 class LabelParameters:
-    """All that decides a label, besides the inputs; recorded with every label set.
+    """All parameters that affect a label; recorded with every label set.
 
-    From `body_clearance_m` above the ground up to its LiDAR the robot's body went through whatever seems to stand in
-    its way, so nothing does. `dynamic.every_frame` and `carve.every_frame` are those of a LiDAR at 10 Hz; of a slower
-    one as much time goes by. `confidence` adds to every frame how far each voxel is from the reference and, in profile
-    `field`, how probably its label is right, and changes no label. `refinement` is None where the poses are taken as
-    they came. The map covers all `grids`; labels are cut at the first, and can be at the others.
+    - `body_clearance_m`: objects between this height above ground and the LiDAR in the robot's path are removed,
+      because the robot's body passed there
+    - `dynamic.every_frame`, `carve.every_frame`: for a LiDAR at 10 Hz; at other rates the same time interval is used
+    - `confidence`: adds D² and, in profile `field`, the probability of the label to every frame; changes no label
+    - `refinement`: None if the given poses are used
+    - `grids`: the map covers all grids; labels are cropped at the first, optionally also at the others
     """
 
     profile: Profile = "paper"
@@ -99,23 +100,23 @@ class LabelParameters:
 
     @property
     def grid(self) -> LabelGrid:
-        """The grid that labels are cut at."""
+        """The grid at which labels are cropped."""
         return self.grids[0]
 
     @property
     def rule(self) -> ProfileRule:
-        """How its profile judges a voxel."""
+        """The rule by which its profile judges a voxel."""
         return RULES[self.profile]
 
     @property
     def core_m(self) -> float:
-        """Side of the part of a cube whose surface is kept; cores tile the plane."""
+        """Side of the kept part of a cube's surface; cores tile the plane."""
         return self.tiling.cube_cells * self.surface.width_m - 2 * self.tiling.halo_m
 
 
-# Beyond so many scaled median deviations a driven voxel is left out of the reference (truth.md's table: 3.5).
+# Driven voxels beyond this many scaled median deviations are excluded from the reference (truth.md's table: 3.5).
 CLEAN_MADS = 3.5
-# What features of one kind of ground scatter by on account of ranges, poses and single vertices: m, rad, log m².
+# Scatter of features on one kind of ground due to errors of ranges, poses and single vertices: m, rad, log m².
 MEASUREMENT_NOISE = (0.06, 0.09, 0.7)
 REFERENCES: Mapping[Profile, ReferenceParameters] = {
     "paper": ReferenceParameters(),
@@ -125,12 +126,12 @@ REFERENCES: Mapping[Profile, ReferenceParameters] = {
 
 
 def parameters_for(profile: Profile) -> LabelParameters:
-    """Return the parameters of a profile (`stone.labels.profiles`), as they are without choices."""
+    """Return the default parameters of a profile (`stone.labels.profiles`)."""
     return LabelParameters(profile=profile, reference=REFERENCES[profile])
 
 
 def other_profile_of(profile: Profile) -> Profile:
-    """Return the profile that a label set is held against: the paper's, or the default against the paper's."""
+    """Return the profile for comparison: the paper's, or the default if the label set has the paper's."""
     return DEFAULT_PROFILE if profile == "paper" else "paper"
 
 
@@ -144,7 +145,7 @@ def other_profile(parameters: LabelParameters) -> LabelParameters:
 def chosen_parameters(
     profile: str, choices: Mapping[str, float], grids: tuple[LabelGrid, ...] = (PAPER,)
 ) -> LabelParameters:
-    """The parameters of a profile with some chosen by dotted name, for these grids. Raises `bad_parameter`."""
+    """Return the parameters of a profile with choices by dotted name, for these grids. Raises `bad_parameter`."""
     check_choices(profile, choices)
     parameters = replace(parameters_for(cast("Profile", profile)), grids=grids)
     for name, value in choices.items():
@@ -153,6 +154,6 @@ def chosen_parameters(
 
 
 def _replaced(value: Any, path: list[str], leaf: float) -> Any:
-    """The frozen value with the leaf at this path replaced."""
+    """Return the frozen value with the leaf at this path replaced."""
     name, *rest = path
     return replace(value, **{name: _replaced(getattr(value, name), rest, leaf) if rest else leaf})

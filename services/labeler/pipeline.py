@@ -1,19 +1,19 @@
-"""From a synchronised sequence to its labels: the page to read first.
+"""From a synchronised sequence to its labels. Start reading here.
 
     fuse (each part) → surface (each tile) → reference → frames (each part), map, pictures
         → publish
 
-`label_graph` says which jobs there are and what each waits for, `STAGES` what the jobs of a kind do: a function of a
-run, the job's arguments and a progress, and beside it the files in scratch that the function reads. `stone label` runs
-the jobs in a few processes (`services/labeler/local_run.py`), the queue as tasks
-(`services/labeler/queue_handlers.py`); only publishing is each one's own.
+`label_graph` lists the jobs and their dependencies. `STAGES` defines the jobs of a kind: a function of a run, the job's
+arguments and a progress callback, and the files in scratch that the function reads. `stone label` runs the jobs in a
+few processes (`services/labeler/local_run.py`), the queue as tasks (`services/labeler/queue_handlers.py`); each has its
+own publishing.
 
 **Conventions.** Parts are fused in the order of recording, and a tile is reconstructed as soon as the last part that
-can reach it is fused (`services/labeler/tile_plan.py`); the reference waits for all tiles, and the frames for the
-reference. In the queue, publishing waits for the late checks of the sequence too.
+can reach it is fused (`services/labeler/tile_plan.py`). The reference needs all tiles, and the frames need the
+reference. In the queue, publishing also needs the late checks of the sequence.
 
-A stage may run twice, at once or after being killed anywhere: its files are renamed into place and have the same
-bytes. It finds what it needs in scratch and leaves there what others need, so any process may run it.
+A stage may run twice, concurrently or after being killed anywhere: its files are renamed into place and have the same
+bytes. Stages exchange all data through scratch, so any process may run a stage.
 """
 
 from collections.abc import Mapping
@@ -48,7 +48,7 @@ def fuse_part(run: LabelRun, arguments: Arguments, step: Step) -> StageResult:
 
 
 def surface_tile(run: LabelRun, arguments: Arguments, step: Step) -> StageResult:
-    """Points of a tile and its neighbours → mesh, features, sums over what was driven; nothing where none fell."""
+    """Points of a tile and its neighbours → mesh, features, sums over driven voxels; nothing without points."""
     summary = surface_where_reached(run, tile_of(arguments), step)
     if summary is None:
         return StageResult({"voxels": 0})
@@ -58,7 +58,7 @@ def surface_tile(run: LabelRun, arguments: Arguments, step: Step) -> StageResult
 
 
 def surface_where_reached(run: LabelRun, tile: Tile, step: Step = silent) -> TileSummary | None:
-    """Return the surface of a planned tile, or None if no part left anything there."""
+    """Return the surface of a planned tile, or None if no part has data there."""
     return surface(run, tile, step) if (run.scratch / "fused" / tile_name(tile)).is_dir() else None
 
 
@@ -70,7 +70,7 @@ def list_fused_around(run: LabelRun, arguments: Arguments) -> tuple[str, ...]:
 
 
 def refer(run: LabelRun, _arguments: Arguments, _step: Step) -> StageResult:
-    """Sums of all tiles → what driven ground is like. Raises `no_reference`."""
+    """Sums of all tiles → the reference of driven ground. Raises `no_reference`."""
     reference = reference_from(run, load_summaries(run))
     save_reference(run, reference)
     return StageResult({"voxels": reference.voxels}, {"voxels": reference.voxels, "is_floored": reference.is_floored})
@@ -114,9 +114,9 @@ STAGES: Mapping[str, Stage] = {
 
 
 def label_graph(run: LabelRun) -> tuple[JobSpec, ...]:
-    """All jobs of a run that has frames, in the order in which they may begin; publishing is the last.
+    """Return all jobs of a run with frames, in the order of their earliest start; publishing is the last.
 
-    Raises as `require_ground`: nothing is begun of a run whose labels would be wrong.
+    Raises as `require_ground`: a run whose labels would be wrong is not started.
     """
     require_ground(run)
     plan = plan_of(run)

@@ -1,9 +1,10 @@
-"""Runs tasks in other processes, each when those it waits for are done.
+"""Runs tasks in other processes, each after the tasks that it needs.
 
-**Conventions.** Workers come from a fork server that has loaded what all need (`services/labeler/kernel_warmup.py`),
-each with one thread for every library: the parallelism is over tasks, and the caller's own process stays small.
-Processes and not threads, because half of a stage is numpy and Python under the interpreter's lock.
-`ProcessPoolExecutor`, not `multiprocessing.Pool`, which once wrote all its results and never returned.
+**Conventions.** Workers come from a fork server that has loaded the common modules
+(`services/labeler/kernel_warmup.py`), each with one thread for every library: the parallelism is over tasks, and the
+caller's own process stays small. Processes are used instead of threads because half of a stage is numpy and Python
+under the interpreter's lock. `ProcessPoolExecutor` is used because `multiprocessing.Pool` once wrote all its results
+and never returned.
 """
 
 import os
@@ -24,13 +25,13 @@ PRELOAD = [
     "services.runtime.one_thread",
     "services.runtime.processes.seldom_collected",
     "services.labeler.kernel_warmup",
-    "services.labeler.previews.preview_files",  # matplotlib, once and not by each worker that draws
+    "services.labeler.previews.preview_files",  # imports matplotlib once instead of in each worker
 ]
 
 
 @dataclass(frozen=True)
 class TaskResult(Generic[T]):
-    """The result of one task, how long it took, and what its process has used so far."""
+    """The result of one task, its duration, and the total usage of its process."""
 
     value: T
     busy_s: float
@@ -41,7 +42,7 @@ class TaskResult(Generic[T]):
 
 @dataclass(frozen=True)
 class Task:
-    """`call(*arguments)` once every task named in `needs` is done; `key` names it, its stage first."""
+    """`call(*arguments)` after every task named in `needs`; `key` identifies the task and starts with its stage."""
 
     key: tuple[object, ...]
     call: Callable[..., Any]
@@ -50,9 +51,9 @@ class Task:
 
 
 def begin_loading() -> None:
-    """Have the fork server started, which loads what workers need while the caller goes on; workers do it otherwise.
+    """Start the fork server, which loads the workers' modules while the caller continues; otherwise `Workers` does.
 
-    The caller, who opens the recording meanwhile, keeps freed memory as they do.
+    The caller, which opens the recording meanwhile, keeps freed memory like the workers.
     """
     keep_freed_memory()
     _context()
@@ -76,17 +77,17 @@ class Workers:
         return self
 
     def __exit__(self, failure: type[BaseException] | None, *_: object) -> None:
-        """Wait for the workers to end; after a failure (Ctrl-C too) do not wait for what they are at."""
+        """Wait for the workers to end; after a failure (or Ctrl-C), do not wait for running tasks."""
         if failure is not None:
-            for process in list((self._pool._processes or {}).values()):  # no public way until Python 3.14
+            for process in list((self._pool._processes or {}).values()):  # no public API until Python 3.14
                 process.terminate()
         self._pool.shutdown(wait=True, cancel_futures=True)
 
     def run(self, tasks: Sequence[Task]) -> Iterator[tuple[Task, TaskResult[Any]]]:
-        """Every task when it is done, the first of those that can begin going first; the first that raises ends all.
+        """Yield every finished task; ready tasks start in order, and the first failure ends all.
 
-        No more are handed out than the processes and one waiting for each, so that what becomes ready goes first.
-        Raises ValueError where a need is nobody's key, or tasks wait for each other.
+        At most one task per process waits in the pool, so that newly ready tasks can go first. Raises ValueError if a
+        need is no task's key, or tasks need each other.
         """
         waiting, ended = list(tasks), set[tuple[object, ...]]()
         running: dict[Future[TaskResult[Any]], Task] = {}
@@ -112,8 +113,10 @@ def _measured(task: Callable[..., T], arguments: tuple[object, ...]) -> TaskResu
 
 
 def _prepare() -> None:
-    """What is loaded never looked at for garbage, freed memory kept, one thread for every library, and no life beyond
-    that of the process that asked."""
+    """Prepare a worker: freeze loaded objects for the GC, keep freed memory, use one thread per library.
+
+    The worker ends with the process that started it.
+    """
     tune_label_worker()
     asker = parent_process()
     if asker is not None:
@@ -123,6 +126,6 @@ def _prepare() -> None:
 
 
 def _end_with(sentinel: int) -> None:
-    """Exit when the other end goes away, however it went: a killed command leaves no worker behind."""
+    """Exit when the other end closes, so that a killed command leaves no worker behind."""
     connection.wait([sentinel])
     os._exit(1)

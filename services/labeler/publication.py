@@ -1,9 +1,8 @@
 """The publish stage: stores the files of a run as blobs and writes the rows of the label set.
 
-**Conventions.** Bytes first, outside any transaction; then all rows or none. Beside what is written here, every file
-in the workspace's folder `map` is published under its name, and as the sequence the one that the late checks left,
-for which this stage waits. A run whose sequence was deleted meanwhile writes no row
-and ends cancelled.
+**Conventions.** Bytes first, outside any transaction; then all rows or none. Besides the files written here, every file
+in the workspace's folder `map` is published under its name. The sequence published is that of the late checks, which
+this stage needs. A run whose sequence was deleted meanwhile writes no row and ends cancelled.
 """
 
 from dataclasses import asdict, dataclass, replace
@@ -42,7 +41,7 @@ NEEDED = (CHECKED_FILE, "sums", "packs", FAR, MAP, COMPARISON, COVERAGE)
 
 @dataclass(frozen=True)
 class _Publication:
-    """What is written in one transaction: stored files, and what a child said of them."""
+    """The rows of one transaction: stored files, and a child's facts about them."""
 
     context: LabelStageContext
     prepared: list[tuple[LeftFile, PreparedBlob]]
@@ -50,9 +49,9 @@ class _Publication:
 
 
 def publish(context: LabelStageContext) -> Outcome:
-    """Write the report and the frame table, store all files, and answer with the rows to write.
+    """Write the report and the frame table, store all files, and return the rows to write.
 
-    Raises what `LabelStageContext.ask` raises, and `SandboxCrashedError` for packs that are shorter than was said.
+    Raises what `LabelStageContext.ask` raises, and `SandboxCrashedError` for packs shorter than reported.
     """
     context.pull(NEEDED, NEEDED)
     opening = replace(context.opening, sequence_file=CHECKED_FILE)
@@ -82,7 +81,7 @@ def _files(context: LabelStageContext, told: PublicationAnswer) -> list[LeftFile
 
 
 def _write_rows(publication: _Publication, session: Session) -> None:
-    """Raises `JobCancelledError` if the sequence was deleted, and `quota_exceeded`; both roll back the transaction."""
+    """Write the rows. Raises `JobCancelledError` if the sequence was deleted, and `quota_exceeded`; both roll back."""
     context = publication.context
     sequence = require_sequence(session, context.attempt)
     run = session.get_one(Job, context.attempt.root_id)

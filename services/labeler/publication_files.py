@@ -1,4 +1,4 @@
-"""What a run that is done publishes beside the files of its stages: the report, the frame table, facts for rows."""
+"""Files that a finished run publishes besides those of its stages: the report, the frame table, facts for rows."""
 
 from dataclasses import asdict
 
@@ -17,7 +17,7 @@ PUBLISHED = "published"
 
 
 def publication(run: LabelRun) -> PublicationAnswer:
-    """Write report, frame table and grid into the folder `published` of scratch, and say what rows are to say."""
+    """Write report, frame table and grid into the folder `published` of scratch, and return the facts for rows."""
     report, out = report_of(run), run.scratch / PUBLISHED
     quality = quality_of(report.as_record())
     with whole(out / REPORT) as staging:

@@ -1,8 +1,8 @@
-"""What the labeler does in the queue: the graph of `services/labeler/pipeline.py` as jobs, and its stages as handlers.
+"""The labeler in the queue: the graph of `services/labeler/pipeline.py` as jobs, and its stages as handlers.
 
-**Conventions.** A handler may run twice, at once or after being killed anywhere: files are renamed into place and have
-the same bytes. Jobs carry numbers only; everything else lies in the run's workspace, of which a handler pulls what its
-stage reads and pushes what it wrote. Whatever opens a file of the run does so in a sandboxed child
+**Conventions.** A handler may run twice, concurrently or after being killed anywhere: files are renamed into place and
+have the same bytes. Jobs contain only numbers; everything else is in the run's workspace. A handler pulls the files
+that its stage reads, and pushes the files that it wrote. Only a sandboxed child opens files of the run
 (`services/labeler/sandboxed_run.py`).
 """
 
@@ -29,7 +29,7 @@ from services.runtime.telemetry.counters import FRAMES, process_counters
 
 
 def handlers(platform: Platform) -> Handlers:
-    """The stages by kind."""
+    """Return the stages by kind."""
     stages: dict[str, Callable[[LabelStageContext], Outcome]] = {
         LABEL: list_jobs,
         **{kind: partial(run_stage, kind, stage) for kind, stage in STAGES.items()},
@@ -41,10 +41,10 @@ def handlers(platform: Platform) -> Handlers:
 
 
 def list_jobs(context: LabelStageContext) -> Outcome:
-    """All the jobs of the run; publishing waits for the checks of its sequence too.
+    """Queue all jobs of the run; publishing also needs the checks of its sequence.
 
-    Where the recording is at hand the child is given it too: it is kept for the first job, which reads sweeps.
-    Raises `no_frames`, and what `LabelStageContext.ask` and `opening_with_sweeps` raise.
+    If the recording is local, the child is given it and is kept for the first job, which reads sweeps. Raises
+    `no_frames`, and what `LabelStageContext.ask` and `opening_with_sweeps` raise.
     """
     opening = context.opening_with_sweeps() if context.workspace.is_in_place else context.opening
     graph = context.ask(GraphAnswer, partial(planned, opening), "plan", opening)
@@ -56,7 +56,7 @@ def _spec(job: JobAnswer) -> JobSpec:
 
 
 def run_stage(kind: str, stage: Stage, context: LabelStageContext) -> Outcome:
-    """Delete what is spent, pull what the job reads, do its work, push what it wrote.
+    """Delete spent files, pull the job's inputs, do its work, and push its outputs.
 
     Raises what the work raises, and `work_gone`.
     """

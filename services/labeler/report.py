@@ -1,18 +1,23 @@
-"""`report.json`: from what, how and how well a label set was made.
+"""`report.json`: the inputs, parameters and quality of a label set.
 
-**Conventions.** `class_share_of_occupied` is over all occupied voxels of all frames; `profiles` over the voxels of the
-map, each once: the classes in the profile that was asked for and in the other, the share that would change, and whether
-the track spans the relief that profile `paper` needs it to. `held_out`: labels made from one half of the way, judged by
-what the robot drove over in the other (`stone.labels.held_out`). `reference.outliers` are of the driven voxels, null
-where they are few, with the share of the map that has another class by the other estimate; `left_out` are driven voxels
-that the reference leaves out, which stay T. `track` is how much of what the
-footprint went over is T, pinholes closed, and which share of the way has none; `height_drift` what the poses drifted
-in z. `map.far_points` are those that were left out as no LiDAR sees as far; `solver` is how the surface was solved for,
-residuals in cells, null where Open3D did. `grid` is that of these labels; the map covers those of
-`further_grids` too. `refinement` is null where poses were taken as they came; `recordings` are
-those that were joined, with the offsets of their clocks, [] for one alone. What was measured while it was made
-(seconds, memory) is apart, in `costs`: without them equal inputs give equal bytes. `filled_share_of_occupied` is the
-share of the occupied voxels that close a gap between two voxel centres (`stone.labels.pinholes`).
+**Conventions.**
+
+- `class_share_of_occupied`: over all occupied voxels of all frames
+- `profiles`: over the voxels of the map, each once: the classes in the run's profile and in the other, the share with
+  another class, and whether the track spans the relief that profile `paper` requires
+- `held_out`: labels from one half of the track, judged by the other (`stone.labels.held_out`)
+- `reference.outliers`: of the driven voxels, null if these are few, with the share of the map that has another class by
+  the alternative estimate; `left_out`: driven voxels excluded from the reference, which stay T
+- `track`: the share of the footprint's track that is T, with pinholes closed, and the share of poses without any T
+- `height_drift`: the drift of the poses in z
+- `map.far_points`: points excluded because they are beyond any LiDAR's range
+- `solver`: the solution of the surface, residuals in cells, null for Open3D
+- `grid`: the grid of these labels; the map also covers the `further_grids`
+- `refinement`: null if the given poses were used
+- `recordings`: the joined recordings with their clock offsets, [] for a single one
+- `costs`: measured seconds and memory; without `costs`, equal inputs give equal bytes
+- `filled_share_of_occupied`: the share of occupied voxels that close a gap between two voxel centres
+  (`stone.labels.pinholes`)
 """
 
 import json
@@ -50,13 +55,13 @@ from stone.labels.traversability import FEW_VOXELS, Reference
 from stone.sensors.sequence import Sequence
 
 STEEP_SIGMA_DEG = 15.0
-UNLIKE_TIMES = 4.0  # 3.4 in a sound drive, a sixth of which leads through tall grass
+UNLIKE_TIMES = 4.0  # 3.4 in a sound drive with a sixth of its track in tall grass
 CLASS_NAMES = ("free", "traversable", "potentially_traversable", "non_traversable")
 
 
 @dataclass(frozen=True, eq=False)
 class LabelReport:
-    """What `label` did; `as_record()` is the JSON that is written and printed."""
+    """The result of `label`; `as_record()` is the JSON to write and print."""
 
     sequence: Sequence
     parameters: LabelParameters
@@ -117,16 +122,16 @@ class LabelReport:
         }
 
     def text(self) -> str:
-        """The file."""
+        """Return the file's content."""
         return json.dumps(self.as_record(), indent=1) + "\n"
 
     def class_shares(self) -> dict[str, float]:
-        """The share of each class among all occupied voxels of all frames."""
+        """Return the share of each class among all occupied voxels of all frames."""
         total, occupied = self.counts.classes.sum(axis=0), self._occupied()
         return {name: round(float(n) / occupied, 6) for name, n in zip(CLASS_NAMES[1:], total[1:], strict=True)}
 
     def _occupied(self) -> int:
-        """Return how many voxels of all frames are occupied, at least 1."""
+        """Return the number of occupied voxels of all frames, at least 1."""
         return max(int(self.counts.classes[:, 1:].sum()), 1)
 
     def _observed_ratio(self) -> dict[str, float]:
@@ -136,7 +141,7 @@ class LabelReport:
 
 
 def report_of(run: LabelRun) -> LabelReport:
-    """The report of a run of which every stage is done."""
+    """Return the report of a run whose stages are all finished."""
     sequence, parameters, tiles = run.sequence, run.parameters, load_summaries(run)
     reference = reference_from(run, tiles)
     counts = concatenated([load_pack(run, part)[1] for part in parts_of(run)])
@@ -178,7 +183,7 @@ def report_of(run: LabelRun) -> LabelReport:
 def label_findings(
     parameters: LabelParameters, reference: Reference, counts: FrameVoxelCounts, relief: Relief
 ) -> tuple[Finding, ...]:
-    """What a person should know before trusting these labels."""
+    """Return warnings about the reliability of these labels."""
     found = []
     if reference.voxels < FEW_VOXELS:
         advice = f", or use profile {DEFAULT_PROFILE}" if parameters.profile == "paper" else ""
@@ -204,7 +209,7 @@ def label_findings(
 def reference_findings(
     parameters: LabelParameters, reference: Reference, comparison: ProfileComparison
 ) -> tuple[Finding, ...]:
-    """What speaks against the driven ground being one Gaussian: a slope no robot drives, too many unlike the rest."""
+    """Return evidence against Gaussian driven ground: an undrivable slope, too many outliers."""
     found = []
     sigma_deg = float(np.rad2deg(np.sqrt(reference.covariance[1, 1])))
     if sigma_deg > STEEP_SIGMA_DEG:

@@ -1,8 +1,8 @@
-"""What a stage concluded, as files in scratch that later stages read: sums of tiles, the reference, counts, packs.
+"""Results of stages as files in scratch for later stages: sums of tiles, the reference, counts, packs.
 
-**Conventions.** A pack is the `labels.npz` of the frames of one part, one after another; its index says where each
-begins and ends and what it hashes to, so that a frame is read by one ranged request and checked. A run that writes
-each frame into a file of its own leaves the same indices and no packs.
+**Conventions.** A pack is the concatenated `labels.npz` of the frames of one part. Its index has the end and the hash
+of each frame, so that a frame is read with one ranged request and checked. A run that writes each frame into its own
+file has the same indexes and no packs.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -30,18 +30,18 @@ COUNTED = ("voxels", "points", "moving", "vertices", "triangles")
 
 @dataclass(frozen=True, eq=False)
 class PackIndex:
-    """`ends_bytes` (n,): where each frame ends, the first begins at 0; `sha256` (n, 32) of each frame."""
+    """`ends_bytes` (n,): the end of each frame, the first starts at 0; `sha256` (n, 32) of each frame."""
 
     ends_bytes: NDArray[np.int64]
     sha256: NDArray[np.uint8]
 
     @property
     def size_bytes(self) -> int:
-        """Of all frames together."""
+        """The bytes of all frames together."""
         return int(self.ends_bytes[-1])
 
     def ranges(self) -> list[tuple[int, int, str]]:
-        """(offset, length, hex sha256) of each frame."""
+        """Return (offset, length, hex sha256) of each frame."""
         starts = np.concatenate([[0], self.ends_bytes[:-1]])
         lengths = self.ends_bytes - starts
         hashes = [row.tobytes().hex() for row in self.sha256]
@@ -79,7 +79,7 @@ def save_summary(run: LabelRun, summary: TileSummary) -> None:
 
 
 def load_summaries(run: LabelRun) -> list[TileSummary]:
-    """Of all tiles, in their order."""
+    """Return the summaries of all tiles, in order."""
     summaries = []
     for path in (run.scratch / "sums").glob("*_*.npz"):
         arrays = load(path)
@@ -103,21 +103,21 @@ def load_reference(run: LabelRun) -> Reference:
 
 
 def reference_from(run: LabelRun, tiles: list[TileSummary], parameters: LabelParameters | None = None) -> Reference:
-    """The reference of all tiles, in their order, by the run's parameters or by others.
+    """Return the reference of all tiles, in order, by the run's parameters or by others.
 
-    Raises `no_reference`, also where there is no tile.
+    Raises `no_reference`, also without tiles.
     """
     chosen = parameters or run.parameters
     if not tiles:
         raise no_reference(0)
     features = [tile.driven.features(chosen.rule) for tile in tiles]
-    # All tiles sum about one point, near the ground: digits of a map that is high above its datum are kept.
+    # All tiles sum about one point near the ground, which preserves digits of a map high above its datum.
     height_m = 0.0 if chosen.rule.is_local else run.sequence.frames.map_from_ego.translation_m[0, 2]
     return reference_of_parts(features, np.array([height_m, 0.0, 0.0]), chosen.reference)
 
 
 def write_labels(run: LabelRun, part: Part, frames: Iterable[LabelledFrame], step: Step) -> PackIndex:
-    """Write the labels of a part where the run has them, and their index, a step each frame."""
+    """Write the labels of a part at the run's location, and their index, one step per frame."""
     written, lengths, hashes = list[LabelledFrame](), list[int](), list[bytes]()
     with _labels_written(run, part) as write:
         for frame in frames:
@@ -135,7 +135,7 @@ def write_labels(run: LabelRun, part: Part, frames: Iterable[LabelledFrame], ste
 
 @contextmanager
 def _labels_written(run: LabelRun, part: Part) -> Iterator[Callable[[LabelledFrame], object]]:
-    """What writes one frame after another: into the pack of the part, or each into a file of its own."""
+    """Yield a function that writes one frame after another: into the part's pack, or each into its own file."""
     if run.labels_root is not None:
         root = run.labels_root
         yield lambda frame: _write(root / frame.token / "labels.npz", frame.payload)
@@ -150,7 +150,7 @@ def _write(path: Path, payload: bytes) -> None:
 
 
 def load_pack(run: LabelRun, part: Part) -> tuple[PackIndex, FrameVoxelCounts]:
-    """Where the frames of a part lie in its pack, and their counts."""
+    """Return the pack index of a part, and the counts of its frames."""
     arrays = load(index_path(run, part))
     index = PackIndex(arrays["ends_bytes"], arrays["sha256"].reshape(-1, 32))  # type: ignore[arg-type]
     return index, FrameVoxelCounts(arrays["classes"], arrays["observed"], arrays["filled"])  # type: ignore[arg-type]

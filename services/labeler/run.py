@@ -1,9 +1,9 @@
-"""One labelling run as a value, and how its work is divided into parts and tiles.
+"""One labelling run as a value, and the division of its work into parts and tiles.
 
-**Conventions.** A run has one map, or several where its track breaks (`stone.sensors.ego_path`); each is divided as
-if it were alone. A tile is named by its integer place (i, j) and its map; its core is [i, i+1) × [j, j+1) times
-`core_m`. Cores tile the plane; the cube a tile is reconstructed in reaches `halo_m` beyond. A part is a half-open range
-of frames of one map. The division depends on the frames and the parameters, never on the number of workers.
+**Conventions.** A run has one map, or several if its track breaks (`stone.sensors.ego_path`); each is divided
+separately. A tile is identified by its integer position (i, j) and its map; its core is [i, i+1) × [j, j+1) times
+`core_m`. Cores tile the plane; the cube in which a tile is reconstructed extends `halo_m` beyond. A part is a half-open
+range of frames of one map. The division depends on the frames and the parameters, never on the number of workers.
 """
 
 from collections.abc import Callable
@@ -32,7 +32,7 @@ Step = Callable[[int, int], None]
 
 
 class Tile(NamedTuple):
-    """A square of the map of this number: its place in multiples of `core_m`."""
+    """A square of the map with this number: its position in multiples of `core_m`."""
 
     i: int
     j: int
@@ -45,15 +45,15 @@ class Tile(NamedTuple):
 
 
 def silent(_done: int, _total: int) -> None:
-    """Nobody asks how far the stage is."""
+    """Ignore progress; the default callback."""
 
 
 @dataclass(frozen=True, eq=False)
 class LabelRun:
-    """What is labelled, how, and the folder that stages hand their results on in.
+    """The sequence and parameters of a run, and the folder through which stages exchange results.
 
-    With a `labels_root` the labels of a frame become `<labels_root>/<frame_token>/labels.npz`, else they are appended
-    to the pack of their part.
+    With a `labels_root` the labels of a frame become `<labels_root>/<frame_token>/labels.npz`; otherwise they are
+    appended to the pack of their part.
     """
 
     sequence: Sequence
@@ -64,7 +64,7 @@ class LabelRun:
 
     @property
     def sensor_ego(self) -> NDArray[np.float64]:
-        """Where the LiDAR sits in the ego frame (3,), metres."""
+        """The position (3,) of the LiDAR in the ego frame, metres."""
         return self.sequence.calibration.ego_from_lidar.translation_m
 
     @cached_property
@@ -74,35 +74,35 @@ class LabelRun:
 
     @cached_property
     def way_starts_m(self) -> NDArray[np.float64]:
-        """Return how far the robot had driven before each map (M,), as the pieces of its way through them add up."""
+        """The driven distance before each map (M,), summed over the track in earlier maps."""
         stretches = (ego_path(self.sequence, number) for number in range(int(self.maps.max(initial=0)) + 1))
         lengths_m = [sum(float(steps_of(stretch)[0].sum()) for stretch in path) for path in stretches]
         return np.cumsum([0.0, *lengths_m[:-1]])
 
     @property
     def period_s(self) -> float:
-        """From one frame to the next, as it usually is; 0.1 s where there is but one."""
+        """The usual interval between frames; 0.1 s for a single frame."""
         stamps_ns = self.sequence.frames.stamps_ns
         return float(np.median(np.diff(stamps_ns))) * 1e-9 if len(stamps_ns) > 1 else USUAL_PERIOD_S
 
     def every(self, frames: int) -> int:
-        """Which frames a stage takes that takes one of so many at 10 Hz: at slower rates, in as much time, not more."""
+        """Return the frame step that covers the same time as `frames` frames at 10 Hz; at least 1."""
         return max(1, min(frames, round(frames * USUAL_PERIOD_S / self.period_s)))
 
     def map_of(self, part: Part) -> int:
-        """The map that all frames of the part are in."""
+        """Return the map of all frames of the part."""
         return int(self.maps[part[0]])
 
 
 def require_ground(run: LabelRun) -> None:
-    """Raises `footprint_off_ground` where the footprint is not on the ground, `poses_tilted` where the poses are."""
+    """Raise `footprint_off_ground` if the footprint is not on the ground, `poses_tilted` if the poses are tilted."""
     refusal = ground_refusal(run.sequence, run.parameters.footprint_band_m)
     if refusal is not None:
         raise refusal
 
 
 def parts_of(run: LabelRun) -> list[Part]:
-    """The frame ranges that are fused, and later cropped, as one task each."""
+    """Return the frame ranges that are fused, and later cropped, as one task each."""
     size, total = run.parameters.tiling.frames_per_part, len(run.sequence.frames)
     if not total:
         return []
@@ -115,17 +115,17 @@ def parts_of(run: LabelRun) -> list[Part]:
 
 
 def core_cells(parameters: LabelParameters, voxel_m: float) -> int:
-    """How many voxels of this size make the side of a core."""
+    """Return the number of voxels of this size on the side of a core."""
     return round(parameters.core_m / voxel_m)
 
 
 def tiles_of(keys: Keys, cells: int) -> NDArray[np.int64]:
-    """The tile (N, 2) of each voxel key (N,), for cores of `cells` voxels a side."""
+    """Return the tile (N, 2) of each voxel key (N,), for cores of `cells` voxels a side."""
     return indices_of(keys)[:, :2] // cells
 
 
 def tiles_across(parameters: LabelParameters, bounds: Bounds, number: int) -> list[Tile]:
-    """The tiles of a map that a half-open range of label voxel indices (low, high), each (2,) or (3,), reaches into."""
+    """Return a map's tiles that overlap a half-open range of label voxel indices (low, high), each (2,) or (3,)."""
     low, high = bounds
     cells = core_cells(parameters, VOXEL_M)
     first, last = low[:2] // cells, (high[:2] - 1) // cells
@@ -133,11 +133,11 @@ def tiles_across(parameters: LabelParameters, bounds: Bounds, number: int) -> li
 
 
 def neighbourhood(tile: Tile) -> list[Tile]:
-    """The tile and the eight around it."""
+    """Return the tile and its eight neighbours."""
     return [Tile(tile.i + di, tile.j + dj, tile.map) for di in (-1, 0, 1) for dj in (-1, 0, 1)]
 
 
 def in_core(points_map: NDArray[np.float64], tile: Tile, core_m: float) -> NDArray[np.bool_]:
-    """Which points (N, 3) lie in the core of the tile, in plan."""
+    """Return a mask of the points (N, 3) in the core of the tile, in plan."""
     x, y = np.floor(points_map[:, 0] / core_m), np.floor(points_map[:, 1] / core_m)
     return np.asarray((x == tile.i) & (y == tile.j))

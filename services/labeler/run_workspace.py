@@ -1,4 +1,4 @@
-"""The context of a labelling stage: its run's files in the workspace, and the sandbox in which they are opened."""
+"""The context of a labelling stage: its run's files in the workspace, and the sandbox that opens them."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -41,14 +41,14 @@ class LabelStageContext:
         return RunOpening(self.workspace.folder, self.arguments["profile"], self.arguments["parameters"], grid=grid)
 
     def opening_with_sweeps(self) -> RunOpening:
-        """The run and its recordings, brought to this machine. Raises `JobCancelledError` where one was deleted."""
+        """Return the run and its local recordings. Raises `JobCancelledError` if a recording was deleted."""
         recording = locate_run(self.platform, self.recordings, self.workspace.folder)
         is_in_place = any(one.place is not None for one in self.recordings)
         return replace(self.opening, recording=recording, is_in_place=is_in_place)
 
     @cached_property
     def recordings(self) -> tuple[StoredRecording, ...]:
-        """The recordings of the run. Raises `JobCancelledError` where one was deleted."""
+        """The recordings of the run. Raises `JobCancelledError` if one was deleted."""
         with self.platform.database.lookups() as session:
             recordings = [session.get(Recording, one) for one in recording_ids_of(self.arguments)]
             kept = tuple(kept_recording(session, recording) for recording in recordings if recording is not None)
@@ -57,7 +57,7 @@ class LabelStageContext:
         return kept
 
     def ask(self, answer: type[A], work: SandboxedWork, shown: str, opening: RunOpening) -> A:
-        """What a sandboxed child answers that may open what `opening` leads to.
+        """Return the answer of a sandboxed child that may open the files of `opening`.
 
         Raises what `work` raises, `SandboxCrashedError`, `SandboxInterruptedError`, `JobCancelledError`.
         """
@@ -70,7 +70,7 @@ class LabelStageContext:
             return answer.believed(sandbox.run(work, shown, 1))
 
     def pull(self, reads: tuple[str, ...], requires: tuple[str, ...]) -> None:
-        """Make local what earlier stages left. Raises `work_gone` where nothing is left of what is required."""
+        """Copy the outputs of earlier stages to this machine. Raises `work_gone` if a required file is missing."""
         folder = self.workspace.folder
         self.workspace.pull(*reads)
         self.workspace.pull(*(name for name in requires if not (folder / name).exists()))
@@ -78,10 +78,10 @@ class LabelStageContext:
 
 
 def stage_context_of(platform: Platform, attempt: Attempt) -> LabelStageContext:
-    """The stage context of this attempt.
+    """Return the stage context of this attempt.
 
-    Raises `JobCancelledError` when the sequence was deleted or other code's run is begun again, `code_changed` when
-    it cannot be, `work_gone`.
+    Raises `JobCancelledError` if the sequence was deleted or a run of another code version is restarted, `code_changed`
+    if it cannot be restarted, `work_gone`.
     """
     arguments = arguments_of_run(platform, attempt)
     workspace = Workspace(platform.store, platform.settings, attempt.root_id)

@@ -1,10 +1,10 @@
-"""What a sandboxed child does with the files of a labelling run, and the checks of what it answers.
+"""The work of a sandboxed child with the files of a labelling run, and the checks of its answers.
 
-    files of the run → the run as a value → (its jobs | what a job reads | a job's work | what is to be published)
+    files of the run → the run as a value → (its jobs | a job's inputs | a job's work | its publication)
 
-**Conventions.** Everything in the run's folder was computed from what a stranger sent, so only the child opens it; the
-parent moves files by their names and believes JSON of a known form (`child_answers.py`). The child writes within the
-run's folder, makes no links, and reads the recording where its stage reads sweeps.
+**Conventions.** All files of the run follow from untrusted data, so only the child opens them; the parent moves files
+by name and accepts JSON of a known form (`child_answers.py`). The child writes within the run's folder, makes no links,
+and reads the recording only if its stage reads sweeps.
 """
 
 from collections.abc import Mapping
@@ -31,8 +31,10 @@ from stone_recordings.sync.sweeps import read_sweeps
 
 @dataclass
 class LateSweeps:
-    """Sweeps that are opened when the first is asked for: most stages ask for none. `recording` is the bag, which may
-    be in place."""
+    """Sweeps that are opened at their first use, since most stages read none.
+
+    `recording` is the bag, which may be in place.
+    """
 
     description: Path
     recording: Path | None
@@ -51,8 +53,7 @@ class LateSweeps:
 
 @dataclass(frozen=True)
 class RunOpening:
-    """What a run is opened with: its folder, the choices of its owner, the bag where sweeps are read, which file of the
-    folder is its sequence, and the grid of its labels."""
+    """The inputs for opening a run: its folder, choices, sequence file, grid, and the bag if sweeps are read."""
 
     folder: Path
     profile: str
@@ -72,7 +73,7 @@ class RunOpening:
 
 @lru_cache(maxsize=1)
 def _sequence_of(path: Path, _version: tuple[int, int, int]) -> Sequence:
-    """A sequence that was read: a child that is kept for a run reads it once, not for each job."""
+    """Return a cached sequence: a child that is kept for a run reads it once, not for each job."""
     return read_sequence(path.read_bytes())
 
 
@@ -86,7 +87,7 @@ class StageTask:
 
 
 def planned(opening: RunOpening, _folder: Path, _progress: ProgressCallback) -> bytes:
-    """All the jobs of the run. Raises `no_frames`, and as `label_graph`."""
+    """Return all jobs of the run. Raises `no_frames`, and as `label_graph`."""
     run = opening.run()
     if len(run.sequence.frames) == 0:
         raise no_usable_frames(run.sequence)
@@ -101,13 +102,13 @@ def _answer_of(job: JobSpec) -> JobAnswer:
 
 
 def files_near(task: StageTask, _folder: Path, _progress: ProgressCallback) -> bytes:
-    """Which files this job reads besides those that each of its kind reads."""
+    """Return the files that this job reads besides those of every job of its kind."""
     list_near = STAGES[task.kind].list_near
     return FilesAnswer(names=list_near(task.opening.run(), task.arguments) if list_near else ()).packed()
 
 
 def worked(task: StageTask, _folder: Path, progress: ProgressCallback) -> bytes:
-    """The job's work. Raises what it raises."""
+    """Do the job's work. Raises what the work raises."""
     stage, run = STAGES[task.kind], task.opening.run()
     with recorded_writes() as paths:
         done = stage.work(run, task.arguments, partial(progress, stage.step_name))
@@ -116,5 +117,5 @@ def worked(task: StageTask, _folder: Path, progress: ProgressCallback) -> bytes:
 
 
 def described(opening: RunOpening, _folder: Path, _progress: ProgressCallback) -> bytes:
-    """The report and the frame table written, and what rows are to say of the run."""
+    """Write the report and the frame table, and return the facts for the run's rows."""
     return publication(opening.run()).packed()

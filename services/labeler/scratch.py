@@ -1,8 +1,9 @@
-"""What one stage leaves for the next: arrays in files that appear whole.
+"""Intermediate results of stages: arrays in files that appear atomically.
 
-**Conventions.** A file is written beside its place and renamed in, so a killed worker leaves nothing half-written and
-a stage that runs twice writes the same bytes. What a stage left is what `whole` recorded. All of it is deleted when the
-run ends; in the queue, what no tile reads any more before (`services/labeler/spent_files.py`).
+**Conventions.** A file is written under a temporary name and renamed, so a killed worker leaves no partial file and a
+stage that runs twice writes the same bytes. The outputs of a stage are the files recorded by `whole`. All files are
+deleted when the run ends. In the queue, files that no tile needs any more are deleted earlier
+(`services/labeler/spent_files.py`).
 """
 
 from bisect import bisect_right
@@ -37,7 +38,7 @@ def save(path: Path, arrays: Arrays) -> None:
 
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """A file to write beside `path`, which it becomes at the end; two writers at once do not meet."""
+    """Yield a temporary path, which is renamed to `path` at the end; two concurrent writers do not collide."""
     path.parent.mkdir(parents=True, exist_ok=True)
     staging = path.with_name(f".{path.name}.{token_hex(8)}")
     try:
@@ -51,7 +52,7 @@ def whole(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def recorded_writes() -> Iterator[list[Path]]:
-    """The paths of the files that `whole` put in place meanwhile, in this thread."""
+    """Yield the list of paths that `whole` puts in place meanwhile, in this thread."""
     written = list[Path]()
     token = _WRITTEN.set(written)
     try:
@@ -61,17 +62,17 @@ def recorded_writes() -> Iterator[list[Path]]:
 
 
 def load(path: Path) -> Arrays:
-    """The arrays saved at `path`, as views of the file's pages: what nobody looks at is not read."""
+    """Return the arrays saved at `path`, memory-mapped, so that unused arrays are not read."""
     return mapped_npz(path)
 
 
 def packed(arrays: Arrays) -> NDArray[np.uint8]:
-    """Return the arrays deflated, as one to `save` among others: they are read once, and many of their bytes repeat."""
+    """Return the arrays deflated as one array for `save`: they are read once, and many of their bytes repeat."""
     return np.frombuffer(npz_bytes(arrays), np.uint8)
 
 
 def unpacked(content: NDArray[np.generic]) -> Arrays:
-    """Return the arrays that `packed` was given."""
+    """Return the arrays from `packed`."""
     with np.load(BytesIO(content.data), allow_pickle=False) as arrays:
         return dict(arrays)
 
@@ -85,7 +86,7 @@ def images_path(run: LabelRun, part: Part) -> Path:
 
 
 def part_file(part: Part) -> str:
-    """Return the name of what a part leaves in a folder."""
+    """Return the file name of a part's output in a folder."""
     return f"{part[0]:06d}.npz"
 
 
@@ -94,29 +95,29 @@ def surface_path(run: LabelRun, tile: Tile) -> Path:
 
 
 def tile_name(tile: Tile) -> str:
-    """Of the first map, the only one of an unbroken run, the place alone."""
+    """Return the name of a tile; without the map for the first map, the only map of an unbroken run."""
     return f"{tile.i}_{tile.j}_{tile.map}" if tile.map else f"{tile.i}_{tile.j}"
 
 
 def tile_named(name: str) -> Tile:
-    """The tile whose folder or file (without its suffix) has this name."""
+    """Return the tile whose folder or file (without its suffix) has this name."""
     return Tile(*map(int, name.split("_")))
 
 
 def load_points(run: LabelRun, tile: Tile, low: NDArray[np.float64], high: NDArray[np.float64]) -> list[PointMap]:
-    """The point maps of this tile, part by part: the voxels whose centres lie in [low, high) (2,) in plan."""
+    """Return the point maps of this tile, part by part, with voxel centres in [low, high) (2,) in plan."""
     voxel_m = run.parameters.surface.point_voxel_m
     first, end = (np.ceil(bound / voxel_m - 0.5).astype(np.int64) for bound in (low, high))
     return [fused_points(load(path), voxel_m, (first, end)) for path in _fused_parts(run, tile)]
 
 
 def load_observed(run: LabelRun, tile: Tile) -> Observed:
-    """What any part observed in this tile."""
+    """Return the voxels of this tile observed in any part."""
     return union([NOTHING, *(fused_observed(load(path)) for path in _fused_parts(run, tile))])
 
 
 def save_images(run: LabelRun, part: Part, images: Mapping[int, NDArray[np.float32]]) -> None:
-    """Write the range images (rows, columns) of the part's frames, without rows at the edges that no ray went to."""
+    """Write the range images (rows, columns) of the part's frames, without empty rows at the edges."""
     seen = np.flatnonzero(np.any([image.any(axis=1) for image in images.values()], axis=0))
     first, last = (int(seen[0]), int(seen[-1]) + 1) if len(seen) else (0, 0)
     cut: Arrays = {image_name(index): image[first:last] for index, image in images.items()}
@@ -126,9 +127,9 @@ def save_images(run: LabelRun, part: Part, images: Mapping[int, NDArray[np.float
 def images_near(
     run: LabelRun, number: int, low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> Iterator[list[RangeImage]]:
-    """The range images of a map taken within reach of the box [low, high] (3,), a part's at a time.
+    """Yield the range images of a map taken within reach of the box [low, high] (3,), one part at a time.
 
-    Which those are is told by the run's poses alone, never by which parts happen to be fused already.
+    The selection depends only on the run's poses, never on the parts that are already fused.
     """
     poses = run.sequence.frames.map_from_ego
     for part, indices in _by_part(run, imaged_near(run, number, low, high)):
@@ -142,7 +143,7 @@ def images_near(
 
 
 def imaged_near(run: LabelRun, number: int, low: NDArray[np.float64], high: NDArray[np.float64]) -> list[int]:
-    """The frames of a map, in order, that leave a range image taken within reach of the box [low, high] (3,)."""
+    """Return the frames of a map, in order, with a range image within reach of the box [low, high] (3,)."""
     dynamic, poses = run.parameters.dynamic, run.sequence.frames.map_from_ego
     indices = np.arange(0, len(poses), run.every(dynamic.every_frame))
     indices = indices[run.maps[indices] == number]
@@ -152,12 +153,12 @@ def imaged_near(run: LabelRun, number: int, low: NDArray[np.float64], high: NDAr
 
 
 def image_name(index: int) -> str:
-    """Under which the range image of this frame is saved among those of its part."""
+    """Return the name of this frame's range image in the file of its part."""
     return f"{index:06d}"
 
 
 def _by_part(run: LabelRun, indices: list[int]) -> Iterator[tuple[Part, list[int]]]:
-    """These frames, in order, by the part that fused them."""
+    """Yield these frames, in order, by the part that fused them."""
     parts = parts_of(run)
     begins = [part[0] for part in parts]
     for at, mine in groupby(indices, lambda index: bisect_right(begins, index) - 1):

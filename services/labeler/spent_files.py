@@ -1,7 +1,7 @@
-"""Files of a run that no job will read any more: they are deleted while the run goes on.
+"""Files of a run that no further job reads: they are deleted during the run.
 
-**Conventions.** Tiles alone read what parts leave: range images, and points of a tile and its neighbours. A tile's job
-that has succeeded never runs again, and rows say which have. So a job that is begun again finds what it reads.
+**Conventions.** Only tiles read the outputs of parts: range images, and points of a tile and its neighbours. A
+succeeded tile job never runs again, and rows record its success, so a restarted job still finds its inputs.
 """
 
 from sqlalchemy import select
@@ -14,11 +14,11 @@ from services.labeler.scratch import FUSED, IMAGES, part_file, tile_name
 from services.runtime.orm import Job, JobNeed
 
 FREEING = (FUSE, REFERENCE)
-"""The kinds of jobs that delete first: once for each part, and when every tile is done."""
+"""The kinds of jobs that delete first: fusing for each part, and the reference after all tiles."""
 
 
 def delete_spent(context: LabelStageContext) -> None:
-    """Delete what all tiles that read it have read; after the last tile all of it."""
+    """Delete files that all their tiles have read; after the last tile, delete all."""
     tile, part = aliased(Job), aliased(Job)
     reads = (
         select(tile.state, tile.arguments, part.arguments)

@@ -1,8 +1,8 @@
-"""The stages that label a sequence, as values: what the jobs of a kind do, and which files they read.
+"""The stages that label a sequence, as values: the work of each kind of job, and the files that it reads.
 
-**Conventions.** `services/labeler/pipeline.py` names them and declares the jobs; `stone label` runs these in processes
-(`services/labeler/local_run.py`), the queue as tasks (`services/labeler/queue_handlers.py`). Files are named relative
-to the scratch folder of the run, and are all that one stage leaves for another.
+**Conventions.** `services/labeler/pipeline.py` lists the stages and declares the jobs; `stone label` runs these in
+processes (`services/labeler/local_run.py`), the queue as tasks (`services/labeler/queue_handlers.py`). File names are
+relative to the run's scratch folder. Stages exchange data only through these files.
 """
 
 from collections.abc import Callable, Mapping
@@ -16,7 +16,7 @@ Arguments = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class StageResult:
-    """`result` is what the job answers; `facts` go into its log, when there are any."""
+    """`result` is the job's result; `facts` go into its log, if any."""
 
     result: Mapping[str, int] = field(default_factory=dict)
     facts: Mapping[str, Any] = field(default_factory=dict)
@@ -24,12 +24,14 @@ class StageResult:
 
 @dataclass(frozen=True)
 class Stage:
-    """What the jobs of one kind do, and the files in scratch that they read.
+    """The work of one kind of job, and the files in scratch that it reads.
 
-    `step_name` is how the queue tells the progress within a job, `shown` how `stone label` tells how many jobs are
-    done ("" where it tells nothing), `event` the log line of a job that is done. `reads` are beginnings of names that
-    each job reads, `list_near` lists those of one job; there may be no such file. `requires` names files and folders
-    that must be there. A stage without `reads_sweeps` is not given the recording.
+    - `step_name`: progress name within a job in the queue
+    - `shown`: progress name of `stone label` for finished jobs ("" for none)
+    - `event`: the log line of a finished job
+    - `reads`: name prefixes of files that each job reads, if they exist; `list_near` lists files of one job
+    - `requires`: names of files and folders that must exist
+    - `reads_sweeps`: whether the job needs the recording; if False, it is not mounted into the sandbox
     """
 
     work: Callable[[LabelRun, Arguments, Step], StageResult]
@@ -43,11 +45,11 @@ class Stage:
 
 
 def part_of(arguments: Arguments) -> Part:
-    """The part that a job is about."""
+    """Return the part of a job."""
     begin, end = arguments["part"]
     return begin, end
 
 
 def tile_of(arguments: Arguments) -> Tile:
-    """The tile that a job is about."""
+    """Return the tile of a job."""
     return Tile(*arguments["tile"])

@@ -1,11 +1,11 @@
 """`frames.parquet`: one row per LiDAR stamp, usable or not.
 
-**Columns.** frame_token (null when excluded), stamp_ns, map_from_ego as x_m y_m z_m qw qx qy qz, exclusion_code
-and exclusion_reason (null when usable), voxels by class, voxels observed; of the pose rtk_status (unknown none single
-differential float fixed), pose_gap_ns between the two poses around the stamp, and east_stdev_m north_stdev_m
-up_stdev_m (null where the source says none); per sensor, the LiDAR's as `LIDAR`, `<channel>_topic`, `<channel>_index`
-(message of it in the order of recording, −1 none) and `<channel>_dt_ns` (signed); per IMU `<channel>_start` and
-`<channel>_stop`, its samples until the next frame, counted in the order of their stamps.
+**Columns.** frame_token (null if excluded), stamp_ns, map_from_ego as x_m y_m z_m qw qx qy qz, exclusion_code and
+exclusion_reason (null if usable), voxels by class, observed voxels. For the pose: rtk_status (unknown none single
+differential float fixed), pose_gap_ns between the two poses around the stamp, and east_stdev_m north_stdev_m up_stdev_m
+(null if unknown). Per sensor, the LiDAR as `LIDAR`: `<channel>_topic`, `<channel>_index` (message number in the order
+of recording, −1 none) and `<channel>_dt_ns` (signed). Per IMU: `<channel>_start` and `<channel>_stop`, its samples
+until the next frame, counted in the order of their stamps.
 
 **Metadata.** Under `stone`, JSON: sequence, vehicle (the calibration's name), recordings and calibration (name →
 sha256), pose_source, map_origin_deg_m and the learnt trigger phase of each camera, ns.
@@ -59,7 +59,7 @@ def _usable(sequence: Sequence, counts: FrameVoxelCounts) -> pa.Table:
 
 
 def _quality(frames: Frames) -> dict[str, object]:
-    """Of the poses; nothing where frames were not made from a recording."""
+    """Return the quality of the poses; nothing if the frames were not made from a recording."""
     if frames.quality is None:
         return {}
     stdev_m = frames.quality.stdev_m
@@ -82,6 +82,6 @@ def _about(sequence: Sequence) -> dict[str, object]:
 
 
 def concatenated(parts: list[FrameVoxelCounts]) -> FrameVoxelCounts:
-    """The counts of all parts, in frame order."""
+    """Return the counts of all parts, in frame order."""
     columns = zip(*((part.classes, part.observed, part.filled) for part in parts), strict=True)
     return FrameVoxelCounts(*map(np.concatenate, columns))

@@ -1,10 +1,10 @@
-"""Which part of a run can reach which tile: known from the poses, before a sweep is read.
+"""The parts of a run that can reach each tile: computed from the poses, before any sweep is read.
 
-So a tile is reconstructed as soon as the last part that can reach it is fused, while the rest of the run is still being
-read; the same plan makes the tasks of one machine and the jobs of the queue.
+A tile is therefore reconstructed as soon as the last part that can reach it is fused, while the rest of the run is
+still being read. The same plan gives the tasks of one machine and the jobs of the queue.
 
-**Conventions.** Reach is in plan. A frame leaves points within the labelled box and voxels along followed rays, and
-votes on what moved: all of it lies within `reach_m` of the ego's origin.
+**Conventions.** Reach is in plan. A frame contributes points within the labelled box and voxels along traced rays, and
+votes on moving objects: all within `reach_m` of the ego's origin.
 """
 
 from collections.abc import Mapping
@@ -23,9 +23,9 @@ from stone.labels.voxels import VOXEL_M
 
 @dataclass(frozen=True)
 class TilePlan:
-    """`needs`: for every tile the run may reach, the parts that can reach its cube, in order.
+    """`needs`: for every tile within reach, the parts that can reach its cube, in order.
 
-    Tiles are in the order in which they can be begun: by the last of their parts, then by place.
+    Tiles are in the order of their earliest start: by the last of their parts, then by position.
     """
 
     parts: tuple[Part, ...]
@@ -33,7 +33,7 @@ class TilePlan:
 
 
 def plan_of(run: LabelRun) -> TilePlan:
-    """The plan of a run; no tile without a frame."""
+    """Return the plan of a run; every tile has a frame."""
     parts = tuple(parts_of(run))
     places = run.sequence.frames.map_from_ego.translation_m[:, :2]
     reach = reach_m(run.parameters, run.sensor_ego)
@@ -46,13 +46,13 @@ def plan_of(run: LabelRun) -> TilePlan:
 
 
 def tiles_around(run: LabelRun, part: Part) -> list[Tile]:
-    """The tiles that the label grids of a part can touch."""
+    """Return the tiles that the label grids of a part can overlap."""
     bounds = frame_bounds(run.sequence.frames.map_from_ego[slice(*part)], run.parameters.grid)
     return tiles_across(run.parameters, bounds, run.map_of(part))
 
 
 def reach_m(parameters: LabelParameters, sensor_ego: NDArray[np.float64]) -> float:
-    """How far from the ego's origin a frame matters, metres."""
+    """Return the distance in metres from the ego's origin within which a frame contributes."""
     box = labelled_box(parameters.selection.margin_m, parameters.grids)
     corner = np.maximum(np.abs(box.min_m), np.abs(box.max_m))
     sensor_m = float(np.linalg.norm(sensor_ego))
@@ -62,7 +62,7 @@ def reach_m(parameters: LabelParameters, sensor_ego: NDArray[np.float64]) -> flo
 
 
 def _tiles_around(run: LabelRun, number: int, reach: float) -> list[Tile]:
-    """Every tile of a map whose core is within reach of a frame of it, found frame by frame: a run may be very long."""
+    """Return every tile of a map whose core is within reach of a frame, frame by frame, since runs can be very long."""
     core_m = run.parameters.core_m
     places = run.sequence.frames.map_from_ego.translation_m[run.maps == number, :2]
     cells = np.unique(np.floor(places / core_m).astype(np.int64), axis=0)
@@ -73,7 +73,7 @@ def _tiles_around(run: LabelRun, number: int, reach: float) -> list[Tile]:
 
 
 def _gaps_m(places: NDArray[np.float64], tile: Tile, parameters: LabelParameters) -> NDArray[np.float64]:
-    """How far each place (N, 2) is from the tile's cube in plan; 0 inside."""
+    """Return the distance of each position (N, 2) from the tile's cube in plan; 0 inside."""
     low = tile.place * parameters.core_m - parameters.tiling.halo_m
     high = low + parameters.core_m + 2 * parameters.tiling.halo_m
     gaps = np.maximum(0.0, np.maximum(low - places, places - high))

@@ -1,4 +1,4 @@
-"""Totals of a label set for its database row: duration, distance, voxels by class; and the track it was driven on."""
+"""Totals of a label set for its database row: duration, distance, voxels by class; and the driven track."""
 
 from dataclasses import asdict
 
@@ -20,7 +20,7 @@ EARTH = "earth"  # WGS 84, earth-centred
 
 
 def totals_of(run: LabelRun) -> Totals:
-    """By the names of the row's columns; of packs that are in scratch."""
+    """Return the totals by column name, from the packs in scratch."""
     counts = concatenated([load_pack(run, part)[1] for part in parts_of(run)])
     voxels = dict(zip(CLASS_COLUMNS, counts.classes.sum(axis=0).tolist(), strict=True))
     frames = run.sequence.frames
@@ -29,12 +29,12 @@ def totals_of(run: LabelRun) -> Totals:
 
 
 def recorded_track(sequence: Sequence) -> TrackAnswer | None:
-    """Return the track of a recording: on the earth if its poses are, else in a map of its own."""
+    """Return the track of a recording: on the earth if its poses are georeferenced, else in its own map."""
     return track_of(sequence, *common_map(sequence.map_origin_deg_m, sequence.calibration.name))
 
 
 def common_map(origin_deg_m: tuple[float, float, float] | None, vehicle: str) -> tuple[TrackOrigin, SE3]:
-    """Return the map that tracks of a vehicle are compared in, and the pose of its own map with this origin there."""
+    """Return the map in which tracks of a vehicle are compared, and the pose of its own map with this origin in it."""
     if origin_deg_m is None:
         return TrackOrigin(vehicle=vehicle), SE3.identity()
     latitude_deg, longitude_deg, height_m = origin_deg_m

@@ -1,7 +1,7 @@
-"""The source of an imported label set: the files of its scene in the release's layout, as they were published.
+"""The source of an imported label set: the published files of its scene in the release's layout.
 
-**Conventions.** Files lie in packs on this machine, or in the archive that was imported in place. They are a
-stranger's, so they are opened in a sandboxed child.
+**Conventions.** Files are in packs on this machine, or in the archive imported in place. They are untrusted, so only a
+sandboxed child opens them.
 """
 
 import io
@@ -23,7 +23,7 @@ from stone_files.npz import npz_bytes
 
 @dataclass(frozen=True)
 class PlacedSource:
-    """The index of files that lie in an archive, and the archive: a path, or ranges. A plain value."""
+    """The index of files in an archive, and the archive: a path, or ranges. A plain value."""
 
     index: Path
     archive: Path | ByteRanges
@@ -31,7 +31,7 @@ class PlacedSource:
 
 @dataclass(frozen=True)
 class DatasetSource:
-    """The index and the packs of a scene's files, and those in place; a plain value for a child."""
+    """The index and packs of a scene's files, and its files in place; a plain value for a child."""
 
     index: Path
     packs: tuple[Path, ...]
@@ -39,7 +39,7 @@ class DatasetSource:
 
     @property
     def paths(self) -> tuple[Path, ...]:
-        """The files that are opened."""
+        """The paths of the files to open."""
         in_place = () if self.placed is None else (self.placed.index, self.placed.archive)
         return (self.index, *self.packs, *(path for path in in_place if isinstance(path, Path)))
 
@@ -49,7 +49,7 @@ class DatasetSource:
 
 @dataclass(frozen=True, eq=False)
 class DatasetSourceFiles:
-    """The files of a scene by name, as those of an export (`stone_exports.files.Files`)."""
+    """The files of a scene by name, like those of an export (`stone_exports.files.Files`)."""
 
     path: Path
     packs: tuple[Path, ...]
@@ -70,7 +70,7 @@ class DatasetSourceFiles:
         return ExportFileSpan(pack, name, int(files.offsets_bytes[at]), int(files.sizes_bytes[at]))
 
     def write(self, folder: Path) -> None:
-        """Write every file below the folder. Raises `DamagedExportError`."""
+        """Write every file to the folder. Raises `DamagedExportError`."""
         for span in self._spans():
             (folder / span.name).parent.mkdir(parents=True, exist_ok=True)
             with (folder / span.name).open("wb") as file:
@@ -91,7 +91,7 @@ class DatasetSourceFiles:
 
     @cached_property
     def _in_place(self) -> Mapping[str, int]:
-        """The place in the index of each file that lies in the archive."""
+        """The index position of each file that is in the archive."""
         return {} if self.placed is None else {name: at for at, name in enumerate(self._index.names)}
 
     @cached_property
@@ -101,8 +101,10 @@ class DatasetSourceFiles:
 
 @dataclass(frozen=True, eq=False)
 class PlacedFiles:
-    """N files of a scene, and where each lies in an archive: its name there, and `places` (N, 6), as `PLACE` of
-    `stone_datasets/zip_files.py` says."""
+    """N files of a scene in an archive, by name.
+
+    `places` (N, 6) is as in `PLACE` of `stone_datasets/zip_files.py`.
+    """
 
     names: tuple[str, ...]
     held: tuple[str, ...]
@@ -110,24 +112,24 @@ class PlacedFiles:
 
 
 def placed_bytes(files: PlacedFiles) -> bytes:
-    """The index as a file; the same bytes for equal files."""
+    """Return the index as a file; equal files give equal bytes."""
     return npz_bytes({"names": joined_names(files.names), "held": joined_names(files.held), "places": files.places})
 
 
 def read_placed(payload: bytes) -> PlacedFiles:
-    """The files whose index `placed_bytes` wrote. Raises ValueError if it is cut off."""
+    """Return the files from an index by `placed_bytes`. Raises ValueError if it is truncated."""
     with np.load(io.BytesIO(payload), allow_pickle=False) as arrays:
         names, held, places = parted_names(arrays["names"]), parted_names(arrays["held"]), arrays["places"]
     return PlacedFiles(names, held, places.astype(np.int64))
 
 
 def joined_names(names: tuple[str, ...]) -> NDArray[np.uint8]:
-    """Names as an array of bytes."""
+    """Return the names as an array of bytes."""
     return np.frombuffer("\n".join((str(len(names)), *names)).encode("ascii"), np.uint8)
 
 
 def parted_names(joined: NDArray[np.uint8]) -> tuple[str, ...]:
-    """The names that `joined_names` joined. Raises ValueError if there are others."""
+    """Return the names joined by `joined_names`. Raises ValueError if the array is truncated."""
     count, *names = joined.tobytes().decode("ascii").split("\n")
     if int(count) != len(names):
         raise ValueError("a list of names is truncated")

@@ -1,4 +1,4 @@
-"""Why labels cannot be exported."""
+"""Errors of labels that cannot be exported."""
 
 from pathlib import Path
 

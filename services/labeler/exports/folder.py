@@ -1,9 +1,8 @@
-"""An export as a folder on this machine: it appears whole, is not written again when nothing changed, and takes further
-sequences in.
+"""An export as a local folder: it appears atomically, stays untouched if unchanged, and can receive further sequences.
 
-**Conventions.** `export.json` says the format and of each sequence the recipe; `checksums/<sequence>.sha256` lists its
-files (`sha256sum --check` reads it). Files of sequences that stay are hard-linked into the new folder, never rewritten;
-what all sequences share (tables, class names) is written anew from theirs, in the order of names.
+**Conventions.** `export.json` contains the format and the recipe of each sequence; `checksums/<sequence>.sha256` lists
+its files (for `sha256sum --check`). Files of unchanged sequences are hard-linked into the new folder, never rewritten.
+Shared files (tables, class names) are written again from all sequences, in the order of names.
 """
 
 import json
@@ -35,15 +34,17 @@ from stone_base.label_quality import quality_of
 from stone_files.atomic import atomic_directory
 
 MANIFEST, CHECKSUMS, FRESH = "export.json", "checksums", ".fresh"
-# What of a report decides an export's bytes; seconds and memory do not. The first are known without labels.
+# The parts of a report that determine an export's bytes; seconds and memory do not. `SENSED` needs no labels.
 SENSED = ("sequence", "inputs", "parameters", "code_version", "frames")
 DECIDING = (*SENSED, "class_share_of_occupied", "reference", "map", "held_out", "findings")
 
 
 @dataclass(frozen=True)
 class ExportFolderEntry:
-    """One sequence of an export; `number` is its place where a format counts sequences. `quality` is that of its
-    labels, None in an export without labels or of an earlier version."""
+    """A sequence of an export; `number` is its index in formats that number sequences.
+
+    `quality` is that of its labels, None in an export without labels or of an earlier version.
+    """
 
     recipe: str
     frames: int
@@ -53,7 +54,7 @@ class ExportFolderEntry:
 
 @dataclass(frozen=True)
 class ExportOutcome:
-    """`status` is written, added (beside other sequences), replaced or unchanged."""
+    """The result of an export: `status` is written, added (beside other sequences), replaced or unchanged."""
 
     format: str
     sequence: str
@@ -74,10 +75,10 @@ class ExportRequest:
 
 
 def export(request: ExportRequest, open_source: Callable[[], LabelledSequence], step: Step) -> ExportOutcome:
-    """Export a sequence into the folder, where further sequences may be already; opens it only when it must.
+    """Export a sequence into the folder, which may contain other sequences; the source is opened only if needed.
 
-    Raises `unknown_format`, `not_an_export`, `damaged_labels`, `export_clash`, `output_exists`, and
-    what opening and exporting raise.
+    Raises `unknown_format`, `not_an_export`, `damaged_labels`, `export_clash`, `output_exists`, and what opening and
+    exporting raise.
     """
     exporter, (name, frames) = exporter_of(request.format), _described(request.report)
     known = read_manifest(request.out, request.format)
@@ -109,7 +110,7 @@ def _deciding(format_name: str) -> tuple[str, ...]:
 
 
 def _described(report: Mapping[str, Any]) -> tuple[str, int]:
-    """The sequence that a report is of, and its frames."""
+    """Return the sequence name and the number of frames in a report."""
     name, frames = report.get("sequence"), report.get("frames")
     if not isinstance(name, str) or not NAME.fullmatch(name) or not isinstance(frames, int):
         raise damaged_labels(Path("report.json"), "it contains no sequence name or no number of frames")
@@ -126,7 +127,7 @@ def _opened(open_source: Callable[[], LabelledSequence], name: str) -> LabelledS
 
 
 def read_manifest(out: Path, format_name: str) -> dict[str, ExportFolderEntry]:
-    """The sequences in a folder by name; none where there is no export yet. Raises `not_an_export`."""
+    """Return the sequences in a folder by name; empty if it contains no export. Raises `not_an_export`."""
     path = out / MANIFEST
     if not path.exists():
         return {}
@@ -145,7 +146,7 @@ def read_manifest(out: Path, format_name: str) -> dict[str, ExportFolderEntry]:
 
 
 def _number(known: Mapping[str, ExportFolderEntry], name: str) -> int:
-    """The sequence's own, or the smallest that is free."""
+    """Return the sequence's own number, or the smallest free one."""
     if name in known:
         return known[name].number
     taken = {entry.number for entry in known.values()}
@@ -158,7 +159,7 @@ def _manifest(format_name: str, entries: Mapping[str, ExportFolderEntry]) -> str
 
 
 def _move_in(fresh: Path, staging: Path, name: str) -> tuple[int, int]:
-    """Move the new files to their places and write their checksums; how many, and how large."""
+    """Move the new files to their final paths and write their checksums; return their number and bytes."""
     lines, size_bytes = [], 0
     for path in sorted(path for path in fresh.rglob("*") if path.is_file()):
         relative = path.relative_to(fresh)
@@ -181,7 +182,7 @@ def _move_in(fresh: Path, staging: Path, name: str) -> tuple[int, int]:
 
 
 def _link_kept(out: Path, staging: Path, name: str) -> None:
-    """Give a sequence that stays its files in the new folder, without copying where the filesystem can."""
+    """Link an unchanged sequence's files into the new folder; copy only if the filesystem has no hard links."""
     listing = f"{CHECKSUMS}/{name}.sha256"
     try:
         files = [line[66:] for line in (out / listing).read_text("utf-8").splitlines()]
@@ -205,12 +206,10 @@ def _link(old: Path, new: Path) -> None:
         shutil.copy2(old, new)
 
 
-# Shared files of an export folder, merged from its sequences.
-#
-# **Conventions.** nuScenes, with labels or without: each sequence's own tables lie in `tables/<sequence>/`, the
-# dataset's in `v1.0-trainval/` are theirs one after the other, a row that several bring (a sensor, a class) once.
-# SemanticKITTI: a sequence is a number. Other formats share nothing. The result does not depend on the order in which
-# nuScenes sequences were added.
+# Shared files of an export folder, merged from its sequences. nuScenes, with or without labels: each sequence's tables
+# are in `tables/<sequence>/`; the tables in `v1.0-trainval/` concatenate them, with common rows (a sensor, a class)
+# once. SemanticKITTI: a sequence is a number. Other formats share nothing. The result does not depend on the order in
+# which nuScenes sequences were added.
 
 
 OWN_TABLES = "tables"
@@ -219,7 +218,7 @@ SHARED_TABLES = frozenset({"attribute", "category", "sensor", "visibility"})
 
 
 def rearrange(format_name: str, fresh: Path, sequence: str, number: int) -> None:
-    """Move what an exporter wrote for a sequence alone to where it does not meet other sequences' files."""
+    """Move an exporter's files for one sequence to paths that do not collide with other sequences."""
     if format_name in TABLED:
         (fresh / OWN_TABLES).mkdir()
         (fresh / VERSION).rename(fresh / OWN_TABLES / sequence)
@@ -231,7 +230,7 @@ def rearrange(format_name: str, fresh: Path, sequence: str, number: int) -> None
 
 
 def join(format_name: str, folder: Path, numbers: Mapping[str, int]) -> None:
-    """Write what these sequences (name → number) share."""
+    """Write the shared files of these sequences (name → number)."""
     if format_name in TABLED:
         (folder / VERSION).mkdir()
         for table in TABLES:

@@ -10,10 +10,10 @@
 | /track | foxglove.PosesInFrame: every pose, once | map |
 | /map/mesh/0, 1, … | foxglove.SceneUpdate: a part of the mesh each, once | map |
 
-**Conventions.** What is logged of a sensor carries the stamp at which it measured, also as its log time; a frame's
-messages are in the order of theirs. Chunks are zstd, indexed. One thread and no clock: equal inputs give equal bytes.
-What does not change has a topic of its own for each piece, because a viewer that jumps looks for the last message of a
-topic. Source: docs.foxglove.dev, MCAP specification.
+**Conventions.** Sensor messages have their measurement stamp, also as log time; the messages of a frame are sorted by
+stamp. Chunks are zstd, indexed. The exporter uses one thread and no clock, so equal inputs give equal bytes. Static
+content has its own topic per piece, because a viewer that jumps loads the last message of a topic. Source:
+docs.foxglove.dev, MCAP specification.
 """
 
 from collections.abc import Iterator
@@ -77,11 +77,11 @@ def write_foxglove(source: LabelledSequence, out: Path, step: Step = silent) -> 
 
 
 class _Log:
-    """A channel of the message's schema for every topic, made at its first message."""
+    """A channel of the message's schema for every topic, created at its first message."""
 
     def __init__(self, context: Context) -> None:
         self.context = context
-        self._channels: dict[str, Any] = {}  # each has a class of its own, without a base
+        self._channels: dict[str, Any] = {}  # each has its own class, without a base class
 
     def write(self, logged: Logged) -> None:
         log_time_ns, topic, message = logged
@@ -92,7 +92,7 @@ class _Log:
 
 
 def _once(source: LabelledSequence) -> Iterator[Logged]:
-    """What holds for the whole sequence, at its first stamp; nothing of a sequence without frames."""
+    """Yield the static messages of the sequence at its first stamp; nothing without frames."""
     frames = source.sequence.frames
     if len(frames):
         first_ns = int(frames.stamps_ns[0])
@@ -118,10 +118,8 @@ def _frame(source: LabelledSequence, index: int) -> Iterator[Logged]:
                 yield picture.stamp_ns, f"/{mount.name}/calibration", message
 
 
-# Our values as foxglove messages.
-#
-# **Conventions.** Quaternions are xyzw there. A grid's rows run along y and its columns along x, in the order z, y, x;
-# free voxels have alpha 0. Bytes are little-endian.
+# The platform's values as foxglove messages. Their quaternions are xyzw. A grid's rows run along y and its columns
+# along x, in the order z, y, x; free voxels have alpha 0. Bytes are little-endian.
 
 
 MAP, EGO, LIDAR = "map", "ego", "LIDAR"
@@ -134,7 +132,7 @@ NUMERIC = {
     np.dtype("<u2"): PackedElementFieldNumericType.Uint16,
     np.dtype("<f4"): PackedElementFieldNumericType.Float32,
 }
-# Ours to theirs; a lens without distortion is the first one with zeros.
+# The platform's names of lens models and Foxglove's; a lens without distortion is plumb_bob with zeros.
 LENS = {"pinhole": "plumb_bob", "plumb_bob": "plumb_bob", "rational_polynomial": "rational_polynomial"}
 LENS |= {"equidistant": "kannala_brandt"}
 NO_DISTORTION = (0.0,) * 5
@@ -145,12 +143,12 @@ def timestamp(stamp_ns: int) -> Timestamp:
 
 
 def pose(transform: SE3) -> Pose:
-    """One transform as the place of its source in its destination."""
+    """Return one transform as the pose of its source in its destination."""
     return Pose(position=_vector(transform), orientation=_quaternion(transform))
 
 
 def transforms(calibration: Calibration, map_from_ego: SE3, stamp_ns: int) -> FrameTransforms:
-    """The whole tree at one stamp, so that any message of it is enough."""
+    """Return the whole transform tree at one stamp, so that each message is sufficient."""
     tree = [(MAP, EGO, map_from_ego), (EGO, LIDAR, calibration.ego_from_lidar)]
     tree += [(LIDAR, mount.name, mount.lidar_from_sensor) for mount in calibration.mounts if mount.name != LIDAR]
     return FrameTransforms(
@@ -168,7 +166,7 @@ def transforms(calibration: Calibration, map_from_ego: SE3, stamp_ns: int) -> Fr
 
 
 def voxel_grid(semantics: Grid, grid: LabelGrid, stamp_ns: int) -> VoxelGrid:
-    """The classes (X, Y, Z) of a frame of the grid."""
+    """Return the classes (X, Y, Z) of a frame with this grid."""
     columns, rows, _ = semantics.shape
     corner = SE3.from_parts(np.array([1.0, 0, 0, 0]), np.array(grid.min_m))
     return VoxelGrid(
@@ -206,7 +204,7 @@ def image(channel: str, sample: CameraSample) -> CompressedImage:
 
 
 def camera_calibration(channel: str, lens: CameraIntrinsics, stamp_ns: int) -> CameraCalibration:
-    """Of the picture as recorded; the rectified one would keep focal lengths and centre."""
+    """Return the calibration of the picture as recorded; rectification keeps focal lengths and centre."""
     k = [lens.fx_px, 0.0, lens.cx_px, 0.0, lens.fy_px, lens.cy_px, 0.0, 0.0, 1.0]
     return CameraCalibration(
         timestamp=timestamp(stamp_ns),
@@ -222,13 +220,13 @@ def camera_calibration(channel: str, lens: CameraIntrinsics, stamp_ns: int) -> C
 
 
 def track(map_from_ego: SE3, stamp_ns: int) -> PosesInFrame:
-    """All poses (P,)."""
+    """Return all poses (P,)."""
     poses = [pose(map_from_ego[index]) for index in range(len(map_from_ego))]
     return PosesInFrame(timestamp=timestamp(stamp_ns), frame_id=MAP, poses=poses)
 
 
 def mesh_update(part: MeshPart, number: int, stamp_ns: int) -> SceneUpdate:
-    """One entity that stays; its colours are those of the classes."""
+    """Return a permanent entity in the class colours."""
     colours = [Color(r=r, g=g, b=b, a=1.0) for r, g, b in (part.rgb / 255.0).tolist()]
     triangles = TriangleListPrimitive(
         pose=pose(SE3.identity()),

@@ -1,14 +1,15 @@
-"""The SemanticKITTI format: voxels in its layout for scene completion, so that its readers open them.
+"""The SemanticKITTI format: voxels in its scene completion layout, for SemanticKITTI readers.
 
     dataset/sequences/<NN>/  voxels/<i>.{bin,label,invalid,occluded}  velodyne/<i>.bin  calib.txt  poses.txt  times.txt
 
-**Conventions.** The voxels of the labels' grid, x slowest and z fastest, as theirs (256 × 256 × 32); but the grid lies
-all around the robot, [−25.6, 25.6) m forward in the paper's, where theirs begins at the sensor. Scans are in the ego
-frame (theirs: Velodyne), so that scan and voxels share one frame; remission is the intensity as recorded. `bin`: a
-return of this sweep lies there; `label`: the class, uint16; `invalid`: no sweep of the run observed it; `occluded`:
-hidden from this frame's LiDAR behind labelled voxels. Bits are packed eight to a byte, the first in the highest. Poses
-are cam0's, relative to the first frame; cam0 is the ego frame with KITTI's camera axes (`Tr`). Source:
-semantic-kitti-api (auxiliary/SSCDataset.py, generate_sequential.py, auxiliary/shaders/draw_voxels.vert).
+**Conventions.** The voxels have the labels' grid, x slowest and z fastest, as in SemanticKITTI (256 × 256 × 32). But
+the grid surrounds the robot ([−25.6, 25.6) m forward in the paper's grid), while SemanticKITTI's starts at the sensor.
+Scans are in the ego frame (SemanticKITTI: Velodyne), so that scan and voxels share one frame; remission is the recorded
+intensity. `bin`: contains a return of this sweep; `label`: the class, uint16; `invalid`: unobserved in all sweeps of
+the run; `occluded`: hidden from this frame's LiDAR behind labelled voxels. Bits are packed eight to a byte, the first
+in the highest. Poses are those of cam0, relative to the first frame; cam0 is the ego frame with KITTI's camera axes
+(`Tr`). Source: semantic-kitti-api (auxiliary/SSCDataset.py, generate_sequential.py,
+auxiliary/shaders/draw_voxels.vert).
 """
 
 from collections.abc import Mapping
@@ -33,7 +34,7 @@ SEQUENCES = Path("dataset") / "sequences"
 CONFIG = "semantic-kitti-stone.yaml"
 # x right is −y, y down is −z, z forward is x.
 CAM0_FROM_EGO = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
-# A quarter of all directions: six of these around a LiDAR see all that it can.
+# A sixth of all directions: six such cameras around a LiDAR cover its whole view.
 QUARTER = CameraIntrinsics("pinhole", 256, 256, 128.0, 128.0, 128.0, 128.0)
 FACES = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
 
@@ -58,7 +59,7 @@ def write_kitti(source: LabelledSequence, out: Path, step: Step) -> None:
 
 
 def write_config(folder: Path, numbers: Mapping[str, int]) -> None:
-    """What semantic-kitti-api reads of classes and sequences (name → number); all are for training."""
+    """Write the classes and sequences (name → number) for semantic-kitti-api; all sequences are for training."""
     names = {0: "free", **{kind: name.replace(" ", "-") for kind, name in CLASS_NAME.items()}}
     colours = {0: (0, 0, 0), **CLASS_RGB}
     listed = sorted(numbers.items(), key=lambda pair: pair[1])
@@ -77,7 +78,7 @@ def write_config(folder: Path, numbers: Mapping[str, int]) -> None:
 
 
 def packed(grid: NDArray[np.uint8] | NDArray[np.bool_]) -> bytes:
-    """Eight voxels a byte, the first in the highest bit."""
+    """Return eight voxels per byte, the first in the highest bit."""
     return np.packbits(grid.reshape(-1) != 0, bitorder="big").tobytes()
 
 
@@ -96,12 +97,12 @@ def _write_frame(source: LabelledSequence, index: int, visible: Words, folder: P
 
 
 def _in_ego(sample: LidarSample, ego_from_lidar: SE3) -> NDArray[np.float64]:
-    """(N, 4): x y z in the ego frame, remission."""
+    """Return (N, 4): x y z in the ego frame, remission."""
     return np.column_stack([ego_from_lidar @ sample.points_lidar.astype(np.float64), sample.intensity])
 
 
 def _occupied(points_ego: NDArray[np.float64], label_grid: LabelGrid) -> NDArray[np.bool_]:
-    """The voxels of the grid in which there is a point."""
+    """Return the voxels of the grid that contain a point."""
     indices = np.floor((points_ego - np.array(label_grid.min_m)) / label_grid.voxel_m).astype(np.int64)
     inside = ((indices >= 0) & (indices < np.array(label_grid.shape))).all(axis=1)
     grid = np.zeros(label_grid.shape, np.bool_)
@@ -110,7 +111,7 @@ def _occupied(points_ego: NDArray[np.float64], label_grid: LabelGrid) -> NDArray
 
 
 def _all_around(ego_from_lidar: SE3, grid: LabelGrid) -> SightBatch:
-    """Six pinholes at the LiDAR, each a face of a cube."""
+    """Return six pinholes at the LiDAR, the faces of a cube."""
     lines = []
     for face in FACES:
         forward = np.array(face, np.float64)

@@ -1,9 +1,9 @@
 """The map's surface for other programs: PLY as it is, and binary glTF 2.0, coloured by class.
 
-    <sequence>/mesh.ply   z up, the map frame        <sequence>/mesh.glb   y up, as glTF demands: (x, z, −y)
+    <sequence>/mesh.ply   z up, the map frame        <sequence>/mesh.glb   y up, as glTF requires: (x, z, −y)
 
-**Conventions.** The glTF is written from the mapped PLY part by part, so memory does not grow with the map: one part is
-some 30 MB. One mesh, one primitive: positions float32, COLOR_0 normalised bytes RGBA, indices uint32.
+**Conventions.** The glTF is written part by part from the memory-mapped PLY, so memory does not grow with the map: one
+part takes about 30 MB. One mesh, one primitive: positions float32, COLOR_0 normalised bytes RGBA, indices uint32.
 Source: Khronos glTF 2.0, §3.4 (coordinate system), §3.6.2 (accessors), §4.4 (GLB).
 """
 
@@ -25,7 +25,7 @@ from services.labeler.run import Step
 from stone.errors import Refused
 from stone.labels.class_colours import PALETTES
 
-# The map's mesh in parts of bounded size, so that no format has to hold it whole.
+# The map's mesh in parts of bounded size.
 
 
 MOST_TRIANGLES = 1 << 17
@@ -33,7 +33,7 @@ MOST_TRIANGLES = 1 << 17
 
 @dataclass(frozen=True, eq=False)
 class MeshPart:
-    """`vertices_map` (V, 3), each in some triangle, `rgb` (V, 3) of their classes, and `triangles` (T, 3) of them."""
+    """A part of the mesh: used `vertices_map` (V, 3), class colours `rgb` (V, 3), and `triangles` (T, 3)."""
 
     vertices_map: NDArray[np.float32]
     rgb: NDArray[np.uint8]
@@ -41,7 +41,7 @@ class MeshPart:
 
 
 def mesh_parts(path: Path, most_triangles: int = MOST_TRIANGLES) -> Iterator[MeshPart]:
-    """The mesh in the file's order; nothing for an empty one. Raises `damaged_labels`."""
+    """Yield the mesh in the file's order; nothing for an empty mesh. Raises `damaged_labels`."""
     mesh = open_mesh(path)
     for begin in range(0, len(mesh.faces), most_triangles):
         corners = mesh.faces["indices"][begin : begin + most_triangles]
@@ -54,11 +54,8 @@ def mesh_parts(path: Path, most_triangles: int = MOST_TRIANGLES) -> Iterator[Mes
         )
 
 
-# The map's `mesh.ply` read back as arrays that stay on disk until they are looked at.
-#
-# **Conventions.** As `services/labeler/map/ply.py` writes it: vertices with colours of their class, triangles. Meshes
-# of earlier label sets have no features, or the colours of an earlier palette and another comment in their header: they
-# are read alike.
+# Reads the map's `mesh.ply` (`services/labeler/map/ply.py`) as memory-mapped arrays. Meshes of earlier label sets lack
+# features, or have an earlier palette and another comment in the header; they are read in the same way.
 
 
 MOST_HEADER_BYTES = 4096
@@ -67,13 +64,13 @@ END = b"end_header\n"
 
 @dataclass(frozen=True, eq=False)
 class MeshFile:
-    """`vertices` (V,) records xyz, rgb and mostly features; `faces` (F,) records n = 3 and indices."""
+    """`vertices` (V,) records of xyz, rgb and usually features; `faces` (F,) records of n = 3 and indices."""
 
     vertices: NDArray[np.void]
     faces: NDArray[np.void]
 
     def classes(self, rows: slice | NDArray[np.int64]) -> NDArray[np.uint8]:
-        """The class of each of these vertices, 0 where it has none."""
+        """Return the class of each of these vertices, 0 for none."""
         rgb = self.vertices["rgb"][rows]
         classes = np.zeros(len(rgb), np.uint8)
         for palette in PALETTES.values():
@@ -83,7 +80,7 @@ class MeshFile:
 
 
 def open_mesh(path: Path) -> MeshFile:
-    """Raises `damaged_labels` where the file is not one of ours."""
+    """Return the mesh. Raises `damaged_labels` if the platform did not write the file."""
     try:
         with path.open("rb") as file:
             written = file.read(MOST_HEADER_BYTES).partition(END)[0]
@@ -102,7 +99,7 @@ def open_mesh(path: Path) -> MeshFile:
 
 
 def _facts(head: str) -> list[str]:
-    """The lines of a header that say how the file is laid out."""
+    """Return the header lines that describe the file's layout."""
     return [line for line in head.split("\n") if not line.startswith("comment ")]
 
 
@@ -120,7 +117,7 @@ POSITION_BYTES, COLOUR_BYTES, TRIANGLE_BYTES = 12, 4, 12
 
 
 def write_meshes(source: LabelledSequence, out: Path, step: Step) -> None:
-    """Write both into the empty folder `out`. Raises `damaged_labels`, `mesh_too_large`."""
+    """Write the PLY and the glTF into the empty folder `out`. Raises `damaged_labels`, `mesh_too_large`."""
     mesh, folder = open_mesh(source.mesh), out / source.sequence.name
     folder.mkdir()
     shutil.copyfile(source.mesh, folder / "mesh.ply")
@@ -131,7 +128,7 @@ def write_meshes(source: LabelledSequence, out: Path, step: Step) -> None:
 
 
 def write_glb(file: IO[bytes], mesh: MeshFile) -> None:
-    """Raises `mesh_too_large` beyond the 4 GiB that the format can say."""
+    """Write the glTF. Raises `mesh_too_large` beyond the format's limit of 4 GiB."""
     vertices, triangles = (len(mesh.vertices), len(mesh.faces)) if len(mesh.faces) else (0, 0)
     lengths = (vertices * POSITION_BYTES, vertices * COLOUR_BYTES, triangles * TRIANGLE_BYTES)
     document = json.dumps(_document(mesh, lengths), separators=(",", ":")).encode()
@@ -157,7 +154,7 @@ def write_glb(file: IO[bytes], mesh: MeshFile) -> None:
 
 
 def _document(mesh: MeshFile, lengths: tuple[int, int, int]) -> dict[str, Any]:
-    """The JSON chunk; a map without surface is an empty scene, for glTF has no empty accessors."""
+    """Return the JSON chunk; a map without surface is an empty scene, since glTF has no empty accessors."""
     document: dict[str, Any] = {"asset": {"version": "2.0", "generator": "STONE platform"}, "scene": 0}
     if not len(mesh.faces):
         return document | {"scenes": [{}]}
@@ -189,7 +186,7 @@ def _accessor(view: int, component: int, count: int, kind: str) -> dict[str, Any
 
 
 def _bounds(mesh: MeshFile) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Least and greatest of each coordinate, y up."""
+    """Return the minimum and maximum of each coordinate, y up."""
     parts = (_y_up(mesh.vertices["xyz"][rows]) for rows in _parts(len(mesh.vertices)))
     corners = np.array([[part.min(axis=0), part.max(axis=0)] for part in parts])
     return corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)

@@ -3,11 +3,10 @@
     playback.json   cameras.bin   cameras/<CHANNEL>/<frame_token>.jpg   clouds/<frame_token>.bin
     radars/<frame_token>.bin
 
-**Conventions.** Pictures are at most `WIDTH_PX` wide, as the cameras saw them (a lens that bends bends here too). Of a
-sweep at most `MOST_POINTS` are kept, drawn evenly by the golden ratio, so that no ring or stretch of it is left out and
-equal sweeps give equal points; they stand in the ego frame. A picture that is missing, damaged or too large is left
-out. `cameras.bin` says how the pictures look at the labels (`playback_cameras.py`); without any picture there is none.
-Memory holds one frame.
+**Conventions.** Pictures are at most `WIDTH_PX` wide and keep the lens's distortion. A sweep keeps at most
+`MOST_POINTS` points in the ego frame, selected evenly by the golden ratio, so that every ring and section is
+represented and equal sweeps give equal points. Missing, damaged and oversized pictures are left out. `cameras.bin`
+relates the pictures to the labels (below); it is absent if there is no picture. The exporter holds one frame in memory.
 """
 
 import io
@@ -46,7 +45,7 @@ FULL_INTENSITY = 255.0
 
 
 def write_playback(source: LabelledSequence, out: Path, step: Step) -> None:
-    """The exporter. Raises what reading samples raises (BAG-*, MSG-*)."""
+    """Write the playback. Raises what reading samples raises (BAG-*, MSG-*)."""
     sequence, total = source.sequence, len(source.sequence.frames)
     channels = [mount.name for mount in sequence.calibration.of_kind("camera")]
     taken = [channel for channel in channels if channel in sequence.frames.associations]
@@ -80,7 +79,7 @@ def write_playback(source: LabelledSequence, out: Path, step: Step) -> None:
 
 
 def placed_sensors(sequence: Sequence) -> tuple[PlacedSensor, ...]:
-    """The LiDAR, unless the sequence has no sweeps, and every mount of the rig, in its order."""
+    """Return the LiDAR, unless the sequence has no sweeps, and every mount of the rig, in its order."""
     calibration = sequence.calibration
     lidar = (
         [] if sequence.frames.sweeps is None else [PlacedSensor(LIDAR, "lidar", pose_of(calibration.ego_from_lidar))]
@@ -90,12 +89,12 @@ def placed_sensors(sequence: Sequence) -> tuple[PlacedSensor, ...]:
 
 
 def pose_of(transform: SE3) -> tuple[float, ...]:
-    """tx ty tz qw qx qy qz."""
+    """Return tx ty tz qw qx qy qz."""
     return (*transform.translation_m.tolist(), *transform.wxyz.tolist())
 
 
 def small_picture(sample: CameraSample | None) -> bytes | None:
-    """The picture as a JPEG of at most `WIDTH_PX` across; None where there is none that can be read."""
+    """Return the picture as a JPEG at most `WIDTH_PX` wide; None if it is missing or unreadable."""
     if sample is None:
         return None
     scale = min(1.0, WIDTH_PX / max(sample.width_px, 1))
@@ -109,7 +108,7 @@ def small_picture(sample: CameraSample | None) -> bytes | None:
 
 
 def small_cloud(sample: LidarSample, ego_from_lidar: SE3) -> bytes:
-    """The sweep as `STC1`; intensities that are shares of one become 0 to 255."""
+    """Return the sweep as `STC1`; intensities between 0 and 1 are scaled to 0 to 255."""
     kept = drawn(len(sample.points_lidar), MOST_POINTS)
     intensity = sample.intensity[kept].astype(np.float64)
     intensity[~np.isfinite(intensity)] = 0.0
@@ -127,19 +126,17 @@ def detections(scans: Listing[RadarSample], ego_from_lidar: SE3) -> bytes:
 
 
 def drawn(total: int, most: int) -> NDArray[np.int64]:
-    """At most `most` of the rows 0 to `total`, in their order: those whose multiple of the golden ratio ends lowest."""
+    """Return at most `most` of the rows 0 to `total`, in order, selected by the golden ratio."""
     rows = np.arange(total)
     return rows if total <= most else rows[(rows * GOLDEN) % 1.0 < most / total][:most]
 
 
-# The cameras of a playback: the rays of their lenses, and where they were at each picture.
-#
-#     ego_from_camera = map_from_ego(frame)⁻¹ @ map_from_ego(shutter) @ ego_from_lidar @ lidar_from_camera
-#
-# **Conventions.** Labels stand in the frame's ego, pictures are taken up to a revolution later: the robot's motion in
-# between is in the pose. The rays of a lens are a grid over its image from edge to edge (`COLUMNS` × `ROWS`); between
-# its nodes a viewer interpolates, which is off by less than a tenth of a pixel of 640. A camera without intrinsics has
-# no rays, a picture without a pose of its own no pose: NaN.
+# The cameras of a playback: the rays of their lenses, and their pose at each picture: ego_from_camera =
+# map_from_ego(frame)⁻¹ @ map_from_ego(shutter) @ ego_from_lidar @ lidar_from_camera. Labels are in the frame's ego, but
+# pictures are taken up to a revolution later, so the pose includes the robot's motion in between. The rays of a lens
+# are a grid over its image from edge to edge (`COLUMNS` × `ROWS`); a viewer's interpolation between its nodes errs by
+# less than a tenth of a pixel of 640. A camera without intrinsics has NaN rays, a picture without its own pose a NaN
+# pose.
 
 
 Array = NDArray[np.float64]
@@ -147,7 +144,7 @@ COLUMNS, ROWS = 33, 21
 
 
 def playback_cameras(sequence: Sequence, channels: Listing[str], has_picture: NDArray[np.bool_]) -> PlaybackCameras:
-    """The cameras of these channels, in this order; `has_picture` is (C, N)."""
+    """Return the cameras of these channels, in this order; `has_picture` is (C, N)."""
     total = len(sequence.frames)
     rays, poses = np.full((len(channels), ROWS, COLUMNS, 3), np.nan), np.full((len(channels), total, 7), np.nan)
     for place, channel in enumerate(channels):
@@ -160,7 +157,7 @@ def playback_cameras(sequence: Sequence, channels: Listing[str], has_picture: ND
 
 
 def lens_rays(intrinsics: CameraIntrinsics) -> Array:
-    """(ROWS, COLUMNS, 3) unit vectors, optical frame."""
+    """Return unit vectors (ROWS, COLUMNS, 3), optical frame."""
     across = np.linspace(-0.5, intrinsics.width_px - 0.5, COLUMNS)
     down = np.linspace(-0.5, intrinsics.height_px - 0.5, ROWS)
     pixels = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
@@ -168,7 +165,7 @@ def lens_rays(intrinsics: CameraIntrinsics) -> Array:
 
 
 def shutter_poses(sequence: Sequence, channel: str) -> Array:
-    """`ego_from_camera` (N, 7) of a camera that the calibration knows, tx ty tz qw qx qy qz."""
+    """Return `ego_from_camera` (N, 7) of a calibrated camera, tx ty tz qw qx qy qz."""
     frames, calibration = sequence.frames, sequence.calibration
     poses = np.full((len(frames), 7), np.nan)
     taken, mount = frames.associations.get(channel), calibration.mount(channel)

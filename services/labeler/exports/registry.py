@@ -1,8 +1,8 @@
-"""The formats that labels are exported in, by name.
+"""The export formats of labels, by name.
 
-**Conventions.** An exporter writes one labelled sequence into an empty folder and calls `step(done, total)` as it goes
-on. Equal inputs give equal bytes. Memory does not grow with the number of frames. A format's module is loaded when it
-is used: each brings a library of its own.
+**Conventions.** An exporter writes one labelled sequence into an empty folder and calls `step(done, total)` to report
+progress. Equal inputs give equal bytes. Memory does not grow with the number of frames. A format's module is imported
+at its first use, since each needs its own library.
 """
 
 from collections.abc import Callable, Mapping
@@ -20,7 +20,7 @@ Write = Callable[[LabelledSequence, Path, Step], None]
 
 @dataclass(frozen=True)
 class Exporter:
-    """An exporter that is imported when it is called, and what it reads besides the sequence and its map.
+    """An exporter that is imported when called, and its inputs besides the sequence and its map.
 
     `place` is its `module:function`.
     """
@@ -47,7 +47,7 @@ EXPORTERS: Mapping[str, Exporter] = {
 
 
 def exporter_of(name: str) -> Exporter:
-    """Raises `unknown_format`."""
+    """Return the exporter. Raises `unknown_format`."""
     if name not in EXPORTERS:
         raise Refused(
             "unknown_format", f"{name[:80]!r} is not an export format; the formats are {', '.join(EXPORTERS)}"

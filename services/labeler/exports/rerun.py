@@ -1,16 +1,16 @@
-"""`<sequence>.rrd`: the labelled sequence for the Rerun viewer, with the view it opens in.
+"""`<sequence>.rrd`: the labelled sequence for the Rerun viewer, with its initial view.
 
     map                         z up
-    map/track, map/mesh/0, …    where the robot drove; the surface of the whole run, hidden at first
+    map/track, map/mesh/0, …    the robot's track; the surface of the whole run, initially hidden
     map/ego                     the robot's pose
     map/ego/labels              the labelled voxels
     map/ego/LIDAR               the sweep
     map/ego/LIDAR/CAM_…         the camera, its lens and its picture
     map/ego/LIDAR/RADAR_…       the detections, in the LiDAR's axes
 
-**Conventions.** Two timelines: `frame` (number) and `stamp` (UTC, ns); a picture stands at its frame and at its own
-stamp. One frame is in memory at a time. Chunks and rows have ids made of their order, so equal inputs give equal
-chunks; the order of the keys within a chunk is Rerun's, and differs from process to process.
+**Conventions.** Two timelines: `frame` (number) and `stamp` (UTC, ns); a picture is at its frame and at its own stamp.
+One frame is in memory at a time. Ids of chunks and rows follow from their order, so equal inputs give equal chunks; the
+order of keys within a chunk is Rerun's and differs between processes.
 """
 
 from collections.abc import Iterable, Iterator
@@ -37,30 +37,28 @@ from stone.sensors.samples import LidarSample, RadarSample
 from stone.sensors.sequence import Sequence
 from stone_base.label_grid import LabelGrid
 
-# Our values as columns of Rerun's archetypes.
-#
-# **Conventions.** An entity's path says what it is attached to: `map/ego/LIDAR/CAM_FRONT`. Transforms are
-# parent_from_child, quaternions xyzw there. One row per frame; class ids are those of the labels.
+# The platform's values as columns of Rerun's archetypes. An entity's path gives its parent: `map/ego/LIDAR/CAM_FRONT`.
+# Transforms are parent_from_child, quaternions xyzw. One row per frame; class ids are those of the labels.
 
 
 Columns = Iterable[rr.ComponentColumn]
 
 POINT_RADIUS_M, DETECTION_RADIUS_M, TRACK_RADIUS_M = 0.02, 0.12, 0.18
-# Intensities beyond this share of a sweep's points are as bright as can be: a retroreflector must not darken the rest.
+# Intensities beyond this quantile of a sweep have full brightness, so that a retroreflector does not darken the rest.
 BRIGHT_QUANTILE = 0.98
 RATE_LIMIT_M_S = 3.0
-DARK, BRIGHT = np.array([52, 58, 120.0]), np.array([240, 160, 60.0])  # legible on a dark and on a light ground
+DARK, BRIGHT = np.array([52, 58, 120.0]), np.array([240, 160, 60.0])  # legible on dark and light backgrounds
 AWAY, STILL, TOWARDS = np.array([214, 96, 77.0]), np.array([225, 225, 225.0]), np.array([67, 147, 195.0])
 
 
 def labels_context() -> Columns:
-    """Names and colours of the class ids, for everything below the entity that holds it."""
+    """Return names and colours of the class ids, for all children of the entity."""
     named: list[Any] = [rr.AnnotationInfo(kind, name, CLASS_RGB[kind]) for kind, name in CLASS_NAME.items()]
     return rr.AnnotationContext.columns(context=named)
 
 
 def transform(parent_from_child: SE3) -> Columns:
-    """One row."""
+    """Return one row."""
     wxyz = parent_from_child.wxyz
     return rr.Transform3D.columns(
         translation=[parent_from_child.translation_m.astype(np.float32)], quaternion=[np.roll(wxyz, -1).tolist()]
@@ -68,7 +66,7 @@ def transform(parent_from_child: SE3) -> Columns:
 
 
 def pinhole(lens: CameraIntrinsics) -> Columns:
-    """The lens without its distortion, which Rerun does not know."""
+    """Return the lens without its distortion, which Rerun does not support."""
     matrix = np.array([[lens.fx_px, 0, lens.cx_px], [0, lens.fy_px, lens.cy_px], [0, 0, 1.0]])
     return rr.Pinhole.columns(
         image_from_camera=[matrix],
@@ -82,17 +80,17 @@ def picture(content: bytes) -> Columns:
 
 
 def voxels(semantics: Grid, grid: LabelGrid) -> Columns:
-    """The labelled voxels of a frame of the grid as boxes of their class, in the ego frame."""
+    """Return the labelled voxels of a frame as boxes in their class colour, in the ego frame."""
     indices = np.argwhere(semantics)
     centres = ((indices + 0.5) * grid.voxel_m + grid.min_m).astype(np.float32)
     boxes = rr.Boxes3D.columns(centers=centres, class_ids=semantics[tuple(indices.T)].astype(np.uint16))
-    # Without `show_labels` a viewer writes the name of its class on every one of few boxes.
+    # Without `show_labels`, a viewer draws class names on the boxes if there are only few.
     shape = rr.Boxes3D.columns(half_sizes=[[grid.voxel_m / 2] * 3], fill_mode=["solid"], show_labels=[False])
     return [*boxes.partition([len(indices)]), *shape]
 
 
 def returns(sample: LidarSample) -> Columns:
-    """The sweep, brighter where it reflects more."""
+    """Return the sweep, brighter with higher intensity."""
     count = len(sample.points_lidar)
     most = np.quantile(sample.intensity, BRIGHT_QUANTILE) if count else 0.0
     ratio = np.clip(sample.intensity / max(float(most), 1e-6), 0, 1)[:, None]
@@ -102,9 +100,9 @@ def returns(sample: LidarSample) -> Columns:
 
 
 def detections(sample: RadarSample) -> Columns:
-    """The scan in the LiDAR's axes at the frame's stamp, coloured by how fast a thing moves over ground.
+    """Return the scan in the LiDAR's axes at the frame's stamp, coloured by speed over ground.
 
-    Red recedes, blue approaches, grey stands still; detections that cannot be placed are left out.
+    Red recedes, blue approaches, grey stands still; detections without a position are left out.
     """
     kept = np.isfinite(np.column_stack([sample.points_lidar, sample.ground_rate_m_s])).all(axis=1)
     rate = np.clip(sample.ground_rate_m_s[kept] / RATE_LIMIT_M_S, -1, 1)[:, None]
@@ -122,7 +120,7 @@ def detections(sample: RadarSample) -> Columns:
 
 
 def mesh(part: MeshPart) -> Columns:
-    """A part of the map's surface in the colours of the classes."""
+    """Return a part of the map's surface in the class colours."""
     count = len(part.vertices_map)
     vertices = rr.Mesh3D.columns(
         vertex_positions=part.vertices_map, vertex_normals=_normals(part), vertex_colors=_rgba(part.rgb)
@@ -132,12 +130,12 @@ def mesh(part: MeshPart) -> Columns:
 
 
 def track(positions_map: NDArray[np.float64]) -> Columns:
-    """The poses (P, 3) as one line, white: the viewer's ground is dark."""
+    """Return the poses (P, 3) as one line, white on the viewer's dark background."""
     return rr.LineStrips3D.columns(strips=[positions_map.astype(np.float32)], colors=[PAPER], radii=[TRACK_RADIUS_M])
 
 
 def _normals(part: MeshPart) -> NDArray[np.float32]:
-    """Mean of the normals of the triangles round each vertex, weighted by their area."""
+    """Return the area-weighted mean normal of the triangles around each vertex."""
     a, b, c = (part.vertices_map[part.triangles[:, corner]] for corner in range(3))
     faces = np.repeat(np.cross(b - a, c - a), 3, axis=0)
     rows, count = part.triangles.reshape(-1), len(part.vertices_map)
@@ -149,7 +147,7 @@ def _normals(part: MeshPart) -> NDArray[np.float32]:
 
 @dataclass(frozen=True, eq=False)
 class _Numbers:
-    """Numbers of our own; `rr.AnyValues` takes an object for each."""
+    """A batch of custom numbers; `rr.AnyValues` would need an object for each."""
 
     values: NDArray[np.float32]
 
@@ -158,12 +156,12 @@ class _Numbers:
 
 
 def _column(name: str, values: NDArray[np.float32]) -> rr.ComponentColumn:
-    """What is measured at each point, to be seen where one points at it."""
+    """Return a value per point, shown when the user points at it."""
     return rr.ComponentColumn(name, _Numbers(values), lengths=[len(values)])
 
 
 def _rgba(rgb: NDArray[np.generic]) -> NDArray[np.uint32]:
-    """Colours (N, 3), 0 to 255, as the packed opaque ones that Rerun keeps."""
+    """Return colours (N, 3), 0 to 255, as Rerun's packed opaque colours."""
     r, g, b = rgb.astype(np.uint32).T
     return np.asarray(r << 24 | g << 16 | b << 8 | 255, dtype=np.uint32)
 
@@ -179,7 +177,7 @@ EYE_EGO_M, LOOK_EGO_M = (-16.0, 6.0, 11.0), (3.0, 0.0, 0.0)
 
 def write_rerun(source: LabelledSequence, out: Path, step: Step = silent) -> None:
     """Write the file into the folder `out`. Raises what the source raises."""
-    rr.set_strict_mode(True)  # else what Rerun cannot take is only warned of, and missing in the file
+    rr.set_strict_mode(True)  # otherwise Rerun only warns about values that it drops
     total = len(source.sequence.frames)
     recording = rr.RecordingStream(APPLICATION, recording_id=source.sequence.name, send_properties=False)
     numbers = count(1)
@@ -196,7 +194,7 @@ def write_rerun(source: LabelledSequence, out: Path, step: Step = silent) -> Non
 
 
 def default_view(sequence: Sequence) -> rrb.Blueprint:
-    """The world between the cameras that look ahead and those that look back, playing as fast as it was recorded."""
+    """Return a view of the world between front and rear cameras, playing at the recording's speed."""
     world = rrb.Spatial3DView(
         origin=EGO,
         contents=f"{MAP}/**",
@@ -224,13 +222,13 @@ def _place_in_ring(name: str) -> tuple[int, str]:
 
 
 def _rate_hz(sequence: Sequence) -> float:
-    """How many frames a second the recording has, as a rule."""
+    """Return the usual number of frames per second."""
     steps_ns = np.diff(sequence.frames.stamps_ns)
     return float(1e9 / np.median(steps_ns)) if len(steps_ns) else USUAL_RATE_HZ
 
 
 def _once(source: LabelledSequence) -> Iterator[Chunk]:
-    """What holds for the whole sequence."""
+    """Yield the static content of the sequence."""
     sequence = source.sequence
     yield _static(MAP, rr.ViewCoordinates.columns(xyz=[rr.components.ViewCoordinates.RIGHT_HAND_Z_UP]))
     yield _static(LABELS, labels_context())
@@ -270,7 +268,7 @@ def _times(index: int, stamp_ns: int) -> list[rr.TimeColumn]:
 
 
 def _numbered(chunk: Chunk, number: int) -> Chunk:
-    """The chunk, of one row, under ids that follow from its number, not from the clock."""
+    """Return the one-row chunk with ids that follow from its number, not from the clock."""
     batch = chunk.to_record_batch()
     row = pa.array([number.to_bytes(16, "big")], pa.binary(16))
     columns = [row if name == ROW_ID else batch.column(name) for name in batch.schema.names]

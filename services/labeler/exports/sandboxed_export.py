@@ -1,8 +1,8 @@
-"""What a sandboxed child does for an export: it opens the files that the parent located, and writes the format's.
+"""The work of a sandboxed child for an export: it opens the files located by the parent, and writes the format's files.
 
-**Conventions.** The child writes below its folder's `files`, makes no links, and reads what is named here and no more:
-an input of a phase is made where no label, mesh or report is named. Which recording it needs, it says by hashes; what
-was imported needs none (`services/domain/sequences/label_sources.py`).
+**Conventions.** The child writes to `files` in its folder, makes no links, and reads only the files listed here: for a
+phase's input, no label, mesh or report is listed. It reports the hashes of the recordings that it needs; imported
+labels need none (`services/domain/sequences/label_sources.py`).
 """
 
 import json
@@ -51,7 +51,7 @@ UNASKED = "a format that declares no samples reads a sample"
 
 
 class SourceAnswer(SandboxAnswer):
-    """The hashes of what a sequence was made of."""
+    """The hashes of a sequence's inputs."""
 
     asked: ClassVar[str] = "the inputs of a sequence"
     sha256s: Annotated[list[Hex256], Field(max_length=MOST_INPUTS)]
@@ -59,7 +59,7 @@ class SourceAnswer(SandboxAnswer):
 
 @dataclass(frozen=True)
 class LabelRange:
-    """Where the labels of a frame lie: a range of a pack, and what it hashes to."""
+    """The labels of a frame: a range of a pack, and its hash."""
 
     token: str
     pack: str
@@ -70,13 +70,13 @@ class LabelRange:
 
 @dataclass(frozen=True)
 class PackedLabels:
-    """The labels of frames as ranges of packs that lie on this machine; a value, so that a child can be given it."""
+    """The labels of frames as ranges of packs on this machine; a value that can be passed to a child."""
 
     packs: Mapping[str, Path]
     ranges: tuple[LabelRange, ...]
 
     def __call__(self, index: int) -> bytes:
-        """Raises `damaged_labels`."""
+        """Return the label file. Raises `damaged_labels`."""
         at = self.ranges[index]
         with self.packs[at.pack].open("rb") as file:
             file.seek(at.offset_bytes)
@@ -88,9 +88,9 @@ class PackedLabels:
 
 @dataclass(frozen=True)
 class ExportInputs:
-    """What an export is made of: a folder with the sequence's files by their names, its labels, and what was measured.
+    """The inputs of an export: a folder with the sequence's files by name, its labels, and its sensor data.
 
-    That is the `recording`, or the `source` of labels that were imported. What is left out the format does not ask for.
+    Sensor data are the `recording`, or the `source` of imported labels. Inputs that the format does not need are None.
     """
 
     folder: Path
@@ -102,7 +102,7 @@ class ExportInputs:
         return read_sequence((self.folder / SEQUENCE_FILE).read_bytes())
 
     def opened(self) -> LabelledSequence:
-        """The labelled sequence."""
+        """Return the labelled sequence."""
         sequence = self.sequence()
         report = json.loads((self.folder / REPORT).read_text("utf-8"))
         samples, published = self.samples(sequence), self.source.opened() if self.source else None
@@ -116,7 +116,7 @@ class ExportInputs:
 
 
 class NoSamples:
-    """The samples of an export whose format says that it reads none; asked all the same, it raises ValueError."""
+    """Samples of a format that declares to read none; access raises ValueError."""
 
     def lidar(self, index: int) -> LidarSample:
         raise ValueError(UNASKED)
@@ -129,12 +129,12 @@ class NoSamples:
 
 
 def source_of(inputs: ExportInputs, _folder: Path, _progress: ProgressCallback) -> bytes:
-    """Which recordings the sequence was made of."""
+    """Return the hashes of the recordings from which the sequence was made."""
     return SourceAnswer(sha256s=sorted(set(inputs.sequence().inputs.values()))).packed()
 
 
 def write_format(name: str, inputs: ExportInputs, folder: Path, progress: ProgressCallback) -> bytes:
-    """The files of the format called so. Raises what its exporter raises."""
+    """Write the files of the format with this name. Raises what its exporter raises."""
     exporter_of(name)(inputs.opened(), folder / FILES, partial(progress, name))
     return b""
 
@@ -142,7 +142,7 @@ def write_format(name: str, inputs: ExportInputs, folder: Path, progress: Progre
 def write_phase_input(
     inputs: ExportInputs, unordered: UnorderedFrames | None, folder: Path, progress: ProgressCallback
 ) -> bytes:
-    """The files of an input of a phase: what was sensed, and nothing that was derived from it."""
+    """Write the files of a phase's input: sensor data only."""
     sequence = inputs.sequence()
     samples = inputs.samples(sequence)
     if unordered is not None:
@@ -151,17 +151,14 @@ def write_phase_input(
     return b""
 
 
-# Exports for participants: the sensor data of a sequence without anything derived from its labels.
-#
-#     v1.0-trainval/<table>.json   samples/<CHANNEL>/n001-<UTC>__<CHANNEL>__<µs>.{jpg,pcd.bin,pcd}   maps/<token>.png
-#
-# **Conventions.** The release layout (`services/labeler/exports/nuscenes/samples.py`), so what reads train reads test.
-# It is made of the synchronised sequence and its recording alone, so no number of it can come from a label: the map is
-# shifted by where the robot drove, and the mask, without which the devkit opens nothing, is black.
+# Exports for participants: the sensor data of a sequence without anything derived from its labels. They have the
+# release layout (`services/labeler/exports/nuscenes/samples.py`), so readers of train also read test. They are made
+# only from the synchronised sequence and its recording, so no number can come from a label: the map is shifted by the
+# robot's track, and the mask, which the devkit requires, is black.
 
 
 def write_inputs(source: LabelledSequence, out: Path, step: Step) -> None:
-    """The exporter: of the labelled sequence only sequence and samples are looked at."""
+    """Write the input; uses only sequence and samples of the labelled sequence."""
     write_sensed(source.sequence, source.samples, out, step)
 
 
@@ -175,12 +172,10 @@ def write_sensed(sequence: Sequence, samples: SampleSource, out: Path, step: Ste
     write_samples(samples, plan, out, lambda index: step(index + 1, total))
 
 
-# Samples of each sensor for a frame, read from the files of a published dataset.
-#
-# **Conventions.** The datum of a frame is the key frame that `sample_data` says to be of it; of radars the inverse of
-# `services/labeler/exports/nuscenes/samples.py`. Pictures that are JPEG stay as they are, others are encoded as those
-# of recordings are. Of a sweep what is no place near a sensor is left out, and so is what a radar calls invalid. Times
-# are the sequence's.
+# Samples of each sensor for a frame, read from the files of a published dataset. The datum of a frame is its key frame
+# in `sample_data`; radars are the inverse of `services/labeler/exports/nuscenes/samples.py`. JPEG pictures are kept,
+# others are encoded like those of recordings. Sweep rows without a valid position near the sensor, and detections
+# marked invalid, are dropped. Times are the sequence's.
 
 
 LAST_RING = np.iinfo(np.uint16).max
@@ -192,16 +187,16 @@ Rates = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class DatasetSamples:
-    """A SampleSource over an imported scene and its sequence. Picklable: it carries paths only.
+    """A SampleSource over an imported scene and its sequence. Picklable: it contains only paths.
 
-    What is read raises `DamagedExportError` where a file is not what its sensor gives.
+    Reading raises `DamagedExportError` if a file does not fit its sensor.
     """
 
     source: DatasetSource
     sequence: Sequence
 
     def lidar(self, index: int) -> LidarSample:
-        """The sweep of frame `index`; one without returns of a dataset that has no LiDAR."""
+        """Return the sweep of frame `index`; empty if the dataset has no LiDAR."""
         if self.sequence.frames.sweeps is None:
             return LidarSample(np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros(0, np.uint16))
         span = self._span(LIDAR_CHANNEL, index)
@@ -224,7 +219,7 @@ class DatasetSamples:
         return radar_sample(span, taken_ns, radar_motion(self._track, mount, stamp_ns, taken_ns))
 
     def _span(self, channel: str, index: int) -> ExportFileSpan | None:
-        """The file of the frame's datum; None where the channel has none. Raises `DamagedExportError`."""
+        """Return the file of the frame's datum; None if the channel has none. Raises `DamagedExportError`."""
         filename = self._filenames.get((self.sequence.frames.tokens[index], channel))
         if filename is None:
             return None
@@ -245,7 +240,7 @@ class DatasetSamples:
 
     @cached_property
     def _filenames(self) -> Mapping[tuple[str, str], str]:
-        """Of each key-frame datum, by the token of its frame and its channel."""
+        """The file names of key-frame data, by frame token and channel."""
         return key_frame_files(self._files)
 
     @cached_property
@@ -262,7 +257,7 @@ class DatasetSamples:
 
 
 def key_frame_files(files: DatasetSourceFiles) -> dict[tuple[str, str], str]:
-    """The file of each key-frame datum by the token of its frame, without dashes, and its channel.
+    """Return the file of each key-frame datum by its frame's token, without dashes, and its channel.
 
     Raises `DamagedExportError`.
     """
@@ -279,7 +274,7 @@ def key_frame_files(files: DatasetSourceFiles) -> dict[tuple[str, str], str]:
 
 
 def lidar_sample(span: ExportFileSpan) -> LidarSample:
-    """A `.pcd.bin`: rows of x y z intensity ring, float32. Raises `DamagedExportError`."""
+    """Return the sweep in a `.pcd.bin`: rows of x y z intensity ring, float32. Raises `DamagedExportError`."""
     content = span.read(MOST_SWEEP_BYTES)
     if len(content) % (COLUMNS * 4):
         raise span.damaged(f"its {len(content)} bytes are not rows of {COLUMNS} float32")
@@ -291,7 +286,7 @@ def lidar_sample(span: ExportFileSpan) -> LidarSample:
 
 
 def radar_sample(span: ExportFileSpan, taken_ns: int, motion: RadarMotion) -> RadarSample:
-    """A binary PCD of a radar that moved so. Raises `DamagedExportError`."""
+    """Return the scan in a binary PCD of a radar with this motion. Raises `DamagedExportError`."""
     records = _believed(scan_records(span))
     points = _columns(records, WANTED[:3])
     ground_rate_m_s = _rates(points, _columns(records, ("vx_comp", "vy_comp")))
@@ -305,7 +300,7 @@ def radar_sample(span: ExportFileSpan, taken_ns: int, motion: RadarMotion) -> Ra
 
 
 def _believed(records: Records) -> Records:
-    """Detections that are a place and a motion near a sensor, and that the radar calls valid where it says so."""
+    """Return the valid detections that have a position and a motion near the sensor."""
     names = records.dtype.names or ()
     measured = _columns(records, (*WANTED, *(name for name in MEASURED if name in names)))
     is_near = np.asarray((np.abs(measured) < FARTHEST_DETECTION_M).all(axis=1))
@@ -317,9 +312,9 @@ def _believed(records: Records) -> Records:
 
 
 def _rates(points_radar: Rates, velocities_m_s: Rates) -> Rates:
-    """How fast along the ray (N,) what moves so in plan (N, 2) goes; 0 right above or below, where plan says nothing.
+    """Return the rates along the ray (N,) of plan velocities (N, 2); 0 directly above or below the radar.
 
-    The inverse of `towards * rate`, where a plan velocity is one rate's share in x and in y.
+    The inverse of `towards * rate`, in which a plan velocity is the x and y component of one rate.
     """
     towards = points_radar[:, :2] / np.linalg.norm(points_radar, axis=1)[:, None]
     square = (towards**2).sum(axis=1)
@@ -328,6 +323,6 @@ def _rates(points_radar: Rates, velocities_m_s: Rates) -> Rates:
 
 
 def _columns(records: Records, names: tuple[str, ...]) -> NDArray[np.float64]:
-    with np.errstate(invalid="ignore"):  # a signalling NaN says so when it is made wider
+    with np.errstate(invalid="ignore"):  # widening a signalling NaN raises a warning
         columns: Any = [records[name].astype(np.float64) for name in names]
     return np.stack(columns, axis=1)

@@ -1,8 +1,7 @@
 """The input of an export: a labelled sequence, its label files and its recording.
 
 **Conventions.** Grids have the shape of the labels' grid and are aligned with the ego frame at the frame's stamp
-(CONVENTIONS.md). Values are immutable; nothing is loaded before it is asked for, so an export needs the memory of one
-frame.
+(CONVENTIONS.md). Values are immutable and loaded on first use, so an export needs the memory of one frame.
 """
 
 import io
@@ -32,9 +31,9 @@ OpenSamples = Callable[[Path, Sequence], SampleSource]
 
 @dataclass(frozen=True, eq=False)
 class LabelledSequence:
-    """`labels(index)` are the bytes of a frame's `labels.npz`; `mesh` is the map's PLY, `frames_table` the Parquet.
+    """`labels(index)` returns a frame's `labels.npz`; `mesh` is the map's PLY, `frames_table` the Parquet.
 
-    `published` are the files that labels were imported with, None where they were made here.
+    `published` are the published files of imported labels, None for labels made by STONE.
     """
 
     sequence: Sequence
@@ -47,11 +46,11 @@ class LabelledSequence:
 
     @cached_property
     def grid(self) -> LabelGrid:
-        """The grid of its labels, by its report. Raises `bad_grid`."""
+        """The grid of its labels, from its report. Raises `bad_grid`."""
         return recorded_grid(self.report.get("grid"))
 
     def grids(self, index: int) -> dict[str, NDArray[Any]]:
-        """The grids of frame `index`: semantics, mask_lidar and mask_camera, uint8, and further ones where asked for.
+        """Return the grids of frame `index`: semantics, mask_lidar and mask_camera, uint8, and further ones.
 
         Raises `damaged_labels`.
         """
@@ -68,7 +67,7 @@ class LabelledSequence:
 
 @dataclass(frozen=True)
 class _FrameFiles:
-    """The labels of frames as files of a folder; a value, so that a source can be given to workers."""
+    """The labels of frames as files of a folder; a value that can be passed to workers."""
 
     folder: Path
     tokens: tuple[str, ...]
@@ -88,7 +87,7 @@ def _check_grids(grids: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> N
 
 
 def folder_source(directory: Path, open_samples: OpenSamples, bag: Path | None = None) -> LabelledSequence:
-    """The sequence in a folder of `stone label`; the recording is where it was then, or at `bag`.
+    """Return the sequence in a folder of `stone label`; the recording is at its original path, or at `bag`.
 
     `open_samples` opens the recording at a path for a sequence (`stone_recordings.sync.samples.checked_samples`).
     Raises `not_labels`, `damaged_labels`, `recording_gone`, and what `open_samples` raises.
@@ -108,7 +107,7 @@ def folder_source(directory: Path, open_samples: OpenSamples, bag: Path | None =
 
 
 def read_report(directory: Path) -> Mapping[str, Any]:
-    """The report of the labels in a folder. Raises `not_labels`, `damaged_labels`."""
+    """Return the report of the labels in a folder. Raises `not_labels`, `damaged_labels`."""
     for name in (REPORT, SEQUENCE, TABLE, "gts"):
         if not (directory / name).exists():
             raise Refused(
@@ -120,7 +119,7 @@ def read_report(directory: Path) -> Mapping[str, Any]:
 
 
 def recorded_at(directory: Path) -> Path | None:
-    """Return the path of the labelled recording, or None if the label set names none. Raises `damaged_labels`."""
+    """Return the path of the labelled recording, or None if it is not recorded. Raises `damaged_labels`."""
     if not (directory / SOURCE).exists():
         return None
     recording = _json(directory / SOURCE).get("recording")

@@ -16,7 +16,7 @@ from stone.sensors.sequence import Association, Frames, Sequence
 
 STEP_NS = 10**9
 START_OF_SCAN, APPLICATION, COMMENT = 0xDA, range(0xE0, 0xF0), 0xFE
-KEPT_APPLICATION = (0xE0, 0xEE)  # JFIF and Adobe: how the picture is coded
+KEPT_APPLICATION = (0xE0, 0xEE)  # JFIF and Adobe: the picture's coding
 
 
 def without_order(

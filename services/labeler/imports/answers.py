@@ -1,6 +1,6 @@
-"""What the child that indexes a dataset may answer; what one that imports a scene may, is a `PublicationAnswer`.
+"""Permitted answers of the child that indexes a dataset; a child that imports a scene returns a `PublicationAnswer`.
 
-**Conventions.** The pack `packs/000000.pack` of such an answer is the file `labels/000000.pack` of the scene's `out`.
+**Conventions.** The pack `packs/000000.pack` in such an answer is the file `labels/000000.pack` in the scene's `out`.
 """
 
 from typing import Annotated, ClassVar, Self
@@ -22,8 +22,10 @@ SplitName = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 
 
 class IndexedSceneAnswer(SandboxAnswer):
-    """A scene: its place, its name, its frames, whether each of them has labels, the splits that name it, and the
-    region that it was recorded in, "" where the dataset does not say."""
+    """A scene: its ordinal, name, frames, labels per frame, and splits.
+
+    `region` is the recorded region, "" if unspecified.
+    """
 
     asked: ClassVar[str] = "a scene"
     ordinal: Count
@@ -35,7 +37,7 @@ class IndexedSceneAnswer(SandboxAnswer):
 
 
 class ExtraFileAnswer(SandboxAnswer):
-    """A file that no table names, by its name below the dataset's root."""
+    """A file outside the tables, by its name relative to the dataset's root."""
 
     asked: ClassVar[str] = "a file outside the tables"
     name: ExtraName
@@ -43,7 +45,7 @@ class ExtraFileAnswer(SandboxAnswer):
 
 
 class DatasetIndexAnswer(SandboxAnswer):
-    """The scenes of a dataset, in their order, the files that no table names, and those of them that are too large."""
+    """The scenes of a dataset in order, the files outside the tables, and the oversized ones."""
 
     asked: ClassVar[str] = "the scenes of a dataset"
     scenes: Annotated[list[IndexedSceneAnswer], Field(min_length=1, max_length=MOST_SCENES)]

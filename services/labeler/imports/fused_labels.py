@@ -1,11 +1,10 @@
 """The map of a scene fused from the labels of its frames, tile by tile.
 
-    grids → votes in bricks → votes of tiles in files → of each voxel the class of most votes
+    grids → votes in bricks → votes of tiles in files → the class of most votes per voxel
 
-**Conventions.** Tiles are of `TILE_VOXELS` a side in plan, which are whole bricks. Of equal votes the more cautious
-class wins, N before P before T. Memory holds the bricks and one tile, whatever the number of frames: votes of a tile
-are put together in its file before there are twice as many as after the last time, and refused beyond
-`MOST_TILE_VOXELS`.
+**Conventions.** Tiles are `TILE_VOXELS` a side in plan, which are whole bricks. If votes are equal, the more cautious
+class wins, N before P before T. Memory holds the bricks and one tile, whatever the number of frames. A tile's file is
+compacted before its votes double, and the import is refused beyond `MOST_TILE_VOXELS`.
 """
 
 from collections.abc import Iterator
@@ -26,13 +25,11 @@ from stone_base.label_grid import PAPER, LabelGrid
 from stone_datasets.faults import DatasetPlace
 from stone_files.dataset_faults import DatasetFaultError
 
-# Votes for the classes of map voxels: each occupied voxel of a frame votes for the map voxel that its centre lies in.
-# A voxel of a coarser grid is voted for as the cubes of 0.2 m that it consists of.
-#
-# **Conventions.** Votes lie in bricks of 8 × 8 × 8 map voxels, found by their keys of `stone.geometry.lattice`; a
-# voxel has one word, the votes for T in its lowest 21 bits, for P in the next, for N in the highest. At most eight
-# centres 0.2 m apart lie in one voxel, so a count cannot run over before 2^18 frames have voted: it is emptied before.
-# The bricks are as many as they are; whoever votes is told where they were full.
+# Votes for the classes of map voxels: each occupied voxel of a frame votes for the map voxel that contains its centre.
+# A voxel of a coarser grid votes as cubes of 0.2 m. Votes are in bricks of 8 × 8 × 8 map voxels, found by their keys of
+# `stone.geometry.lattice`. A voxel has one word with 21 bits for T (lowest), P and N. At most eight centres 0.2 m apart
+# are in one voxel, so a count cannot overflow before 2^18 frames have voted; the bricks are emptied earlier. The number
+# of bricks is fixed; `vote` returns the column at which they were full.
 
 
 SIDE, SHIFT, CELLS = 8, 3, 512
@@ -43,7 +40,7 @@ MOST_FRAMES = 1 << 18
 
 @dataclass(frozen=True, eq=False)
 class VoxelVotes:
-    """Map voxels (K,) by key, and the votes (K, 3) of each for T, P and N."""
+    """Map voxels (K,) by key, and their votes (K, 3) for T, P and N."""
 
     keys: Keys
     counts: NDArray[np.uint32]
@@ -51,7 +48,7 @@ class VoxelVotes:
 
 @dataclass(eq=False)
 class VoteBricks:
-    """Bricks that votes are counted in, empty at first. `size` is a power of two."""
+    """Bricks in which votes are counted, initially empty. `size` is a power of two."""
 
     size: int = MOST_BRICKS
     grid: LabelGrid = PAPER
@@ -66,13 +63,13 @@ class VoteBricks:
         self._rows = np.zeros(2 * self.size, np.int32)
         self._keys = np.zeros(self.size, np.int64)
         self._votes = np.zeros((self.size, CELLS), np.uint64)
-        self._state = np.zeros(2, np.int64)  # bricks used, frames that voted
+        self._state = np.zeros(2, np.int64)  # used bricks, frames that voted
 
     def vote(self, classes: Grid, map_from_ego: SE3, begun: int = 0) -> int:
-        """Count the votes of a grid, from its column `begun` on; the column at which the bricks were full, else −1.
+        """Count the votes of a grid from column `begun` on; return the column at which the bricks were full, else −1.
 
-        Whoever is told of a column empties the bricks and votes on from there. The grid's classes are 0 to 3 and its
-        corners lie on the lattice.
+        The caller then empties the bricks and continues at that column. The grid's classes are 0 to 3 and its corners
+        are on the lattice.
         """
         if self._state[1] >= MOST_FRAMES:
             return begun
@@ -84,7 +81,7 @@ class VoteBricks:
         return column
 
     def emptied(self, tile_bricks: int) -> Iterator[tuple[tuple[int, int], VoxelVotes]]:
-        """All votes by the tile that they are in, so many bricks a side in plan; there are none once all are taken."""
+        """Yield and remove all votes by tile; a tile has `tile_bricks` bricks per side in plan."""
         used = int(self._state[0])
         tiles, groups = np.unique(indices_of(self._keys[:used])[:, :2] // tile_bricks, axis=0, return_inverse=True)
         order = np.argsort(groups.reshape(-1), kind="stable")
@@ -96,7 +93,7 @@ class VoteBricks:
         self._state[:] = 0
 
     def _gathered(self, rows: NDArray[np.int64]) -> VoxelVotes:
-        """The votes of these bricks."""
+        """Return the votes of these bricks."""
         count = sum(int(np.count_nonzero(self._votes[row])) for row in rows.tolist())
         found = VoxelVotes(np.empty(count, np.int64), np.empty((count, 3), np.uint32))
         _gather((self._keys, self._votes), rows, (found.keys, found.counts))
@@ -104,8 +101,10 @@ class VoteBricks:
 
 
 def _placed(map_from_ego: SE3, grid: LabelGrid) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where the centre of the first cube of voxel [0, 0, 0] lies in units of map voxels (3,), and what the next cube
-    along each axis adds, the columns of (3, 3)."""
+    """Return the centre (3,) of the first cube of voxel [0, 0, 0] in map voxels, and the steps between cubes.
+
+    The steps along each axis are the columns of (3, 3).
+    """
     step = map_from_ego.rotation()
     first = np.array(grid.min_m) / VOXEL_M + 0.5
     return map_from_ego.translation_m / VOXEL_M + step @ first, np.ascontiguousarray(step)
@@ -113,7 +112,7 @@ def _placed(map_from_ego: SE3, grid: LabelGrid) -> tuple[NDArray[np.float64], ND
 
 @njit(cache=True, nogil=True)
 def _vote(words, placed, columns, bricks):  # type: ignore[no-untyped-def]
-    """A word is eight voxels of a column. The brick of the voxel before is looked at first: it mostly is the same."""
+    """Count votes, eight voxels of a column per word; the previous voxel's brick is tried first."""
     (start, step, pooled), (shape, begun), (table, rows, keys, votes, state) = placed, columns, bricks
     last_key, row, words_a_column, cubes = np.int64(EMPTY), 0, shape[2] // 8, pooled**3
     for column in range(begun, shape[0] * shape[1]):
@@ -151,7 +150,7 @@ def _vote(words, placed, columns, bricks):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _gather(bricks, rows, out):  # type: ignore[no-untyped-def]
-    """The voxels with votes of these bricks, as many as there is room for."""
+    """Write the voxels with votes of these bricks, up to the length of `out`."""
     (keys, votes), (found, counts), at = bricks, out, 0
     mask = np.uint64((1 << BITS) - 1)
     for row in rows:
@@ -175,7 +174,7 @@ VOTE = np.dtype([("key", "<i8"), ("counts", "<u4", 3)])
 
 @dataclass(eq=False)
 class FusedLabels:
-    """Votes of the frames of the scene called `name`, kept in files of the folder `scratch`."""
+    """Votes of the frames of the scene called `name`, in files of the folder `scratch`."""
 
     name: str
     scratch: Path
@@ -187,21 +186,21 @@ class FusedLabels:
         self.scratch.mkdir(parents=True)
 
     def add(self, classes: Grid, map_from_ego: SE3) -> None:
-        """The votes of a frame. Raises `DST-072`."""
+        """Add the votes of a frame. Raises `DST-072`."""
         column = self.bricks.vote(classes, map_from_ego)
         while column >= 0:
             self._spill()
             column = self.bricks.vote(classes, map_from_ego, column)
 
     def tiles(self) -> Iterator[tuple[Tile, Keys, NDArray[np.uint8]]]:
-        """Every tile with its voxels (K,), sorted, and their classes (K,), in the order of tiles."""
+        """Yield every tile in order, with its sorted voxels (K,) and their classes (K,)."""
         self._spill()
         for tile in sorted(self._records):
             votes = self._merged_votes(tile)
             yield tile, votes["key"].astype(np.int64), _elected(votes["counts"])
 
     def _spill(self) -> None:
-        """Put the votes of the bricks into the files of their tiles."""
+        """Move the votes of the bricks into the files of their tiles."""
         for place, votes in self.bricks.emptied(TILE_VOXELS // SIDE):
             self._append(Tile(*place), votes)
 
@@ -217,7 +216,7 @@ class FusedLabels:
             self._records[tile] = self._merged[tile] = len(merged)
 
     def _merged_votes(self, tile: Tile) -> NDArray[np.void]:
-        """Each voxel of the tile once, by key. Raises `DST-072`."""
+        """Return each voxel of the tile once, by key. Raises `DST-072`."""
         held = np.fromfile(self._path(tile), VOTE)
         keys = np.ascontiguousarray(held["key"])
         order = np.argsort(keys)
@@ -238,5 +237,5 @@ class FusedLabels:
 
 
 def _elected(counts: NDArray[np.uint32]) -> NDArray[np.uint8]:
-    """The class (K,) of most votes (K, 3)."""
+    """Return the class (K,) with most votes (K, 3)."""
     return np.asarray(3 - counts[:, ::-1].argmax(axis=1), dtype=np.uint8)

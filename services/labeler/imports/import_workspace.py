@@ -1,7 +1,7 @@
 """The context of a stage of an import: the dataset's archive, the run's files, and the sandbox.
 
-**Conventions.** An attempt works in a hidden folder of its own in the run's workspace; what it leaves goes from there
-into the workspace whole, or into the store. The child may read the archive, and writes in that folder alone.
+**Conventions.** An attempt works in its own hidden folder in the run's workspace. Results move atomically from there
+into the workspace, or into the store. The child may read the archive, and writes only to that folder.
 """
 
 from collections.abc import Iterator, Sequence
@@ -32,7 +32,7 @@ A = TypeVar("A", bound=SandboxAnswer)
 
 @dataclass(frozen=True, eq=False)
 class ImportStageContext:
-    """`imported` is the import's row as it was when the attempt began."""
+    """`imported` is the import's row at the start of the attempt."""
 
     platform: Platform
     attempt: Attempt
@@ -41,7 +41,7 @@ class ImportStageContext:
 
     @property
     def classes(self) -> ClassMap:
-        """What the numbers of its labels mean."""
+        """The meaning of its label numbers."""
         stated = self.imported.classes
         if stated is None:
             return OWN_CLASSES
@@ -49,19 +49,19 @@ class ImportStageContext:
 
     @property
     def stated(self) -> StatedLayout:
-        """The layout and grid that its owner states."""
+        """The layout and grid stated by its owner."""
         return StatedLayout.of_record(self.imported.stated)
 
     @property
     def place(self) -> RecordingPlace | None:
-        """The place of an archive that is read where it lies."""
+        """The place of an archive that is read in place."""
         return place_of(self.imported)
 
     @contextmanager
     def archive(self, folder: Path) -> Iterator[DatasetArchivePath]:
-        """The archive for a child that may write in the folder: its path here, or its ranges.
+        """Yield the archive for a child that may write to the folder: its local path, or its ranges.
 
-        Raises `JobCancelledError` where the import was deleted meanwhile, what the store and `opened_dataset` raise.
+        Raises `JobCancelledError` if the import was deleted meanwhile, and what the store and `opened_dataset` raise.
         """
         if self.place is None:
             yield self._kept()
@@ -78,18 +78,18 @@ class ImportStageContext:
         raise JobCancelledError("its dataset was deleted")
 
     def stored_archive(self) -> Sequence[str]:
-        """Return the object key of the archive, or nothing if the archive lies in place or was deleted."""
+        """Return the object key of the archive; empty if the archive is in place or was deleted."""
         with self.platform.database.reading() as session:
             kept = select(Blob.object_key).join(DatasetImport, DatasetImport.blob_sha256 == Blob.sha256)
             return session.scalars(kept.where(DatasetImport.id == self.imported.id)).all()
 
     def folder(self) -> AbstractContextManager[Path]:
-        """A fresh folder of this attempt, as `fresh_folder`; those of jobs of the run that have ended are removed."""
+        """Return a fresh folder of this attempt, as `fresh_folder`; folders of the run's ended jobs are deleted."""
         ended = [f"{APART}{job_id}" for job_id in self._ended_jobs()]
         return fresh_folder(self.workspace.folder, f"{APART}{self.attempt.job_id}", ended)
 
     def ask(self, answer: type[A], work: SandboxedWork, shown: str, opened: tuple[DatasetArchivePath, Path]) -> A:
-        """Return the answer of a sandboxed child, which may read the archive and write in the folder of `opened`.
+        """Return the answer of a sandboxed child, which may read the archive and write to the folder of `opened`.
 
         Raises what `work` raises, `SandboxCrashedError`, `SandboxInterruptedError`, `JobCancelledError`.
         """
@@ -106,7 +106,7 @@ class ImportStageContext:
 
 
 def import_context_of(platform: Platform, attempt: Attempt) -> ImportStageContext:
-    """The context of this attempt. Raises as `import_of_attempt`."""
+    """Return the context of this attempt. Raises as `import_of_attempt`."""
     imported = import_of_attempt(platform, attempt)
     return ImportStageContext(
         platform, attempt, imported, Workspace(platform.store, platform.settings, attempt.root_id)

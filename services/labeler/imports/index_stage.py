@@ -1,9 +1,9 @@
-"""The stage that indexes a dataset: its tables are checked, parted by scene, and a job is made of each scene.
+"""The stage that indexes a dataset: it checks the tables, divides them by scene, and creates a job for each scene.
 
     the archive → (child: tables of each scene, spans of its files) → `scenes/<ordinal>/` in the workspace → jobs
 
-**Conventions.** Folders of scenes are renamed into place; equal archives give equal ones. What can be known to be
-refused is refused here, before any scene is copied: scenes without labels, sequences that are there already.
+**Conventions.** Folders of scenes are renamed into place; equal archives give equal folders. Faults that are already
+known are refused here, before any scene is copied: scenes without labels, existing sequences.
 """
 
 from functools import partial
@@ -28,8 +28,7 @@ from stone.errors import Refused
 def index_tar(context: ImportStageContext) -> Outcome:
     """Index the dataset.
 
-    Raises the `DST-*` faults, `scenes_unlabelled`, `sequences_exist`, and what `ImportStageContext.ask`
-    raises.
+    Raises the `DST-*` faults, `scenes_unlabelled`, `sequences_exist`, and what `ImportStageContext.ask` raises.
     """
     imported = context.imported
     with context.folder() as folder:
@@ -48,7 +47,7 @@ def index_tar(context: ImportStageContext) -> Outcome:
 
 
 def _stored(context: ImportStageContext, folder: Path, told: DatasetIndexAnswer) -> list[tuple[str, PreparedBlob]]:
-    """The files that no table names, by name. Raises `SandboxCrashedError` if they are not those that were told."""
+    """Store the files outside the tables by name. Raises `SandboxCrashedError` if they differ from the answer."""
     stored = list[tuple[str, PreparedBlob]]()
     for number, file in enumerate(told.extra):
         path = extra_path(folder, number)
@@ -75,9 +74,9 @@ def _refuse(context: ImportStageContext, told: DatasetIndexAnswer) -> None:
 
 
 def _keep(folder: Path, work: Path, ordinal: int) -> None:
-    """Move a scene's folder into the workspace, whole, unless another attempt has put the same there.
+    """Move a scene's folder atomically into the workspace, unless another attempt has already done so.
 
-    Raises `SandboxCrashedError` where the child left none.
+    Raises `SandboxCrashedError` if the child wrote no folder.
     """
     left, kept = folder / scene_folder(ordinal), work / scene_folder(ordinal)
     if left.is_symlink() or not left.is_dir():
@@ -85,7 +84,7 @@ def _keep(folder: Path, work: Path, ordinal: int) -> None:
     kept.parent.mkdir(parents=True, exist_ok=True)
     try:
         left.rename(kept)
-    except OSError:  # it is there, and not empty
+    except OSError:  # the folder exists and is not empty
         if not kept.is_dir():
             raise
 
@@ -98,9 +97,9 @@ def _jobs(told: DatasetIndexAnswer) -> tuple[JobSpec, ...]:
 def _write(
     context: ImportStageContext, told: DatasetIndexAnswer, kept: list[tuple[str, PreparedBlob]], session: Session
 ) -> None:
-    """Raises `JobCancelledError`."""
+    """Write the index. Raises `JobCancelledError`."""
     imported = kept_import(session, context.attempt)
-    for name, prepared in sorted(kept, key=lambda file: file[1].sha256):  # the order in which all link
+    for name, prepared in sorted(kept, key=lambda file: file[1].sha256):  # the common order of links
         keep_file(session, imported, name, link(session, prepared))
     imported.left_out = {"total": told.left_out_total, "files": [one.model_dump() for one in told.left_out]}
     imported.scenes = [

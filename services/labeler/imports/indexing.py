@@ -1,8 +1,8 @@
-"""What a sandboxed child does to index a dataset: its tables are checked and parted by scene.
+"""The work of a sandboxed child that indexes a dataset: it checks the tables and divides them by scene.
 
-**Conventions.** Of the files of sensors and labels only those of some frames are opened, to see that they fit together,
-and of Occ3D's layout the first picture of each camera, for its size. Everything is streamed: what is held grows by some
-hundred bytes a row.
+**Conventions.** Only the sensor and label files of some frames are opened, to check that they fit together, and in
+Occ3D's layout the first picture of each camera, for its size. All data are streamed; memory grows by a few hundred
+bytes per row.
 """
 
 from collections.abc import Iterator
@@ -37,14 +37,13 @@ from stone_datasets.scene_tables import write_scene_tables, write_splits
 from stone_files.dataset_faults import DatasetFaultError
 
 Scene = tuple[Sequence, SceneSpans]
-UNKNOWN = "unknown"  # what our own exports say of a place that nobody named
+UNKNOWN = "unknown"  # the region in STONE's own exports if unspecified
 
 
 def index_dataset(opening: DatasetOpening, folder: Path, progress: ProgressCallback) -> bytes:
-    """Leave `scenes/<ordinal>/` in the folder, and `extra/<number>` of each file that no table names; a
-    `DatasetIndexAnswer`.
+    """Write `scenes/<ordinal>/` and, for each file outside the tables, `extra/<number>`; return a `DatasetIndexAnswer`.
 
-    Raises the first `DatasetFaultError` that is found, `bad_tar`.
+    Raises the first `DatasetFaultError`, `bad_tar`.
     """
     progress("check", 0, 1)
     reading = read_tables_of(opening.dataset, opening.stated)
@@ -109,7 +108,7 @@ def _write_tables(index: DatasetIndex, placed: PlacedData | None, folder: Path) 
 
 
 def region_of(location: str) -> str:
-    """The region that a log's `location` names, with dashes for blanks; "" where it names none, as coordinates do."""
+    """Return the region in a log's `location`, with dashes for blanks; "" if it has none, for example coordinates."""
     name = "-".join(location.split())
     return name if REGION.fullmatch(name) and name.casefold() != UNKNOWN else UNSAID
 

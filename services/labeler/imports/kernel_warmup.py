@@ -1,7 +1,7 @@
-"""Compiled kernels for imports, loaded in the process that forks children: those of labelling, and of maps of labels.
+"""Compiled kernels for imports, loaded in the process that forks children: kernels of labelling and of label maps.
 
-**Conventions.** As `services/labeler/kernel_warmup.py`: a child can keep nothing that it compiles, so a small map is
-made here as children make it.
+**Conventions.** As in `services/labeler/kernel_warmup.py`: a child cannot keep what it compiles, so a small map is made
+here in the same way as in children.
 """
 
 from functools import cache
@@ -22,9 +22,9 @@ HEIGHT, SIDE = 9, slice(120, 136)
 
 @cache
 def warm_imports() -> None:
-    """Whatever labelling compiles, and the map of one small frame: once a process.
+    """Warm all kernels of labelling, and make the map of one small frame, once per process.
 
-    Its classes are those of a file, which nobody may write to, and such as a class map makes.
+    Its classes are read-only like those of a file, and also writable like those from a class map.
     """
     warm()
     classes = np.zeros(PAPER.shape, np.uint8)

@@ -1,4 +1,4 @@
-"""Counts of a frame's labels: voxels by class, and set in a mask, eight voxels at a time."""
+"""Counts of a frame's labels: voxels by class, and set voxels of a mask, eight voxels at a time."""
 
 import numpy as np
 from numba import njit
@@ -10,7 +10,7 @@ LOWEST = np.uint64(0x0101010101010101)
 
 
 def class_counts(classes: Grid) -> list[int]:
-    """How many voxels are free, T, P and N; the grid holds nothing above 3."""
+    """Return the numbers of free, T, P and N voxels; the grid has no value above 3."""
     counts = np.zeros(4, np.int64)
     _count(_words(classes), counts)
     counts[0] = classes.size - counts[1:].sum()
@@ -18,7 +18,7 @@ def class_counts(classes: Grid) -> list[int]:
 
 
 def set_count(mask: Grid) -> int:
-    """How many voxels are 1; the grid holds nothing else but 0."""
+    """Return the number of voxels that are 1; all others are 0."""
     counts = np.zeros(4, np.int64)
     _count(_words(mask), counts)
     return int(counts[1])

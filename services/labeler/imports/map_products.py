@@ -1,7 +1,7 @@
-"""What is made of the map of imported labels: pictures from above, mesh, the viewer's scene, a picture in perspective.
+"""Products of the map of imported labels: top view, mesh, the viewer's scene, a picture in perspective.
 
-**Conventions.** The map is voxels with classes; features it has none, so of the scene they are NaN, and there is no
-picture of them. The surface is the voxels' faces. Memory holds one tile, and of the view from above all columns.
+**Conventions.** The map consists of voxels with classes. It has no features: in the scene they are NaN, and there is no
+picture of them. The surface consists of voxel faces. Memory holds one tile, and all columns of the top view.
 """
 
 from collections.abc import Callable, Iterator
@@ -31,7 +31,7 @@ from stone_datasets.index import label_folder
 from stone_files.dataset_faults import DatasetFaultError
 
 PROFILE = "imported"
-SLAB_VOXELS = 256  # what is drawn in perspective is held as dense blocks
+SLAB_VOXELS = 256  # the perspective picture holds dense blocks
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class MapFacts:
 
 @dataclass(frozen=True, eq=False)
 class _Made:
-    """A tile of the map: `voxels` and `surface` are the files that keep them, `slabs` the heights of its slabs."""
+    """A tile of the map: `voxels` and `surface` are its files, `slabs` the heights of its slabs."""
 
     voxels: Path
     surface: Path
@@ -55,7 +55,7 @@ class _Made:
 
 
 def write_map_products(fused: FusedLabels, sequence: Sequence, folders: tuple[Path, Path], step: Step) -> MapFacts:
-    """All of them into the first folder; what they need meanwhile goes into the second.
+    """Write all products into the first folder; the second is for intermediate files.
 
     Raises `DST-071`, `DST-072`.
     """
@@ -75,7 +75,7 @@ def write_map_products(fused: FusedLabels, sequence: Sequence, folders: tuple[Pa
     step(2, 4)
     write_mesh(out / MESH, (vertices, triangles), [partial(_piece, one) for one in made])
     step(3, 4)
-    from services.labeler.previews.map_view import write_map_oblique  # it draws: half a second of imports
+    from services.labeler.previews.map_view import write_map_oblique  # imports a drawing library: half a second
     from services.labeler.previews.preview_files import MAP
 
     write_map_oblique([slab for one in made for slab in _slabs(one)], poses, out / MAP)
@@ -109,7 +109,7 @@ def _piece(made: _Made) -> Piece:
 
 
 def _slabs(made: _Made) -> Iterator[Callable[[], MapPiece]]:
-    """The tile in pieces of few heights, so that each is a block of few voxels however far apart they lie."""
+    """Yield the tile in flat pieces, so that each is a small block of voxels however far apart the voxels are."""
     return (partial(_slab, made, height) for height in made.slabs)
 
 
@@ -126,12 +126,11 @@ def _slab(made: _Made, height: int) -> MapPiece:
     return MapPiece(keys, np.zeros((len(keys), 3)), classes)
 
 
-# The surface of a voxel map: the faces of voxels that no other voxel covers, but those that look down.
-#
-# **Conventions.** A face is two triangles, counter-clockwise from outside. Faces of voxels of one class share their
-# corners, so a vertex has one class. Voxels are on a lattice of `size_m`, corners at multiples of it.
+# The surface of a voxel map: uncovered faces of voxels, except those that face down. A face is two triangles,
+# counter-clockwise seen from outside. Faces of voxels of one class share their corners, so each vertex has one class.
+# Voxels are on a lattice of `size_m`, corners at multiples of it.
 
-# East, west, north, south, up; and of each the corners of the face, counter-clockwise seen from outside.
+# East, west, north, south, up; below, the corners of each face, counter-clockwise seen from outside.
 TOWARDS = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1)], np.int64)
 CORNERS = np.array(
     [
@@ -147,7 +146,7 @@ HALVES = np.array([(0, 1, 2), (0, 2, 3)])
 
 
 def exposed_faces(keys: Keys, classes: NDArray[np.uint8], size_m: float) -> TileMesh:
-    """The surface of voxels (K,) of these classes; vertices in metres of the lattice. Nothing gives nothing."""
+    """Return the surface of voxels (K,) with these classes; vertices in metres of the lattice."""
     voxels, sides = np.nonzero(_is_open(keys))
     corners = (indices_of(keys)[voxels, None, :] + CORNERS[sides]).reshape(-1, 3)
     kinds = classes[voxels].repeat(4)
@@ -157,7 +156,7 @@ def exposed_faces(keys: Keys, classes: NDArray[np.uint8], size_m: float) -> Tile
 
 
 def coarser(keys: Keys, classes: NDArray[np.uint8]) -> tuple[Keys, NDArray[np.uint8]]:
-    """Voxels of twice the size, each of the highest class in it: the more cautious one."""
+    """Return voxels of twice the size, each with the highest class in it, which is the most cautious."""
     order = np.argsort(keys_from_indices(indices_of(keys) >> 1), kind="stable")
     halved = keys_from_indices(indices_of(keys[order]) >> 1)
     first = np.flatnonzero(np.append(True, np.diff(halved) != 0)[: len(halved)])
@@ -165,7 +164,7 @@ def coarser(keys: Keys, classes: NDArray[np.uint8]) -> tuple[Keys, NDArray[np.ui
 
 
 def few_faces(keys: Keys, classes: NDArray[np.uint8], size_m: float, most_triangles: int) -> TileMesh:
-    """The surface with at most so many triangles: of larger voxels where there would be more."""
+    """Return the surface with at most `most_triangles`, from larger voxels if necessary."""
     while 2 * int(_is_open(keys).sum()) > most_triangles:
         keys, classes = coarser(keys, classes)
         size_m *= 2
@@ -173,14 +172,14 @@ def few_faces(keys: Keys, classes: NDArray[np.uint8], size_m: float, most_triang
 
 
 def _is_open(keys: Keys) -> NDArray[np.bool_]:
-    """Which faces (K, 5) of the voxels no other covers."""
+    """Return the faces (K, 5) that no other voxel covers."""
     table, is_open = table_of(keys), np.zeros((len(keys), len(TOWARDS)), np.bool_)
     _open(keys, (table.keys, table.rows), TOWARDS, is_open)
     return is_open
 
 
 def _named(corners: NDArray[np.int64], kinds: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """A number for each corner and class: 20 bits an axis from the lowest corner on, 2 for the class."""
+    """Return a number for each corner and class: 20 bits per axis from the lowest corner on, 2 for the class."""
     low = corners.min(axis=0, initial=1 << 40) if len(corners) else np.zeros(3, np.int64)
     i, j, k = (corners - low).T
     return np.asarray((((i << 20 | j) << 21 | k) << 2) | kinds.astype(np.int64), dtype=np.int64)
@@ -188,7 +187,7 @@ def _named(corners: NDArray[np.int64], kinds: NDArray[np.uint8]) -> NDArray[np.i
 
 @njit(cache=True, nogil=True)
 def _open(keys, table, towards, is_open):  # type: ignore[no-untyped-def]
-    """A neighbour's key differs by the same number everywhere: no axis carries into the next within the lattice."""
+    """Mark open faces; a neighbour's key differs by a constant, since no axis carries within the lattice."""
     for voxel in range(keys.size):
         for side in range(towards.shape[0]):
             step = (towards[side, 0] << 42) + (towards[side, 1] << 21) + towards[side, 2]

@@ -1,10 +1,9 @@
-"""What the labeler does for an import of a dataset: three stages, as handlers by kind.
+"""The labeler's handlers for an import of a dataset: three stages, by kind.
 
     ingest keeps the archive → index → import (each scene) → publish (all of them at once)
 
-**Conventions.** As of `services/labeler/queue_handlers.py`: a stage may run twice, at once or after being killed
-anywhere. A dataset comes from a stranger, so it is opened in a sandboxed child alone, and a scene that is done is
-never done again.
+**Conventions.** As in `services/labeler/queue_handlers.py`: a stage may run twice, concurrently or after being killed
+anywhere. A dataset is untrusted, so only a sandboxed child opens it. A finished scene is never imported again.
 """
 
 from collections.abc import Callable, Sequence
@@ -40,10 +39,9 @@ from services.runtime.sandbox import SandboxCrashedError
 from services.runtime.store.faults import comparing
 from services.runtime.store.recipes import recipe_of
 
-# The stage that publishes a dataset: all sequences, label sets and frames of all its scenes, in one transaction.
-#
-# **Conventions.** Every byte is in the store already, held by rows of the import; nothing is read here but what the
-# children of the scenes told, and that is believed anew.
+# The stage that publishes a dataset: sequences, label sets and frames of all its scenes, in one transaction. All bytes
+# are already in the store, held by rows of the import; the stage reads only the answers of the scenes' children, and
+# validates them again.
 
 
 PROFILE = "imported"
@@ -52,22 +50,22 @@ COUNTED = (LABELS, "source/")
 
 @dataclass(frozen=True)
 class _SceneRows:
-    """What a scene becomes: its files, and what was told of its labels."""
+    """The rows of a scene: its files, and the answer about its labels."""
 
     told: PublicationAnswer
     files: tuple[NewArtefact, ...]
 
     @property
     def size_bytes(self) -> int:
-        """The bytes that are counted against the owner: of the labels and of what the dataset brought."""
+        """The bytes that count against the owner: those of the labels and of the dataset's files."""
         return sum(file.size_bytes for file in self.files if file.name.startswith(COUNTED))
 
 
 def publish_scenes(context: ImportStageContext) -> Outcome:
     """Publish the dataset.
 
-    Raises `sequences_exist` and `quota_exceeded` as it commits, `SandboxCrashedError`, and
-    `JobCancelledError` where what scenes left is gone, once the run is begun again.
+    Raises `sequences_exist` and `quota_exceeded` at the commit, `SandboxCrashedError`, and `JobCancelledError` if
+    intermediate files were deleted; the run is then restarted.
     """
     context.workspace.pull(f"{TOLD}/")
     with context.platform.database.reading() as session:
@@ -84,7 +82,7 @@ def _files(session: Session, imported: DatasetImport) -> dict[int, list[Imported
 
 
 def _scene(context: ImportStageContext, ordinal: int, files: Sequence[ImportedFile]) -> _SceneRows:
-    """Raises `JobCancelledError`, `SandboxCrashedError`."""
+    """Return the rows of a scene. Raises `JobCancelledError`, `SandboxCrashedError`."""
     path = context.workspace.folder / told_path(ordinal)
     if not path.exists():
         gone = "the intermediate files of its scenes were deleted"
@@ -137,7 +135,7 @@ STAGES = {INDEX: index_tar, SCENE: import_one_scene, PUBLISH_IMPORT: publish_sce
 
 
 def import_handlers(platform: Platform) -> Handlers:
-    """The stages by kind."""
+    """Return the stages by kind."""
     return {kind: partial(_with_context, platform, stage) for kind, stage in STAGES.items()}
 
 

@@ -1,10 +1,10 @@
-"""What a sandboxed child does to import one scene of a dataset that was indexed.
+"""The work of a sandboxed child that imports one scene of an indexed dataset.
 
     spans in the archive → files checked and copied → labels checked and copied, their map fused → products, report,
     totals
 
-**Conventions.** Everything goes to the folder `out` of the scene by the names of artefacts; what is needed on the way
-lies in a folder beside, which is removed.
+**Conventions.** All results are written to the scene's folder `out` under the names of artefacts. Intermediate files
+are in a separate folder, which is deleted.
 """
 
 import json
@@ -60,22 +60,19 @@ from stone_files.archives import check_names
 from stone_files.dataset_layout import ANNOTATIONS
 from stone_files.npz import npz_bytes
 
-# The source of an imported label set: the files of its scene as they were published, in packs.
-#
-#     source/index.npz   source/000000.pack …   source/placed.npz
-#
-# **Conventions.** A `PackedFiles` in the order of names: `v1.0-trainval/<table>.json`, `v1.0-trainval/splits.json`,
-# `samples/…`, `sweeps/…`, `maps/…`; and `gts/…` if labels of the dataset's layout have other keys or no masks, so that
-# an export gives them back. Bytes are those of the dataset; files of sensors are checked before they are copied. Of an
-# archive in place tables alone are copied: `placed.npz` says where the other files lie in it, and who reads one checks
-# it.
+# The source of an imported label set: the published files of its scene, in packs: source/index.npz, source/000000.pack
+# …, source/placed.npz. The index is a `PackedFiles` in the order of names: `v1.0-trainval/<table>.json`,
+# `v1.0-trainval/splits.json`, `samples/…`, `sweeps/…`, `maps/…`; and `gts/…` if the dataset's labels have other keys or
+# no masks, so that an export can restore them. Bytes are the dataset's; sensor files are checked before they are
+# copied. From an archive in place only tables are copied: `placed.npz` has the offsets of the other files, which are
+# checked when they are read.
 
 
 Told = Callable[[int, int], None]
 
 
 def write_source(parts: SceneParts, out: Path, told: Told, *, is_in_place: bool) -> None:
-    """The indexes and the packs below `out`. Raises a `DatasetFaultError`, `bad_member`, `StoreFullError`."""
+    """Write the indexes and packs to `out`. Raises a `DatasetFaultError`, `bad_member`, `StoreFullError`."""
     tables = {f"{VERSION}/{path.name}": path for path in (parts.folder / TABLES).iterdir()}
     places = {name: number for number, name in enumerate(parts.spans.names)}
     is_own = parts.layout.has_masks and parts.layout.label_key == GRIDS[0]
@@ -98,14 +95,14 @@ def write_source(parts: SceneParts, out: Path, told: Told, *, is_in_place: bool)
 
 
 def _placed(parts: SceneParts, labels: list[str]) -> PlacedFiles:
-    """Return the places in the archive of the scene's files and of the label files of these names."""
+    """Return the offsets of the scene's files, and of the label files with these names, in the archive."""
     spans, held = parts.spans, [f"{parts.about.root}{name}" for name in labels]
     places = np.concatenate([spans.places, spans.labels[: len(labels)]])
     return PlacedFiles((*spans.names, *labels), (*spans.held, *held), places)
 
 
 def sensors_of(parts: SceneParts) -> dict[str, ExportedSensor]:
-    """The sensors of the scene by channel, as its files are checked against them."""
+    """Return the sensors of the scene by channel, with which its files are checked."""
     calibration = parts.sequence.calibration
     lidar = ExportedSensor(LIDAR_CHANNEL, "lidar", calibration.ego_from_lidar, None)
     return {LIDAR_CHANNEL: lidar} | {
@@ -115,7 +112,7 @@ def sensors_of(parts: SceneParts) -> dict[str, ExportedSensor]:
 
 
 def _checked(parts: SceneParts, number: int, sensors: dict[str, ExportedSensor]) -> ExportFileSpan:
-    """The span of a file, which is what its sensor gives; of a map nothing is asked."""
+    """Return the span of a file after checking that it fits its sensor; maps are not checked."""
     span, channel, row = parts.file(number), parts.spans.channels[number], int(parts.spans.rows[number])
     if not channel:
         return span
@@ -126,11 +123,9 @@ def _checked(parts: SceneParts, number: int, sensors: dict[str, ExportedSensor])
     return span
 
 
-# The labels of a scene's frames: each read and checked, counted, put into packs, and shown to who makes the map.
-#
-# **Conventions.** Bytes are the dataset's where they are labels of this platform already; else they are written as the
-# labeler writes its own. A mask that the dataset has not is 1 everywhere: nothing says of a voxel that it was not
-# seen.
+# The labels of a scene's frames: read, checked, counted, packed, and passed to the map. Files that already have the
+# platform's form are copied; others are written in the labeler's form. A mask that the dataset lacks is 1 everywhere,
+# since no voxel is known to be unobserved.
 
 
 LABELS, PACKS = "labels", "packs"
@@ -139,8 +134,10 @@ FRAMES_A_PACK = 4096
 
 @dataclass(eq=False)
 class ImportedLabels:
-    """What was written, frame after frame: ranges of packs, voxels by class (n, 4), observed (n, 2), and how many
-    files were written anew, or had not which mask (`notes`)."""
+    """The labels written so far, frame by frame: ranges of packs, voxels by class (n, 4), observed (n, 2).
+
+    `notes` counts rewritten files and missing masks.
+    """
 
     ranges: list[Range] = field(default_factory=list)
     classes: list[list[int]] = field(default_factory=list)
@@ -152,7 +149,7 @@ class ImportedLabels:
         return FrameVoxelCounts(np.array(self.classes, np.int64), np.array(self.observed, np.int64), filled)
 
     def packs(self) -> list[PackAnswer]:
-        """Named by their first frames."""
+        """Return the packs, named after their first frames."""
         firsts = range(0, len(self.ranges), FRAMES_A_PACK)
         return [
             PackAnswer(name=f"{PACKS}/{first:06d}.pack", first=first, ranges=self.ranges[first : first + FRAMES_A_PACK])
@@ -161,7 +158,7 @@ class ImportedLabels:
 
 
 def copied_labels(parts: SceneParts, classes: ClassMap, out: Path, into: ImportedLabels) -> Iterator[Grid]:
-    """The classes of each frame, once its labels are in the packs of the folder `out`.
+    """Yield the classes of each frame, once its labels are in the packs of the folder `out`.
 
     Raises a `DatasetFaultError`.
     """
@@ -193,9 +190,9 @@ SCRATCH = "scratch"
 
 
 def import_scene(opening: SceneOpening, folder: Path, progress: ProgressCallback) -> bytes:
-    """Leave the artefacts of the scene in `scenes/<ordinal>/out`; a `PublicationAnswer`.
+    """Write the artefacts of the scene to `scenes/<ordinal>/out`; return a `PublicationAnswer`.
 
-    Raises the first `DatasetFaultError` that is found, `scene_damaged`, `bad_member`, `StoreFullError`.
+    Raises the first `DatasetFaultError`, `scene_damaged`, `bad_member`, `StoreFullError`.
     """
     scene = folder / scene_folder(opening.ordinal)
     parts, out = read_scene_parts(scene, opening.dataset), scene / OUT
@@ -211,7 +208,7 @@ def import_scene(opening: SceneOpening, folder: Path, progress: ProgressCallback
 
 
 def _labels(parts: SceneParts, opening: SceneOpening, progress: ProgressCallback) -> ImportedLabels:
-    """The labels in packs, and what is made of them."""
+    """Write the labels in packs and their products."""
     sequence, out, labels = parts.sequence, parts.folder / OUT, ImportedLabels()
     scratch = parts.folder / SCRATCH
     fused, poses = (
@@ -243,21 +240,19 @@ def _answer(parts: SceneParts, labels: ImportedLabels) -> PublicationAnswer:
 
 
 def _origin_of(parts: SceneParts) -> TrackOrigin:
-    """Return the origin by the scene's log."""
+    """Return the origin from the scene's log."""
     (log, *_) = json.loads((parts.folder / TABLES / "log.json").read_bytes()) or [{}]
     logfile, vehicle, location = (str(log.get(key, "")) for key in ("logfile", "vehicle", "location"))
     return origin_of((logfile, vehicle, location), parts.sequence.name)
 
 
 def voxel_totals(counts: FrameVoxelCounts) -> Mapping[str, int]:
-    """Voxels of all frames by class, by the names of columns."""
+    """Return the voxels of all frames by class, by column name."""
     return dict(zip(CLASS_COLUMNS, counts.classes.sum(axis=0).tolist(), strict=True))
 
 
-# `report.json` of an imported label set: from what it was taken, what its classes mean, and what it has not.
-#
-# **Conventions.** The keys that it shares with the labeler's own report (`services/labeler/report.py`) mean the same;
-# what only a labelling knows is null.
+# `report.json` of an imported label set: its source, the meaning of its classes, and missing data. Keys shared with the
+# labeler's own report (`services/labeler/report.py`) have the same meaning; facts known only after labelling are null.
 
 
 NO_MASK = {
@@ -267,7 +262,7 @@ NO_MASK = {
 
 
 def report_text(parts: SceneParts, classes: ClassMap, labels: ImportedLabels, mapped: MapFacts) -> str:
-    """The file."""
+    """Return the file's content."""
     counts, sequence = labels.counts(), parts.sequence
     record = {
         "sequence": sequence.name,
@@ -303,14 +298,14 @@ def report_text(parts: SceneParts, classes: ClassMap, labels: ImportedLabels, ma
 
 
 def class_record(classes: ClassMap) -> dict[str, Any]:
-    """As a file of `--classes` says it."""
+    """Return the record in the form of a file of `--classes`."""
     words = {number: word for word, number in MEANINGS.items()}
     meant = {str(number): words[meaning] for number, meaning in enumerate(classes.meaning.tolist()) if meaning in words}
     return {"name": classes.name, "classes": meant}
 
 
 def findings_of(labels: ImportedLabels) -> tuple[Finding, ...]:
-    """What the dataset does not say, as somebody who uses its labels should know."""
+    """Return warnings about missing data, for users of the labels."""
     frames, found = len(labels.ranges), []
     for code, (name, why) in zip(("IMP-601", "IMP-602"), NO_MASK.items(), strict=True):
         if labels.notes[name]:
@@ -325,7 +320,7 @@ def _shares(counts: FrameVoxelCounts) -> Mapping[str, float]:
 
 
 def _observed_ratio(counts: FrameVoxelCounts, labels: ImportedLabels) -> Mapping[str, float | None]:
-    """Null where not every frame says."""
+    """Return the observed ratios; null if some frames lack the mask."""
     ratios = counts.observed.sum(axis=0) / np.maximum(counts.classes.sum(), 1)
     pairs = zip((("lidar", "mask_lidar"), ("camera", "mask_camera")), ratios.tolist(), strict=True)
     return {name: None if labels.notes[mask] else round(ratio, 6) for (name, mask), ratio in pairs}

@@ -1,11 +1,11 @@
-"""What the index of a dataset leaves of a scene for its import.
+"""The files of a scene from the index of a dataset, for its import.
 
     scenes/<ordinal>/sequence.npz   the synchronised sequence
     scenes/<ordinal>/files.npz      spans of its files and labels in the archive
     scenes/<ordinal>/about.json     `SceneAbout`
     scenes/<ordinal>/tables/…       its tables and splits
 
-**Conventions.** Spans lie within the tar or zip, or are refused when they are read.
+**Conventions.** Spans outside the tar or zip are refused when they are read.
 """
 
 import io
@@ -37,10 +37,13 @@ FILES, ABOUT, TABLES = "files.npz", "about.json", "tables"
 
 @dataclass(frozen=True)
 class SceneAbout:
-    """What a scene shares with its dataset.
+    """Facts that a scene shares with its dataset.
 
-    `version` is the folder of tables, "" if there is none; `root` the folder in the archive; `layout` a name of
-    `LAYOUTS`; `grid` that of its labels as a record. With `has_dashes` the dataset writes tokens as UUIDs.
+    - `version`: the folder of tables, "" if there is none
+    - `root`: the folder in the archive
+    - `layout`: a name of `LAYOUTS`
+    - `grid`: the record of its labels' grid
+    - `has_dashes`: the dataset writes tokens as UUIDs
     """
 
     version: str
@@ -56,7 +59,7 @@ class SceneAbout:
 
 @dataclass(frozen=True, eq=False)
 class SceneParts:
-    """The scene in the folder `folder`, whose files lie in the archive."""
+    """The scene in the folder `folder`, whose files are in the archive."""
 
     folder: Path
     archive: ByteRanges
@@ -66,19 +69,19 @@ class SceneParts:
     spans: SceneSpans
 
     def file(self, number: int) -> ExportFileSpan:
-        """The file of this place among `spans.names`."""
+        """Return the file with this index in `spans.names`."""
         names = (self.spans.names[number], self.spans.held[number])
         return placed_span(self.archive, names, self.spans.places[number])
 
     def label_file(self, frame: int) -> ExportFileSpan:
-        """The labels of this frame, by the name that the dataset gives them."""
+        """Return the labels of this frame under the dataset's name."""
         token, has_dashes = self.sequence.frames.tokens[frame], self.about.has_dashes
         name = label_name(self.sequence.name, token, has_dashes=has_dashes)
         return placed_span(self.archive, (name, f"{self.about.root}{name}"), self.spans.labels[frame])
 
 
 def write_scene_parts(folder: Path, about: SceneAbout, sequence: Sequence, spans: SceneSpans) -> None:
-    """Write all but the tables into the folder, which is there."""
+    """Write everything except the tables into the folder, which exists."""
     (folder / SEQUENCE_FILE).write_bytes(sequence_bytes(sequence))
     (folder / ABOUT).write_text(json.dumps(asdict(about)))
     numbers = {"places": spans.places, "rows": spans.rows, "labels": spans.labels}
@@ -87,7 +90,7 @@ def write_scene_parts(folder: Path, about: SceneAbout, sequence: Sequence, spans
 
 
 def read_scene_parts(folder: Path, archive: Path | ByteRanges) -> SceneParts:
-    """Raises `scene_damaged`."""
+    """Return the scene's parts. Raises `scene_damaged`."""
     try:
         sequence = read_sequence((folder / SEQUENCE_FILE).read_bytes())
         about = SceneAbout(**json.loads((folder / ABOUT).read_bytes()))
@@ -117,12 +120,10 @@ def _check(parts: SceneParts) -> None:
             raise scene_damaged(f"a span of {size} bytes from {offset} exceeds the {size_bytes} bytes of the archive")
 
 
-# What the sandboxed children of an import are given: the archive of a dataset, and what is to be made of it.
-#
-# **Conventions.** Values that can be pickled. A child works in the folder `dataset` of the run's workspace: the one
-# that indexes leaves the tables of a scene, and where its files lie in the archive, in `scenes/<ordinal in six
-# digits>/`; the one that imports that scene reads them there and leaves its artefacts, by their names, in the folder
-# `out` beside.
+# Inputs of the sandboxed children of an import: the archive of a dataset, and the requested result, as values that can
+# be pickled. A child works in the folder `dataset` of the run's workspace. The indexing child writes a scene's tables
+# and file offsets to `scenes/<ordinal in six digits>/`. The importing child reads them there and writes its artefacts
+# by name to the folder `out` beside them.
 
 
 SCENES, OUT, EXTRA = "scenes", "out", "extra"
@@ -130,8 +131,7 @@ SCENES, OUT, EXTRA = "scenes", "out", "extra"
 
 @dataclass(frozen=True)
 class DatasetOpening:
-    """A whole dataset: its archive, what its owner calls it, the archive's sha256, what the numbers of its labels mean,
-    and the stated layout."""
+    """A whole dataset: its archive, its owner's name for it, the archive's sha256, its classes and stated layout."""
 
     dataset: Path | ByteRanges
     name: str
@@ -142,9 +142,9 @@ class DatasetOpening:
 
 @dataclass(frozen=True)
 class SceneOpening:
-    """One scene of a dataset that was indexed: as `DatasetOpening`, and the scene's place in the dataset.
+    """One scene of an indexed dataset: as `DatasetOpening`, and the scene's index in the dataset.
 
-    Of an archive `is_in_place` files of sensors are not read, and no file is copied.
+    If the archive is read in place (`is_in_place`), sensor files are not read, and no file is copied.
     """
 
     dataset: Path | ByteRanges
@@ -154,16 +154,13 @@ class SceneOpening:
 
 
 def scene_folder(ordinal: int) -> PurePosixPath:
-    """Where the files of a scene lie below the child's folder."""
+    """Return the path of a scene's files relative to the child's folder."""
     return PurePosixPath(SCENES, f"{ordinal:06d}")
 
 
 def extra_path(folder: Path, number: int) -> Path:
-    """Return the path of a file that no table names, in the folder of the child that indexed."""
+    """Return the path of a file outside the tables, in the folder of the indexing child."""
     return folder / EXTRA / f"{number:06d}"
-
-
-# What is refused of what an index left of a scene.
 
 
 def scene_damaged(what: str) -> Refused:

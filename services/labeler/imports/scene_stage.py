@@ -1,9 +1,9 @@
-"""The stage that imports one scene: its files are checked and copied, its products made, and all kept as blobs.
+"""The stage that imports one scene: it checks and copies the files, makes the products, and stores all as blobs.
 
     tables of the scene, the archive → (child: artefacts in `out/`) → blobs, held by rows of the import until it ends
 
-**Conventions.** Bytes first, then the rows and the job's success in one transaction. What the child told of labels lies
-in the workspace as `published/<ordinal>.json`, for the stage that publishes all scenes.
+**Conventions.** Bytes first, then the rows and the job's success in one transaction. The child's answer about the
+labels is in the workspace as `published/<ordinal>.json`, for the stage that publishes all scenes.
 """
 
 import shutil
@@ -37,17 +37,17 @@ LONGEST_NAME = 128
 
 @dataclass(frozen=True)
 class _Kept:
-    """What a scene was made into: its files and their blobs."""
+    """The results of a scene: its files and their blobs."""
 
     ordinal: int
     files: list[tuple[LeftFile, PreparedBlob]]
 
 
 def import_one_scene(context: ImportStageContext) -> Outcome:
-    """Import the scene that the job is for.
+    """Import the job's scene.
 
-    Raises the `DST-*` faults, what `ImportStageContext.ask` raises, and `JobCancelledError` where what the index left
-    is gone, once the run is begun again.
+    Raises the `DST-*` faults, what `ImportStageContext.ask` raises, and `JobCancelledError` if index files were
+    deleted; the run is then restarted.
     """
     ordinal = int(context.attempt.arguments["scene"])
     _require_indexed(context, ordinal)
@@ -65,12 +65,12 @@ def import_one_scene(context: ImportStageContext) -> Outcome:
 
 
 def told_path(ordinal: int) -> str:
-    """The name, in the workspace, of what was told of a scene."""
+    """Return the name, in the workspace, of a scene's answer."""
     return f"{TOLD}/{ordinal:06d}.json"
 
 
 def _require_indexed(context: ImportStageContext, ordinal: int) -> None:
-    """Raises `JobCancelledError`."""
+    """Raise `JobCancelledError` if the scene's index files were deleted."""
     context.workspace.pull(f"{scene_folder(ordinal)}/")
     if not (context.workspace.folder / scene_folder(ordinal)).is_dir():
         gone = "its index files were deleted"
@@ -79,7 +79,7 @@ def _require_indexed(context: ImportStageContext, ordinal: int) -> None:
 
 
 def _files(out: Path, told: PublicationAnswer) -> list[LeftFile]:
-    """The artefacts of the scene. Raises `SandboxCrashedError` where they are not those that were spoken of."""
+    """Return the artefacts of the scene. Raises `SandboxCrashedError` if they differ from the answer."""
     found = {file.name: file for file in files_left(out)} if out.is_dir() and not out.is_symlink() else {}
     packs = {f"{LABELS}{Path(pack.name).name}": pack for pack in told.packs}
     missing = [name for name in (*NEEDED, *packs) if name not in found]
@@ -107,9 +107,9 @@ def _leave(context: ImportStageContext, ordinal: int, told: PublicationAnswer) -
 
 
 def _hold(context: ImportStageContext, kept: _Kept, session: Session) -> None:
-    """Raises `JobCancelledError`."""
+    """Write the rows that hold the scene's blobs. Raises `JobCancelledError`."""
     imported = kept_import(session, context.attempt)
-    for file, prepared in sorted(kept.files, key=lambda pair: pair[1].sha256):  # the order in which all link
+    for file, prepared in sorted(kept.files, key=lambda pair: pair[1].sha256):  # the common order of links
         blob = link(session, prepared)
         row = ImportedFile(import_id=imported.id, scene=kept.ordinal, name=file.name, media_type=file.media_type)
         row.blob_sha256, row.size_bytes = blob.sha256, blob.size_bytes

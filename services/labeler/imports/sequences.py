@@ -1,8 +1,8 @@
-"""A scene of a published dataset as a synchronised sequence, as ours come from recordings.
+"""A scene of a published dataset as a synchronised sequence, in the form of sequences from recordings.
 
-**Conventions.** The map is the dataset's `global`, to the last bit; tokens are the dataset's. A channel's association
-counts its key-frame data by stamp. The track goes through the ego poses of all data; of data at one stamp the LiDAR's
-counts, else the first.
+**Conventions.** The map is the dataset's `global`, bit by bit; tokens are the dataset's. A channel's association counts
+its key-frame data by stamp. The track follows the ego poses of all data; of data at one stamp the LiDAR's is used, else
+the first.
 """
 
 from collections.abc import Mapping
@@ -28,12 +28,12 @@ Poses = tuple[NDArray[np.int64], NDArray[np.float64]]
 
 
 def farthest_m(grid: LabelGrid) -> float:
-    """Return how far frames may be from the origin, so that their grids are whole within the lattice of voxels."""
+    """Return the largest distance of frames from the origin at which their grids are entirely within the lattice."""
     return (BIAS - 2) * VOXEL_M - 2 * max(map(abs, (*grid.min_m, *grid.max_m)))
 
 
 def sequence_of(scene: DatasetSequence, data: Poses, inputs: Mapping[str, str], grid: LabelGrid) -> Sequence:
-    """The sequence of a scene; `data` are the stamps (N,) and ego poses (N, 7) of all its data, the LiDAR's first.
+    """Return the sequence of a scene; `data` are the stamps (N,) and ego poses (N, 7) of its data, the LiDAR's first.
 
     Raises `DST-049`.
     """
@@ -59,7 +59,7 @@ def sequence_of(scene: DatasetSequence, data: Poses, inputs: Mapping[str, str], 
 
 
 def placed_data(placed: PlacedData, rows: NDArray[np.int64]) -> Poses:
-    """Stamps and ego poses of these rows of sample_data, those of a scene."""
+    """Return stamps and ego poses of these rows of sample_data, the rows of a scene."""
     is_other = np.array([mount.sensor.channel != LIDAR_CHANNEL for mount in placed.mounts], np.bool_)
     rows = rows[np.argsort(is_other[placed.mount[rows]], kind="stable")]
     poses = placed.tables.poses.poses.array(np.float64).reshape(-1, 7)
@@ -67,7 +67,7 @@ def placed_data(placed: PlacedData, rows: NDArray[np.int64]) -> Poses:
 
 
 def annotated_data(scene: DatasetSequence) -> Poses:
-    """Stamps and ego poses of frames, then of pictures."""
+    """Return stamps and ego poses of frames, then of pictures."""
     channels = scene.channels.values()
     stamps_ns = np.concatenate([scene.stamps_ns, *(channel.stamps_ns for channel in channels)])
     poses = [scene.map_from_ego.wxyz_xyz, *(channel.map_from_ego.wxyz_xyz for channel in channels)]
@@ -82,7 +82,7 @@ def _association(scene: DatasetSequence, channel: DatasetChannel) -> Association
 
 
 def _calibration(scene: DatasetSequence) -> Calibration:
-    """`lidar_from_sensor` of every channel but LIDAR_TOP; without it, the LiDAR's frame is the ego frame."""
+    """Return `lidar_from_sensor` of every channel except LIDAR_TOP; without it, the LiDAR's frame is the ego frame."""
     lidar = scene.channels.get(LIDAR_CHANNEL)
     ego_from_lidar = SE3.identity() if lidar is None else lidar.sensor.ego_from_sensor
     sensors = [channel.sensor for name, channel in scene.channels.items() if name != LIDAR_CHANNEL]

@@ -1,7 +1,7 @@
 """Comparison of the two label profiles on the voxels of one map.
 
-**Conventions.** Counted are the voxels of the map, each once, not of the frames: a frame's grid is cut out of the map,
-and a voxel that a hundred frames see is still one place.
+**Conventions.** The comparison counts each voxel of the map once, not the voxels of frames: frames are crops of the
+map, and a voxel in a hundred frames is still one place.
 """
 
 from collections.abc import Sequence as Listing
@@ -35,18 +35,21 @@ from stone.sensors.sequence import Sequence
 COMPARISON = "profiles.npz"
 CLASSES = ("traversable", "potentially_traversable", "non_traversable")
 COUNTED = ("driven", "unlike", "beyond", "reestimated", "steep", "steep_p", "steep_p_other")
-STEEPER_DEG = 5.0  # than the vehicle's limit: ground that no error of measurement makes drivable
+STEEPER_DEG = 5.0  # above the vehicle's limit: no measurement error makes such ground drivable
 
 
-# Outside this many standard deviations of the driven elevation, profile `paper` calls any ground N (√χ²(3, 0.95)).
+# Outside this many standard deviations of the driven elevation, profile `paper` labels any ground N (√χ²(3, 0.95)).
 RELIEF_SIGMAS = 2.8
 NARROW_BAND_M = 3.2  # half the height of a label grid
 
 
 @dataclass(frozen=True)
 class Relief:
-    """Profile `paper` measures elevation against where the robot drove: ground farther than about `paper_band_m` above
-    or below its mean is N whatever its shape. That is no matter while the band `is_spanned`."""
+    """Relief of the track in relation to profile `paper`, which measures elevation against the driven ground.
+
+    Ground more than about `paper_band_m` above or below the mean is N regardless of its shape. This has no effect if
+    the band `is_spanned`.
+    """
 
     track_span_m: float
     paper_band_m: float
@@ -54,14 +57,14 @@ class Relief:
 
 
 def relief_of(sequence: Sequence, paper_reference: Reference) -> Relief:
-    """What elevations the track met, and what the reference of profile `paper` makes of them."""
+    """Return the relief of the track, given the reference of profile `paper`."""
     z = sequence.frames.map_from_ego.translation_m[:, 2]
     band_m = RELIEF_SIGMAS * float(np.sqrt(paper_reference.covariance[0, 0]))
     return Relief(round(float(np.ptp(z)), 3), round(band_m, 3), band_m > NARROW_BAND_M)
 
 
 def other_reference(run: LabelRun, tiles: Listing[TileSummary]) -> Reference:
-    """What the profile that was not asked for holds driven ground to be; at least one tile."""
+    """Return the reference of the other profile; there is at least one tile."""
     return reference_from(run, list(tiles), other_profile(run.parameters))
 
 
@@ -69,9 +72,10 @@ def other_reference(run: LabelRun, tiles: Listing[TileSummary]) -> Reference:
 class ProfileComparison:
     """`counts` (3, 3): voxels that are T, P, N in the run's own profile (rows) and in the other (columns).
 
-    `driven` of them are T, of which `unlike` would be N were they not: their D² is beyond the threshold; `beyond` the
-    vehicle's limits. `reestimated` have another class by the reference that is estimated the other way (below). Of the
-    `steep` ones that nobody drove on `steep_p` are P, and `steep_p_other` by the other estimate.
+    - `driven`: T voxels; `unlike` of them have a D² above the threshold, so they would be N if not driven
+    - `beyond`: T voxels beyond the vehicle's limits
+    - `reestimated`: voxels with another class by the alternative estimate of the reference (below)
+    - `steep`: steep voxels that were not driven; `steep_p` of them are P, `steep_p_other` by the alternative estimate
     """
 
     counts: NDArray[np.int64]
@@ -85,16 +89,16 @@ class ProfileComparison:
 
     @property
     def counted(self) -> tuple[int, ...]:
-        """The single counts, in their order."""
+        """Return the single counts, in order."""
         return tuple(getattr(self, name) for name in COUNTED)
 
     @property
     def reestimated_ratio(self) -> float:
-        """The share of the map's voxels."""
+        """The share of the map's voxels with another class by the alternative estimate."""
         return self.reestimated / max(int(self.counts.sum()), 1)
 
     def as_record(self, parameters: LabelParameters) -> dict[str, Any]:
-        """Shares of the map's voxels: of each class in each profile, and of those that would change theirs."""
+        """Return shares of the map's voxels: of each class in each profile, and of voxels with another class."""
         voxels = max(int(self.counts.sum()), 1)
         own, other = self.counts.sum(axis=1), self.counts.sum(axis=0)
         return {
@@ -108,7 +112,7 @@ class ProfileComparison:
 
 
 class ComparisonCounter:
-    """Counts tile after tile."""
+    """Counts tile by tile."""
 
     def __init__(self, run: LabelRun, tiles: Listing[TileSummary]) -> None:
         self._run, self._other = run, other_profile(run.parameters)
@@ -117,7 +121,7 @@ class ComparisonCounter:
         self.comparison = ProfileComparison(np.zeros((3, 3), np.int64))
 
     def add(self, found: LabelledTile) -> None:
-        """One tile."""
+        """Add one tile."""
         parameters, vehicle = self._run.parameters, self._run.sequence.calibration.vehicle
         others = self._classes(found, self._other_reference, self._other)
         bins = np.arange(TRAVERSABLE, NON_TRAVERSABLE + 2) - 0.5
@@ -156,27 +160,28 @@ def _shares(counts: NDArray[np.int64], total: int) -> dict[str, float]:
     return {name: round(float(n) / total, 6) for name, n in zip(CLASSES, counts, strict=True)}
 
 
-# Outliers among the driven voxels: what the reference would be without them, by the robust estimate.
-#
-# **Conventions.** A voxel is far in a feature when it lies more than `FAR_SIGMAS` of that estimate from its mean,
-# which one Gaussian voxel in two million does. Both estimates are without the floor that a profile adds.
+# Outliers among the driven voxels: the reference without them, by the robust estimate. A voxel is far in a feature if
+# it is more than `FAR_SIGMAS` of that estimate from its mean, as is one Gaussian voxel in two million. Both estimates
+# are without the floor that a profile adds.
 
 
 USUAL_RATIO = 0.25
 FAR_SIGMAS = 5.0
 FEWEST_FAR_RATIO = 0.002
 WIDENED_TIMES = 1.5
-# In sound drives through worlds with known truth it is at most 3.4 %, and 6.7 % or more in most drives whose LiDAR was
-# entered 10 cm too low (`make bench-outside`).
+# In sound drives through worlds with known truth it is at most 3.4 %, and 6.7 % or more in most drives with a LiDAR
+# mount entered 10 cm too low (`make bench-outside`).
 STEEP_P_RATIO, STEEP_P_TIMES, FEWEST_STEEP = 0.05, 1.5, 100
-BEYOND_RATIO = 0.12  # 0.09 in sound drives with tall grass, which is beyond the limit of a step
+BEYOND_RATIO = 0.12  # 0.09 in sound drives through tall grass, which exceeds the step limit
 NAMES = ("elevation", "slope", "roughness")
 
 
 @dataclass(frozen=True, eq=False)
 class OutlierCounts:
-    """Per feature (3,): the mean and the standard deviation without outliers and of all driven voxels, how many of the
-    `voxels` are far, and the farthest of them."""
+    """Per feature (3,): mean and standard deviation without outliers and of all driven voxels, and outliers.
+
+    The outliers are the number of the `voxels` that are far, and the farthest of them.
+    """
 
     voxels: int
     mean: NDArray[np.float64]
@@ -186,13 +191,13 @@ class OutlierCounts:
     farthest: NDArray[np.float64]
 
     def as_record(self) -> dict[str, Any]:
-        """By the name of the feature; m, rad, log m²."""
+        """Return the record by feature name; m, rad, log m²."""
         columns = ("mean", "sigma", "sigma_of_all", "far", "farthest")
         return {name: {column: getattr(self, column)[at].item() for column in columns} for at, name in enumerate(NAMES)}
 
 
 def outlier_counts(tiles: Listing[TileSummary], parameters: LabelParameters) -> OutlierCounts | None:
-    """Of all tiles, in the profile's own features; None for fewer than `FEW_VOXELS` driven ones."""
+    """Return the counts of all tiles, in the profile's own features; None below `FEW_VOXELS` driven voxels."""
     rows = np.concatenate([tile.driven.features(parameters.rule) for tile in tiles])
     if len(rows) < FEW_VOXELS:
         return None
@@ -205,7 +210,7 @@ def outlier_counts(tiles: Listing[TileSummary], parameters: LabelParameters) -> 
 
 
 def alternative_reference(run: LabelRun, tiles: Listing[TileSummary]) -> Reference | None:
-    """The reference without outliers if the run's is with them, the plain one if not; None below `FEW_VOXELS`."""
+    """Return the reference estimated the other way, with or without outliers; None below `FEW_VOXELS`."""
     if sum(len(tile.driven) for tile in tiles) < FEW_VOXELS:
         return None
     given = run.parameters.reference
@@ -216,7 +221,7 @@ def alternative_reference(run: LabelRun, tiles: Listing[TileSummary]) -> Referen
 def outlier_findings(
     counts: OutlierCounts | None, parameters: LabelParameters, comparison: ProfileComparison
 ) -> list[Finding]:
-    """LAB-606 if driven voxels unlike the rest widen the reference until it takes in ground that is too steep."""
+    """Return LAB-606 if outliers among driven voxels widen the reference until it includes too steep ground."""
     if counts is None or parameters.reference.leaves_out:
         return []
     is_wide = counts.sigma_of_all > WIDENED_TIMES * counts.sigma
@@ -235,7 +240,7 @@ def outlier_findings(
 
 
 def _is_dangerous(comparison: ProfileComparison) -> bool:
-    """Whether much of the steep ground is P on account of outliers; True of a map with too little of it to know."""
+    """Return whether outliers make much steep ground P; True if the map has too little steep ground to decide."""
     if comparison.steep < FEWEST_STEEP:
         return True
     more = comparison.steep_p > STEEP_P_TIMES * comparison.steep_p_other
@@ -243,7 +248,7 @@ def _is_dangerous(comparison: ProfileComparison) -> bool:
 
 
 def limit_findings(comparison: ProfileComparison) -> list[Finding]:
-    """LAB-615 if the robot drove over much that its own limits forbid."""
+    """Return LAB-615 if the robot drove over much ground beyond its own limits."""
     ratio = comparison.beyond / max(comparison.driven, 1)
     if comparison.driven < FEW_VOXELS or ratio <= BEYOND_RATIO:
         return []
@@ -255,7 +260,7 @@ def limit_findings(comparison: ProfileComparison) -> list[Finding]:
 
 
 def _far(counts: OutlierCounts, at: int) -> str:
-    """One feature in words."""
+    """Return one feature's outliers as a phrase."""
     sigma, of_all, farthest = (
         _told(float(values[at]), at) for values in (counts.sigma, counts.sigma_of_all, counts.farthest)
     )

@@ -1,6 +1,6 @@
 """Convergence of the surface's solver over the tiles of a run.
 
-**Conventions.** Residuals are in cells, as `PoissonParameters.tolerance_ratio`; one that is no number is not converged.
+**Conventions.** Residuals are in cells, as `PoissonParameters.tolerance_ratio`; NaN is not converged.
 """
 
 import math
@@ -12,12 +12,12 @@ from services.labeler.map.surface import TileSummary
 from services.labeler.parameters import SurfaceParameters
 from stone.findings import Finding
 
-SLACK_RATIO = 1.001  # the residual that the rounds carry along, and end by, is rounded otherwise
+SLACK_RATIO = 1.001  # the residual that ends the rounds is rounded differently
 
 
 @dataclass(frozen=True)
 class Convergence:
-    """The most `rounds` and the worst `residual_ratio` of any tile, and how many of `tiles` stopped above tolerance."""
+    """The most `rounds` and the worst `residual_ratio` of any tile; `tiles`, and those that stopped above tolerance."""
 
     rounds: int
     residual_ratio: float
@@ -33,7 +33,7 @@ class Convergence:
 
 
 def convergence_of(tiles: Iterable[TileSummary], parameters: SurfaceParameters) -> Convergence | None:
-    """None where the surface is Open3D's, which does not tell."""
+    """Return the convergence, or None if Open3D, which does not report it, made the surface."""
     if parameters.solver == "octree":
         return None
     descents = [tile.descent for tile in tiles]
@@ -45,7 +45,7 @@ def convergence_of(tiles: Iterable[TileSummary], parameters: SurfaceParameters) 
 
 
 def convergence_findings(found: Convergence | None, parameters: SurfaceParameters) -> tuple[Finding, ...]:
-    """LAB-609 where a tile's surface is not what its points say."""
+    """Return LAB-609 if a tile's surface does not match its points."""
     if found is None or not found.unconverged:
         return ()
     sentence = (

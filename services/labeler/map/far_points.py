@@ -1,4 +1,4 @@
-"""Points that no LiDAR can have seen, or that had no time, while sweeps are read: how many of how many, over a run."""
+"""Counts of impossibly far and untimed points in the sweeps of a run."""
 
 from dataclasses import astuple, dataclass
 from pathlib import Path
@@ -16,9 +16,9 @@ FAR = "far"
 
 @dataclass(frozen=True)
 class FarPoints:
-    """`points` that were left out, of `sweeps` of so many that were read; parts add up.
+    """`points` excluded from `sweeps` of `read` sweeps; the counts of parts add up.
 
-    `mistimed` points of `mistimed_sweeps` had no time of their sweep, and `untimed_sweeps` no time at all.
+    `mistimed` points in `mistimed_sweeps` have times outside their sweep; `untimed_sweeps` have no times at all.
     """
 
     points: int = 0
@@ -46,13 +46,13 @@ def save_far_points(run: LabelRun, part: Part, found: FarPoints) -> None:
 
 
 def load_far_points(run: LabelRun) -> FarPoints:
-    """Of all parts of the run."""
+    """Return the sum over all parts of the run."""
     counts = (load(far_points_path(run, part))["counts"].tolist() for part in parts_of(run))
     return sum((FarPoints(*one) for one in counts), FarPoints())
 
 
 def far_point_findings(found: FarPoints) -> tuple[Finding, ...]:
-    """LAB-608 where points were left out."""
+    """Return LAB-608 if points were excluded."""
     if not found.points:
         return ()
     sentence = (
@@ -64,7 +64,7 @@ def far_point_findings(found: FarPoints) -> tuple[Finding, ...]:
 
 
 def time_findings(found: FarPoints, sequence: Sequence) -> tuple[Finding, ...]:
-    """MSG-321 and MSG-322 for bad times in sweeps that synchronisation did not look at."""
+    """Return MSG-321 and MSG-322 for bad times in sweeps that synchronisation did not read."""
     topic = sequence.frames.sweeps.topic if sequence.frames.sweeps else ""
     known = {finding.code for finding in sequence.findings}
     counts = (

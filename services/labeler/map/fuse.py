@@ -1,6 +1,6 @@
-"""Stage 1, per part: read its sweeps once and leave, per tile, the point map and the observed voxels.
+"""Stage 1, per part: read its sweeps once and write the point map and the observed voxels of each tile.
 
-Every n-th sweep also leaves a range image, against which the surface stage votes moving things out.
+Every n-th sweep also gives a range image, with which the surface stage votes on moving objects.
 """
 
 from collections.abc import Iterable
@@ -22,7 +22,7 @@ from stone_base.label_grid import LabelGrid
 
 
 def fuse(run: LabelRun, part: Part, step: Step = silent) -> int:
-    """Fuse the frames of `part`, a step each; returns how many points went into the map."""
+    """Fuse the frames of `part`, one step each; return the number of points added to the map."""
     parameters, frames = run.parameters, run.sequence.frames
     calibration = run.sequence.calibration
     builder = PointMapBuilder(parameters.surface.point_voxel_m)
@@ -51,14 +51,14 @@ def fuse(run: LabelRun, part: Part, step: Step = silent) -> int:
 
 
 def labelled_box(margin_m: float, grids: Iterable[LabelGrid]) -> Box:
-    """The label grids together, `margin_m` wider on every side, in the ego frame."""
+    """Return the union of the label grids, `margin_m` wider on every side, in the ego frame."""
     x, y, z = (min(lows) for lows in zip(*(grid.min_m for grid in grids), strict=True))
     u, v, w = (max(highs) for highs in zip(*(grid.max_m for grid in grids), strict=True))
     return Box((x - margin_m, y - margin_m, z - margin_m), (u + margin_m, v + margin_m, w + margin_m))
 
 
 def _leave(run: LabelRun, part: Part, points: PointMap, observed: Observed) -> None:
-    """One file per tile that this part touched."""
+    """Write one file per tile that this part touched."""
     point_tiles = tiles_of(points.keys, core_cells(run.parameters, points.voxel_m))
     brick_tiles = tiles_of(observed.keys, core_cells(run.parameters, VOXEL_M * BRICK))
     for i, j in sorted(_distinct(point_tiles) | _distinct(brick_tiles)):
@@ -69,6 +69,6 @@ def _leave(run: LabelRun, part: Part, points: PointMap, observed: Observed) -> N
 
 
 def _distinct(tiles: NDArray[np.int64]) -> set[tuple[int, int]]:
-    """The tiles (N, 2) that occur; keys are sorted, so equal tiles come in runs."""
+    """Return the distinct tiles of (N, 2); keys are sorted, so equal tiles are adjacent."""
     starts = np.append(True, (np.diff(tiles, axis=0) != 0).any(axis=1))[: len(tiles)]
     return {(int(i), int(j)) for i, j in tiles[starts]}

@@ -1,8 +1,7 @@
 """Compact files of fused tiles: point sums and observed voxels of one part.
 
-**Conventions.** Lossless: what is read back has the bits of what was written, and equal maps give equal files, for a
-column's width follows from its values alone. A voxel takes about 30 bytes so, instead of 72. Cells are mixed-radix,
-x highest, hence sorted as the keys are.
+**Conventions.** The format is lossless, and equal maps give equal files: a column's width follows from its values
+alone. A voxel takes about 30 bytes instead of 72. Cells are mixed-radix, x highest, and therefore sorted like the keys.
 """
 
 from collections.abc import Mapping
@@ -17,13 +16,13 @@ from stone.labels.observed_voxels import Observed
 from stone.surface.pointmap import COUNT, FRAMES, OFFSET, VIEW, PointMap
 
 Columns = Mapping[str, NDArray[np.generic]]
-Plan = tuple[NDArray[np.int64], NDArray[np.int64]]  # from these voxel indices (2,) along x and y to before those
+Plan = tuple[NDArray[np.int64], NDArray[np.int64]]  # half-open range of voxel indices (2,) along x and y
 
 WIDTHS = (np.uint8, np.int8, np.uint16, np.int16, np.uint32, np.int32)
 
 
 def fused_columns(points: PointMap, observed: Observed) -> dict[str, NDArray[np.generic]]:
-    """The arrays that `fused_points` and `fused_observed` make the two of again."""
+    """Return the arrays from which `fused_points` and `fused_observed` restore the two values."""
     box, cells = _cells_of(points.keys)
     return {
         "box": box,
@@ -39,25 +38,25 @@ def fused_columns(points: PointMap, observed: Observed) -> dict[str, NDArray[np.
 
 
 def fused_points(columns: Columns, voxel_m: float, plan: Plan | None = None) -> PointMap:
-    """The point map whose columns these are, or its part in `plan`; one without voxels stays empty."""
+    """Return the point map of these columns, or its part in `plan`."""
     box, cells = columns["box"], columns["cells"]
     rows = slice(None) if plan is None else _rows_in(plan, box, cells)
     keys = _keys_in(box, cells[rows])
     moments = np.empty((len(keys), 8), np.int64)
-    if len(keys):  # else the other columns need not even be read
+    if len(keys):  # otherwise the other columns are not read
         moments[:, COUNT], moments[:, FRAMES] = columns["counts"][rows], columns["frames"][rows]
         moments[:, OFFSET], moments[:, VIEW] = columns["offsets"][rows], columns["views"][rows]
     return PointMap(voxel_m, keys, moments)
 
 
 def fused_observed(columns: Columns) -> Observed:
-    """The observed bricks among these columns."""
+    """Return the observed bricks of these columns."""
     bricks, words = columns["bricks"].astype(np.int64, copy=False), columns["words"].astype(np.uint64, copy=False)
     return Observed(bricks, words, columns["since"].astype(np.int32))
 
 
 def _cells_of(keys: Keys) -> tuple[NDArray[np.int64], NDArray[np.generic]]:
-    """The box (2, 3) around the voxels, its low corner and its extent, and each voxel's cell (M,) in it."""
+    """Return the box (2, 3) around the voxels, as low corner and extent, and each voxel's cell (M,) in it."""
     if not len(keys):
         return np.zeros((2, 3), np.int64), np.zeros(0, np.uint8)
     indices = indices_of(keys)
@@ -77,7 +76,7 @@ def _keys_in(box: NDArray[np.generic], cells: NDArray[np.generic]) -> Keys:
 
 
 def _rows_in(plan: Plan, box: NDArray[np.generic], cells: NDArray[np.generic]) -> slice | NDArray[np.intp]:
-    """Which cells lie in the rectangle: by their order along x, by their index along y."""
+    """Return the cells in the rectangle: by their order along x, by their index along y."""
     low, extent = box.astype(np.int64)
     first, end = (np.clip(bound - low[:2], 0, extent[:2]) for bound in plan)
     rows = slice(*np.searchsorted(cells, np.array([first[0], end[0]]) * extent[1] * extent[2]))
@@ -88,7 +87,7 @@ def _rows_in(plan: Plan, box: NDArray[np.generic], cells: NDArray[np.generic]) -
 
 
 def _narrowed(values: NDArray[np.integer[Any]]) -> NDArray[np.generic]:
-    """The same numbers in the narrowest type that holds them all."""
+    """Return the numbers in the narrowest type that holds all of them."""
     if not values.size:
         return values.astype(np.uint8)
     low, high = corners_of(values.reshape(len(values), -1))

@@ -1,7 +1,7 @@
-"""The held-out track of a run: its reference made again from one part of the way, judged by the other.
+"""The held-out track of a run: a reference from one part of the track, judged on the other part.
 
-**Conventions.** Only the reference and the classes are made again: the surface and its features are those of the whole
-run, of which later sweeps see more. The way is cut in the middle, by driven metres, or elsewhere for a benchmark.
+**Conventions.** Only the reference and the classes are recomputed. The surface and its features are those of the whole
+run, which also contain later sweeps. The track is cut in the middle, by driven metres, or elsewhere for a benchmark.
 """
 
 from collections.abc import Sequence as Listing
@@ -25,14 +25,14 @@ from stone.labels.voxels import VOXEL_M
 HALF = 0.5
 HALVES = ("from_first_half", "from_second_half")
 FEWEST_KNOWN, FEWEST_JUDGED = 100, 100
-ENOUGH_KNOWN_M = 12.0  # labels made from 7 m of way hold on a third of other ground, which is no fault of the run
-# Sound drives through three worlds with three seeds have 0.76 and more, the least with a sixth of the way in tall grass
-# (profile `field`, `make bench-outside`).
+ENOUGH_KNOWN_M = 12.0  # labels from 7 m of track fit a third of other ground even in sound runs
+# Sound drives through three worlds with three seeds have at least 0.76; the lowest has a sixth of its track in tall
+# grass (profile `field`, `make bench-outside`).
 POOR_RECALL, FAIR_RECALL = 0.6, 0.75
 
 
 class HeldOutTrack:
-    """The driven voxels of all tiles, to be divided at any place of the way."""
+    """The driven voxels of all tiles, which can be divided anywhere along the track."""
 
     def __init__(self, run: LabelRun, tiles: Listing[TileSummary]) -> None:
         self._run = run
@@ -48,13 +48,13 @@ class HeldOutTrack:
         self._places = DrivenPlaces(centres_of(self._terrain.keys, VOXEL_M)[:, :2], maps)
 
     def from_first(self, ratio: float = HALF) -> HeldOut | None:
-        """Return how labels made from the first `ratio` of the way hold on the rest; None of too little ground."""
+        """Return how labels from the first `ratio` of the track fit the rest; None if there is too little ground."""
         at_m = ratio * self._passes.last_m.max(initial=0.0)
         is_known = self._passes.first_m <= at_m
         return self._held(is_known, ~is_known)
 
     def from_last(self, ratio: float = HALF) -> HeldOut | None:
-        """Return how labels made from the last `ratio` of the way hold on what was driven before."""
+        """Return how labels from the last `ratio` of the track fit the ground driven before."""
         at_m = (1.0 - ratio) * self._passes.last_m.max(initial=0.0)
         is_known = self._passes.last_m >= at_m
         return self._held(is_known, ~is_known)
@@ -75,8 +75,10 @@ class HeldOutTrack:
 
 
 def held_out_record(track: HeldOutTrack) -> dict[str, Any]:
-    """The figures of both halves for `report.json`, null where a half has too little ground of its own, and the
-    `recall` of both together."""
+    """Return the figures of both halves for `report.json`, and their common `recall`.
+
+    A half without enough ground of its own is null.
+    """
     halves = dict(zip(HALVES, (track.from_first(), track.from_last()), strict=True))
     known = [one for one in halves.values() if one is not None]
     total = sum(int(one.voxels.sum()) for one in known)
@@ -105,7 +107,7 @@ def _record(found: HeldOut) -> dict[str, Any]:
 
 
 def held_out_findings(record: dict[str, Any]) -> tuple[Finding, ...]:
-    """LAB-613 if the labels call much of what the robot then drove over non-traversable, LAB-614 if some of it."""
+    """Return LAB-613 if the labels classify much of the ground driven later as non-traversable, LAB-614 if some."""
     recall, halves = record["recall"], [record[name] for name in HALVES if record[name] is not None]
     if recall is None or recall >= FAIR_RECALL or any(half["known_m"] < ENOUGH_KNOWN_M for half in halves):
         return ()

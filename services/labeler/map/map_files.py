@@ -25,16 +25,16 @@ MAP, TOP_VIEW, THUMBNAIL, MESH = "map", "bev.png", "thumbnail.png", "mesh.ply"
 
 
 def draw_map(run: LabelRun, _arguments: Arguments, step: Step) -> StageResult:
-    """The labelled map → its view from above, its mesh and its scene, in the folder `map` of scratch."""
+    """Make the map's top view, mesh and scene in the folder `map` of scratch."""
     write_map(run, load_summaries(run), load_reference(run), map_folder(run), step)
     return StageResult()
 
 
 def draw_pictures(run: LabelRun, _arguments: Arguments, step: Step) -> StageResult:
-    """The labelled map → its pictures in perspective and of its features, in the same folder."""
+    """Make the map's pictures in perspective and of its features, in the same folder."""
     step(0, 1)
     from services.labeler.previews.preview_files import (
-        write_map_previews,  # it plots and films: half a second of imports
+        write_map_previews,  # imports plotting and film libraries: half a second
     )
 
     reference = load_reference(run)
@@ -44,13 +44,15 @@ def draw_pictures(run: LabelRun, _arguments: Arguments, step: Step) -> StageResu
 
 
 def map_folder(run: LabelRun) -> Path:
-    """Everything that `draw_map` and `draw_pictures` leave in it is published under its name."""
+    """Return the folder whose files are published under their names."""
     return run.scratch / MAP
 
 
 def write_map(run: LabelRun, tiles: list[TileSummary], reference: Reference, out: Path, step: Step) -> None:
-    """Write `bev.png`, `thumbnail.png`, `mesh.ply` and the viewer's scene into the folder `out`, in the order of the
-    tiles, and leave in scratch how the profiles compare and how much of the way is T."""
+    """Write `bev.png`, `thumbnail.png`, `mesh.ply` and the viewer's scene into the folder `out`, tile by tile.
+
+    Saves the comparison of the profiles and the T coverage of the track in scratch.
+    """
     view, counter, scene = TopView({}), ComparisonCounter(run, tiles), SceneFiles(run, reference, out)
     driven = CoverageCounter(run)
     for number, summary in enumerate(tiles):

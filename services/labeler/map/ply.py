@@ -1,9 +1,9 @@
-"""`mesh.ply`: the surface of the whole run, coloured by class, with its terrain features, written tile after tile.
+"""`mesh.ply`: the surface of the whole run, coloured by class, with its terrain features, written tile by tile.
 
 **Conventions.** Binary little-endian PLY 1.0 (Turk, 1994): float x y z in the map frame, uchar red green blue, float
-elevation slope roughness (Eq. 1-3); int vertex indices. Vertices of neighbouring tiles are not welded: the vertices
-that have a class are those of Eq. 4-5, each once; a grey one only closes the triangles at the edge of a tile. A mesh
-of imported labels has NaN for features.
+elevation slope roughness (Eq. 1-3); int vertex indices. Vertices of neighbouring tiles are not welded. Vertices with a
+class are those of Eq. 4-5, each once; grey vertices only close the triangles at the edge of a tile. A mesh of imported
+labels has NaN for features.
 """
 
 from collections.abc import Callable
@@ -43,7 +43,7 @@ Piece = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int32], NDArr
 
 
 def write_mesh(path: Path, totals: tuple[int, int], pieces: list[Callable[[], Piece]]) -> None:
-    """Write the pieces, each loaded twice (once for vertices, once for faces) so that memory holds one at a time."""
+    """Write the pieces; each is loaded twice (for vertices and for faces), so memory holds one at a time."""
     with path.open("wb") as file:
         file.write(header_of(*totals))
         for load in pieces:
@@ -68,7 +68,7 @@ def header_of(vertices: int, triangles: int, has_features: bool = True) -> bytes
 
 
 def class_at(vertices: NDArray[np.float32], keys: Keys, classes: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The class of the voxel each vertex (V, 3) lies in; 0 where it lies in none of the sorted `keys` (K,)."""
+    """Return the class of the voxel of each vertex (V, 3); 0 if the voxel is not in the sorted `keys` (K,)."""
     if len(keys) == 0:
         return np.zeros(len(vertices), np.uint8)
     wanted = keys_of(vertices.astype(np.float64), VOXEL_M)

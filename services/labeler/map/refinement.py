@@ -1,12 +1,12 @@
-"""Pose refinement: every sweep is aligned with the map of those before it (`small_gicp`).
+"""Pose refinement: every sweep is aligned with the map of earlier sweeps (`small_gicp`).
 
-Voxelised GICP (Koide et al., 2021), scan to map. Off unless asked for: it changes where everything lies, so it says
-what it did, and a label set made with it carries its parameters.
+Voxelised GICP (Koide et al., 2021), scan to map. It is off by default, because it changes all positions. It therefore
+reports its corrections, and the label set records its parameters.
 
-**Conventions.** A correction is what is put before the given pose: refined · given⁻¹ of `map_from_ego`, measured at
-the ego origin. The given poses stay in charge: a correction beyond the limits is not taken, and each one is drawn back
-by `pull_ratio`, so the map follows its source in the long run. One thread, so equal inputs give equal poses; the map
-forgets what no sweep touched for `horizon_frames`, so memory is that of a neighbourhood.
+**Conventions.** A correction is applied before the given pose: refined · given⁻¹ of `map_from_ego`, measured at the ego
+origin. The given poses take precedence: a correction beyond the limits is rejected, and every correction is reduced by
+`pull_ratio`, so the map follows its source in the long run. One thread, so equal inputs give equal poses. The map drops
+voxels that no sweep has touched for `horizon_frames`, which bounds memory.
 """
 
 from dataclasses import asdict, dataclass, field, replace
@@ -31,7 +31,7 @@ SHARPNESS_EVERY = 4  # points
 
 @dataclass(frozen=True)
 class Refinement:
-    """What was done: corrections in metres and radians, how many poses stayed as given and why, the map either way."""
+    """Summary of a refinement: corrections (m, rad), unchanged poses by reason, the map before and after."""
 
     frames: int
     kept: dict[str, int]
@@ -48,7 +48,7 @@ class Refinement:
 
 @dataclass
 class _Trail:
-    """What grows with the run: a pose and two numbers a frame."""
+    """Data that grow with the run: a pose and two numbers per frame."""
 
     poses: list[NDArray[np.float64]] = field(default_factory=list)
     moved_m: list[float] = field(default_factory=list)
@@ -65,10 +65,10 @@ class _Trail:
 def refined(
     sequence: Sequence, sweeps: SweepSource, parameters: LabelParameters, step: Step = silent
 ) -> tuple[Sequence, Refinement]:
-    """The sequence with poses aligned frame by frame, and what that did; `parameters.refinement` is not None.
+    """Return the sequence with poses aligned frame by frame, and a summary; `parameters.refinement` is not None.
 
-    The first pose stays as given. The findings of the sequence gain what was done (LAB-611) and, where corrections went
-    beyond the limits and were not taken, how many (LAB-612).
+    The first pose is unchanged. The sequence gains the finding LAB-611 and, if corrections beyond the limits were
+    rejected, LAB-612.
     """
     options, frames = parameters.refinement or RefinementParameters(), sequence.frames
     aligner, trail = _Aligner(options), _Trail()
@@ -92,7 +92,7 @@ def refined(
 
 
 class _Aligner:
-    """The map of what came before, and where the next sweep lies in it."""
+    """The map of earlier sweeps, in which the next sweep is placed."""
 
     def __init__(self, options: RefinementParameters) -> None:
         import small_gicp
@@ -104,7 +104,7 @@ class _Aligner:
         self._is_empty = True
 
     def place(self, points_ego: NDArray[np.float32], given: SE3) -> tuple[SE3, str]:
-        """The pose of a sweep, which joins the map there, and why it is the given one ("" when it is not)."""
+        """Return the pose of a sweep, which is added to the map, and why it is the given pose ("" if refined)."""
         cloud, _ = self._gicp.preprocess_points(points_ego.astype(np.float64), self._options.sampling_m, NEIGHBOURS, 1)
         if cloud.size() < FEWEST_POINTS:
             return given, "too_little_seen"

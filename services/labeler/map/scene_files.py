@@ -1,7 +1,7 @@
-"""The labelled map of a run for the viewer, tile by tile as it was reconstructed.
+"""The labelled map of a run for the viewer, tile by tile as reconstructed.
 
-**Conventions.** D² keeps all its digits, so that class and threshold never contradict each other; the features are
-rounded to far below what they mean, which halves the file.
+**Conventions.** D² keeps all digits, so that class and threshold never contradict each other. The features are rounded
+far below their accuracy, which halves the file.
 """
 
 import json
@@ -32,7 +32,7 @@ MOST_TRIANGLES = 40_000
 
 
 class SceneFiles:
-    """Writes the files of one tile after another below `out`, then the index of them."""
+    """Writes the files of one tile after another to `out`, then their index."""
 
     def __init__(self, run: LabelRun, reference: Reference, out: Path) -> None:
         self._run = run
@@ -42,7 +42,7 @@ class SceneFiles:
         self._writer = SceneWriter(said, out)
 
     def add(self, tile: Tile, found: LabelledTile) -> None:
-        """One tile."""
+        """Write one tile."""
         indices = indices_of(found.terrain.keys)
         surface = found.mesh
         if not len(indices) and not len(surface["vertices"]):
@@ -69,7 +69,7 @@ def _reference_record(run: LabelRun, reference: Reference) -> dict[str, Any]:
 
 
 def _surface(arrays: Arrays, found: LabelledTile) -> TileMesh:
-    """Return the triangles of a tile, without vertices that are in none."""
+    """Return the triangles of a tile, without unused vertices."""
     used = np.zeros(len(arrays["vertices"]), np.bool_)
     used[arrays["triangles"]] = True
     mesh = Mesh(arrays["vertices"], arrays["triangles"]).where(used)  # type: ignore[arg-type]
@@ -77,13 +77,10 @@ def _surface(arrays: Arrays, found: LabelledTile) -> TileMesh:
     return TileMesh(mesh.vertices_map, classes, mesh.triangles)
 
 
-# Writes a scene for the viewer: its voxels and surface tile by tile, and `scene.json`, which says what there is.
-#
-#     scene/scene.json   scene/tile_<i>_<j>.bin   scene/mesh_<i>_<j>.bin
-#
-# **Conventions.** The binary formats are those of `services/domain/viewer/formats.py`; a tile without surface has no
-# files. Stamps are strings, since a browser's numbers lose nanoseconds; poses are (tx, ty, tz, qw, qx, qy, qz), to
-# 0.1 mm.
+# Writes a scene for the viewer: its voxels and surface tile by tile, and the index `scene.json`: scene/scene.json,
+# scene/tile_<i>_<j>.bin, scene/mesh_<i>_<j>.bin. The binary formats are those of `services/domain/viewer/formats.py`; a
+# tile without surface has no files. Stamps are strings, since numbers in browsers lose nanoseconds; poses are (tx, ty,
+# tz, qw, qx, qy, qz), to 0.1 mm.
 
 
 FOLDER, INDEX = "scene", "scene.json"
@@ -93,9 +90,9 @@ POSE_DIGITS = 4, 8  # metres, quaternion
 
 @dataclass(frozen=True, eq=False)
 class SceneDescription:
-    """What a scene says of its labels. `reference` is the driven ground, None where voxels have no features.
+    """A scene's description of its labels. `reference` is the driven ground, None if voxels have no features.
 
-    `grid` is that of the frames; the tiles are on the lattice of the map, whose voxels have the side `map_voxel_m`.
+    `grid` is the grid of the frames; the tiles are on the map's lattice with voxels of `map_voxel_m`.
     """
 
     sequence: Sequence
@@ -107,7 +104,7 @@ class SceneDescription:
 
 @dataclass
 class SceneWriter:
-    """Writes the files of one tile after another below `out`, then the index of them."""
+    """Writes the files of one tile after another to `out`, then their index."""
 
     about: SceneDescription
     out: Path
@@ -116,7 +113,7 @@ class SceneWriter:
     has_confidence: bool = False
 
     def add(self, name: str, voxels: TileVoxels, mesh: TileMesh, corner_m: NDArray[np.float64]) -> None:
-        """A tile; its mesh in metres of the map. `corner_m` (3,) is where one without voxels lies."""
+        """Write a tile with its mesh in metres of the map; `corner_m` (3,) is used for a tile without voxels."""
         self.has_confidence |= bool(voxels.confidence.any())
         low, high = corner_m, corner_m
         if len(voxels.indices):
@@ -171,21 +168,19 @@ def _rounded(corner: NDArray[np.float64]) -> list[float]:
     return [round(float(value), POSE_DIGITS[0]) for value in corner]
 
 
-# A surface with fewer triangles: vertices that share a cell become their mean (Rossignac and Borrel, 1993).
-#
-# **Conventions.** The cell grows by √2 until there are few enough triangles. A cell has the class that most of its
-# vertices have, class 0 (in no voxel) only where all have it. Triangles keep the side they show. Equal inputs give
-# equal outputs.
+# A surface with fewer triangles: vertices that share a cell are replaced by their mean (Rossignac and Borrel, 1993).
+# The cell grows by √2 until there are few enough triangles. A cell has the majority class of its vertices, class 0 (in
+# no voxel) only if all have it. Triangles keep their orientation. Equal inputs give equal outputs.
 
 
 FIRST_CELL_M = 0.25
 GROWTH = 2.0**0.5
 CLASSES = 4
-MOST_PACKED = 2**21  # numbers of which three fit one of 64 bits
+MOST_PACKED = 2**21  # three such numbers fit into 64 bits
 
 
 def thinned(mesh: TileMesh, most_triangles: int) -> TileMesh:
-    """At most so many triangles (> 0); the mesh as it is where it has no more already."""
+    """Return at most `most_triangles` (> 0) triangles; smaller meshes are returned unchanged."""
     found, cell_m = mesh, FIRST_CELL_M
     while len(found.triangles) > most_triangles:
         found = _clustered(mesh, cell_m)
@@ -194,7 +189,7 @@ def thinned(mesh: TileMesh, most_triangles: int) -> TileMesh:
 
 
 def _clustered(mesh: TileMesh, cell_m: float) -> TileMesh:
-    """One vertex for each cell of this size that is still a corner of a triangle."""
+    """Return one vertex for each cell of this size that is still a corner of a triangle."""
     vertices = mesh.vertices_m.astype(np.float64)
     rows = _cells(np.floor((vertices - corners_of(vertices)[0]) / cell_m).astype(np.int64))
     corners = rows[mesh.triangles]
@@ -207,14 +202,14 @@ def _clustered(mesh: TileMesh, cell_m: float) -> TileMesh:
 
 
 def _cells(indices: NDArray[np.int64]) -> NDArray[np.int64]:
-    """A number from 0 on for the cell of each vertex."""
+    """Return a number from 0 on for the cell of each vertex."""
     sides = corners_of(indices)[1] + 1
     keys = (indices[:, 0] * sides[1] + indices[:, 1]) * sides[2] + indices[:, 2]
     return np.unique(keys, return_inverse=True)[1].reshape(-1)
 
 
 def _each_once(corners: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The triangles without repeats, each turned so that its smallest corner comes first, sorted."""
+    """Return the triangles without duplicates, each starting at its smallest corner, sorted."""
     first = corners.argmin(axis=1)
     turned = np.take_along_axis(corners, (first[:, None] + np.arange(3)) % 3, axis=1)
     side = int(corners.max(initial=0)) + 1
@@ -226,7 +221,7 @@ def _each_once(corners: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _most_frequent(rows: NDArray[np.int64], classes: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Of each cell the class 1 to 3 that occurs most often in it, of two the lower; 0 where none does."""
+    """Return the most frequent class 1 to 3 of each cell, the lower if equal; 0 if there is none."""
     votes = np.stack([np.bincount(rows, classes == kind) for kind in range(CLASSES)], axis=1)
     votes[:, 0] = 0.5
     return np.asarray(votes.argmax(axis=1), dtype=np.uint8)

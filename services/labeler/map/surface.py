@@ -1,6 +1,6 @@
-"""Stage 2, per tile: from the fused points to the surface and what it is like in every voxel.
+"""Stage 2, per tile: from the fused points to the surface and its features in every voxel.
 
-merge → vote out what moved → patches with normals → screened Poisson → trim → terrain (Eq. 1–3)
+merge → vote on moving objects → patches with normals → screened Poisson → trim → terrain (Eq. 1–3)
       → voxel features (Eq. 4–5) → T.
 """
 
@@ -38,10 +38,10 @@ STEPS = 4  # merged, voted, reconstructed, described
 
 @dataclass(frozen=True, eq=False)
 class TileSummary:
-    """What the run needs to know of a tile before any voxel gets its class.
+    """Summary of a tile, before its voxels have classes.
 
-    `driven` are its n voxels that the robot drove over, at the metres `passes` of its way. `descent` says how the
-    solver ended; that of no rounds where it had nothing to solve.
+    `driven` are the n voxels driven over, at the metres `passes` of the track. `descent` is the solver's result, with
+    no rounds if it had nothing to solve.
     """
 
     tile: Tile
@@ -56,7 +56,7 @@ class TileSummary:
 
 
 def surface(run: LabelRun, tile: Tile, step: Step = silent) -> TileSummary:
-    """Reconstruct one tile, leave its voxels, mesh and observed bricks in scratch, return its sums."""
+    """Reconstruct one tile, save its voxels, mesh and observed bricks in scratch, return its sums."""
     step(0, STEPS)
     low, high = _cube(run.parameters, tile)
     points = merge([part for near in neighbourhood(tile) for part in load_points(run, near, low, high)])
@@ -81,13 +81,13 @@ def surface(run: LabelRun, tile: Tile, step: Step = silent) -> TileSummary:
 
 
 def _cube(parameters: LabelParameters, tile: Tile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The tile's cube in plan [low, high) (2,), half a cell off the voxel lattice so corners are voxel centres."""
+    """Return the tile's cube in plan [low, high) (2,), half a cell off the voxel lattice: corners are voxel centres."""
     low = tile.place.astype(np.float64) * parameters.core_m - parameters.tiling.halo_m + parameters.surface.width_m / 2
     return low, low + parameters.tiling.cube_cells * parameters.surface.width_m
 
 
 def _moving(run: LabelRun, tile: Tile, points: PointMap) -> NDArray[np.bool_]:
-    """Vote the points of this tile against every range image taken near enough to see them."""
+    """Vote on the points of this tile with every range image taken near enough to see them."""
     if len(points) == 0:
         return np.zeros(0, np.bool_)
     centroids = points.centroids_map()
@@ -100,13 +100,13 @@ def _moving(run: LabelRun, tile: Tile, points: PointMap) -> NDArray[np.bool_]:
 
 
 def _passed_through(run: LabelRun, path: tuple[SE3, ...], points: PointMap) -> NDArray[np.bool_]:
-    """What seems to stand where the robot's body went: somebody who stood there before, or after."""
+    """Return the points in the path of the robot's body, left by objects that stood there before or after."""
     heights_m = (run.parameters.body_clearance_m, float(run.sensor_ego[2]))
     return passed_through(points.keys, points.voxel_m, path, run.sequence.calibration.footprint, heights_m)
 
 
 def _mesh(parameters: LabelParameters, points: PointMap, low: NDArray[np.float64]) -> tuple[_Surface, Descent]:
-    """The trimmed mesh and its vertex normals, empty where there are too few points for one; how it was solved."""
+    """Return the trimmed mesh and its vertex normals, empty with too few points, and the solver's result."""
     surface, centroids = parameters.surface, points.centroids_map()
     patches, is_in_patch = patches_of(centroids, points.views_map(), surface.width_m, surface.normal_neighbours)
     if is_in_patch.sum() < FEWEST_POINTS:
@@ -123,7 +123,7 @@ def _mesh(parameters: LabelParameters, points: PointMap, low: NDArray[np.float64
 
 
 def _terrain(run: LabelRun, found: VoxelFeatures, points: PointMap, datum: float) -> VoxelTerrain:
-    """Return what every profile asks of the voxels that the mesh goes through; elevations are above `datum` metres."""
+    """Return the terrain of the voxels that the mesh crosses, for all profiles; elevations are above `datum` metres."""
     parameters, vehicle = run.parameters, run.sequence.calibration.vehicle
     voxels = replace(found, features=with_elevation(found.features, found.features[:, ELEVATION] - datum))
     height_m = height_above_local_ground(voxels, parameters.local_ground_radius_m)
@@ -132,14 +132,16 @@ def _terrain(run: LabelRun, found: VoxelFeatures, points: PointMap, datum: float
 
 
 def _passes(run: LabelRun, tile: Tile, path: tuple[SE3, ...], terrain: VoxelTerrain) -> Passes:
-    """Return when the robot drove over the voxels; the ways through earlier maps lie before that through this one."""
+    """Return when the robot drove over the voxels; the tracks of earlier maps come before this map's track."""
     footprint, band_m = run.sequence.calibration.footprint, run.parameters.footprint_band_m
     return passes(terrain.keys, path, footprint, band_m, float(run.way_starts_m[tile.map]))
 
 
 def _core_mesh(mesh: Mesh, terrain: NDArray[np.float64], tile: Tile, core_m: float) -> tuple[Mesh, NDArray[np.float64]]:
-    """Return the triangles whose centroid lies in the core, so that tiles side by side leave neither gap nor double;
-    with their vertices, all others in the core (they count in a voxel), and the features (V, 3) of both."""
+    """Return the triangles whose centroid is in the core, with their vertices and all others in the core.
+
+    Adjacent tiles then leave neither gaps nor duplicates. Also returns the features (V, 3) of the vertices.
+    """
     plan, (a, b, c) = np.ascontiguousarray(mesh.vertices_map[:, :2]), mesh.triangles.T
     mine = mesh.triangles[in_core((plan[a] + plan[b] + plan[c]) / 3, tile, core_m)]
     used = in_core(plan, tile, core_m)

@@ -1,4 +1,4 @@
-"""Coverage of the robot's way by T, over all maps of a run (`stone.labels.track_coverage`)."""
+"""Coverage of the robot's track by T, over all maps of a run (`stone.labels.track_coverage`)."""
 
 from collections import defaultdict
 from pathlib import Path
@@ -14,25 +14,25 @@ from stone.labels.footprint import densified
 from stone.labels.track_coverage import STEP_M, TrackCoverage, coverage, spaced
 from stone.sensors.ego_path import ego_path
 
-# Of simulated runs 99.7 % and more are closed, of sound drives through tall grass 83 % and more, since the surface lies
-# above the band there; with the LiDAR entered 10 cm too high 70 and 75 % (`make bench-outside`).
+# At least 99.7 % of simulated tracks are closed; at least 83 % in sound drives through tall grass, since the surface is
+# above the band there; 70 and 75 % with the LiDAR mount entered 10 cm too high (`make bench-outside`).
 COVERAGE = "coverage.npz"
 USUAL_RATIO = 0.8
 
 
 class CoverageCounter:
-    """Collects what was driven on, tile after tile."""
+    """Collects driven voxels tile by tile."""
 
     def __init__(self, run: LabelRun) -> None:
         self._run = run
         self._driven = defaultdict[int, list[Keys]](list)
 
     def add(self, tile: Tile, found: LabelledTile) -> None:
-        """One tile."""
+        """Add one tile."""
         self._driven[tile.map].append(found.terrain.keys[found.is_driven])
 
     def coverage(self) -> TrackCoverage:
-        """Of every stretch of the way, in the map it lies in."""
+        """Return the coverage of all sections of the track, each in its own map."""
         sequence, total = self._run.sequence, TrackCoverage(0, 0, 0, 0)
         for number in np.unique(self._run.maps).tolist():
             driven = np.concatenate([np.zeros(0, np.int64), *self._driven[number]])
@@ -54,7 +54,7 @@ def load_coverage(run: LabelRun) -> TrackCoverage:
 
 
 def coverage_findings(found: TrackCoverage, band_m: float) -> tuple[Finding, ...]:
-    """LAB-607 where less of the way is T than ground that was driven on leaves."""
+    """Return LAB-607 if less of the track is T than on driven ground in general."""
     if found.closed_ratio >= USUAL_RATIO:
         return ()
     sentence = (

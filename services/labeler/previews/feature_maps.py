@@ -1,9 +1,9 @@
 """`features.png`: elevation, slope and roughness of the map from above, as the paper's Fig. 5.
 
-**Conventions.** One below the other, so that they can be read on a phone. Per column the highest voxel shows; a pixel
-of several columns is their mean. The colours rise evenly in lightness (cividis, inferno, viridis), so they survive grey
-printing and colour blindness; what lies beyond a bar's ends has their colour. The ground is transparent.
-Axes are metres in the map frame. Memory is that of one tile and of the picture.
+**Conventions.** The panels are stacked for reading on a phone. Each pixel shows the highest voxel of a column, or the
+mean of several columns. The colours increase evenly in lightness (cividis, inferno, viridis), so they survive grey
+printing and colour blindness; values beyond a bar's ends have the end's colour. The background is transparent. Axes are
+metres in the map frame. Memory holds one tile and the picture.
 """
 
 from dataclasses import dataclass
@@ -24,12 +24,12 @@ from stone.surface.terrain import ELEVATION, ROUGHNESS, SLOPE
 
 MOST_SIDE_PX = 640
 DOTS_PER_IN, TEXT_POINTS, WIDTH_IN, LEAST_RATIO, MOST_RATIO = 100, 17, 9.0, 0.3, 1.6
-# Around a panel, in inches: the axes' words at its left and below it, the bar's numbers, the title. matplotlib's own
-# layout measures every word twice, which took half of the drawing's time.
+# Margins of a panel in inches: axis labels at left and bottom, the bar's numbers, the title. They are fixed because
+# matplotlib's own layout measures all texts twice, which took half of the drawing time.
 LEFT_IN, RIGHT_IN, BELOW_IN, ABOVE_IN = 1.2, 1.75, 0.75, 0.5
 QUANTILES = (0.02, 0.98)
 STEEPEST_DEG = 60.0
-INK = "#70767e"  # read on white and on the dark ground of a page
+INK = "#70767e"  # legible on white and on a page's dark background
 TRACK_COLOUR = {ELEVATION: "#d1322f", SLOPE: "#7fd3ff", ROUGHNESS: "#d1322f"}
 COLOURS = {ELEVATION: "cividis", SLOPE: "inferno", ROUGHNESS: "viridis"}
 LOCAL_HEIGHT = "height above local ground, m"
@@ -39,16 +39,16 @@ ORDER = (ELEVATION, SLOPE, ROUGHNESS)
 
 @dataclass(frozen=True, eq=False)
 class Rasters:
-    """`values` (3, H, W), north up, NaN where there is no surface; `bounds_m` west, east, south, north."""
+    """`values` (3, H, W), north up, NaN without surface; `bounds_m` west, east, south, north."""
 
     values: NDArray[np.float64]
     bounds_m: tuple[float, float, float, float]
 
 
 def write_feature_maps(pieces: Pieces, map_from_ego: SE3, path: Path, profile: str = "paper") -> None:
-    """Draw the three with the track of the poses (P,).
+    """Draw the three panels with the track of the poses (P,).
 
-    `profile` says what the first feature is. A map without voxels gives empty panels.
+    `profile` determines the first feature. A map without voxels gives empty panels.
     """
     figure = feature_figure(rasters_of(pieces), map_from_ego.translation_m, profile)
     with whole(path) as staging:
@@ -56,7 +56,7 @@ def write_feature_maps(pieces: Pieces, map_from_ego: SE3, path: Path, profile: s
 
 
 def rasters_of(pieces: Pieces) -> Rasters:
-    """The features from above, at most `MOST_SIDE_PX` a side."""
+    """Return the features from above, at most `MOST_SIDE_PX` a side."""
     extent = extent_of(pieces)
     if extent is None:
         return Rasters(np.full((3, 1, 1), np.nan), (0.0, VOXEL_M, 0.0, VOXEL_M))
@@ -88,7 +88,7 @@ def _add(
 
 
 def feature_figure(rasters: Rasters, track_map: NDArray[np.float64], profile: str) -> Figure:
-    """The panels with their bars; `track_map` (P, 3)."""
+    """Return the panels with their bars; `track_map` is (P, 3)."""
     west, east, south, north = rasters.bounds_m
     ratio = min(max((north - south) / (east - west), LEAST_RATIO), MOST_RATIO)
     wide_in = WIDTH_IN - LEFT_IN - RIGHT_IN
@@ -129,7 +129,7 @@ def _panel(figure: Figure, axes: Axes, rasters: Rasters, feature: int) -> None:
 
 
 def limits_of(values: NDArray[np.float64], feature: int) -> tuple[float, float]:
-    """The ends of the bar: fixed for the slope, else such that few of the values lie beyond."""
+    """Return the ends of the bar: fixed for the slope, otherwise quantiles of the values."""
     if feature == SLOPE:
         return 0.0, STEEPEST_DEG
     finite = values[np.isfinite(values)]

@@ -26,7 +26,7 @@ SHADES = (1.0, 0.84, 0.72)
 
 @dataclass(frozen=True)
 class _Reel:
-    """Which frames are shown, in both films alike; `gif_every` of them one is in the GIF."""
+    """The frames in both films; the GIF has every `gif_every`-th of them."""
 
     indices: range
     gif_every: int
@@ -47,7 +47,7 @@ def write_film(source: LabelledSequence, out: Path, step: Step = silent) -> None
 
 
 def _kept_colours() -> list[tuple[int, int, int]]:
-    """What a legend explains must look the same everywhere, in light and in shade."""
+    """Return the legend's colours, which must be exact in light and in shade."""
     lit = [(colour, light) for colour in (*CLASS_RGB.values(), TRACK) for light in SHADES]
     shaded = [(round(r * light), round(g * light), round(b * light)) for (r, g, b), light in lit]
     return [PAPER, INK, UNSEEN, *shaded]
@@ -61,13 +61,13 @@ def _reel_of(source: LabelledSequence) -> _Reel:
 
 
 def _spread(source: LabelledSequence, reel: _Reel) -> Iterator[Image.Image]:
-    """A few frames from all over the sequence."""
+    """Yield a few frames from all parts of the sequence."""
     for index in reel.indices[:: max(1, len(reel.indices) // PALETTE_FROM)]:
         yield frame_sheet(source, index, reel.ratio)
 
 
 def _filmed(source: LabelledSequence, reel: _Reel, path: Path, step: Step) -> Iterator[Image.Image]:
-    """Film into `path`; yields the small pictures that the GIF shows as they come."""
+    """Write the film to `path`; yield the small pictures of the GIF on the way."""
     with Mp4(path, sheet_size(reel.ratio), RATE_HZ) as film:
         for number, index in enumerate(reel.indices):
             picture = frame_sheet(source, index, reel.ratio)
@@ -82,21 +82,20 @@ def _small(picture: Image.Image) -> Image.Image:
     return picture.resize((GIF_WIDTH_PX, height), Image.Resampling.BOX)
 
 
-# Pictures in a row as a film: MP4 (H.264, what every browser plays) and GIF (what every page shows).
-#
-# **Conventions.** One picture is in memory at a time. One thread, nothing of the date or the machine in the files:
-# equal pictures give equal bytes under one version of the encoders.
+# Consecutive pictures as a film: MP4 (H.264, for every browser) and GIF (for every page). One picture is in memory at a
+# time. One thread, and neither date nor machine in the files, so equal pictures give equal bytes with the same encoder
+# version.
 
 
 CODEC, PIXELS = "libx264", "yuv420p"
-# Six more in crf halve the bytes; x264's own default is 23. `faststart` puts the index first: it plays while it loads.
+# Six more in crf halve the bytes; x264's own default is 23. `faststart` puts the index first, for progressive playback.
 QUALITY = {"crf": "27", "preset": "veryfast", "threads": "1"}
 CONTAINER = {"movflags": "+faststart", "fflags": "+bitexact"}
 GIF_COLOURS = 96
 
 
 class Mp4:
-    """An MP4 that frames are added to; a context. Sides are even; `rate_hz` whole frames a second."""
+    """An MP4 to which frames are added; a context manager. Sides are even; `rate_hz` whole frames a second."""
 
     def __init__(self, path: Path, size_px: tuple[int, int], rate_hz: int) -> None:
         self._container = av.open(str(path), "w", format="mp4", options=CONTAINER)
@@ -118,7 +117,7 @@ class Mp4:
             self._container.close()
 
     def add(self, picture: Image.Image) -> None:
-        """Show this next."""
+        """Add the next picture."""
         frame = av.VideoFrame.from_ndarray(np.asarray(picture.convert("RGB")), format="rgb24")
         frame.pts, frame.time_base = self._shown, self._stream.codec_context.time_base
         self._shown += 1
@@ -126,14 +125,14 @@ class Mp4:
 
 
 def write_gif(path: Path, pictures: Iterable[Image.Image], palette: Image.Image, frame_ms: int) -> None:
-    """The pictures, all of one size, in the colours of `palette` (of mode P); there is at least one."""
+    """Write the pictures, all of one size, in the colours of `palette` (of mode P); there is at least one."""
     frames = _quantized(pictures, palette)
     first = next(frames)
     first.save(path, "GIF", save_all=True, append_images=frames, duration=frame_ms, loop=0, optimize=False)
 
 
 def gif_palette(pictures: list[Image.Image], kept: list[tuple[int, int, int]]) -> Image.Image:
-    """The colours that serve all of these pictures, and those `kept` exactly."""
+    """Return a palette that suits all these pictures and contains the colours `kept` exactly."""
     tops = np.cumsum([0, *(picture.height for picture in pictures)])
     sample = Image.new("RGB", (max(picture.width for picture in pictures), int(tops[-1])))
     for picture, top in zip(pictures, tops, strict=False):

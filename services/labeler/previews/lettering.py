@@ -14,13 +14,13 @@ SWATCH_GAP_RATIO, ENTRY_GAP_RATIO = 0.45, 1.1
 
 @lru_cache(maxsize=16)
 def font(size_px: int) -> ImageFont.FreeTypeFont:
-    """The one that matplotlib brings along, so that letters are the same everywhere."""
+    """Return matplotlib's bundled font, so that letters are the same everywhere."""
     file = Path(mpl.get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")
     return ImageFont.truetype(file, size_px, layout_engine=ImageFont.Layout.BASIC)
 
 
 def chip(image: Image.Image, corner: tuple[int, int], text: str, size_px: int) -> None:
-    """Dark words on a light plate; `corner` is the plate's lower left."""
+    """Draw dark text on a light plate; `corner` is the plate's lower left."""
     pen = ImageDraw.Draw(image, "RGBA")
     pad = size_px // 3
     at = (corner[0] + pad, corner[1] - pad)
@@ -31,7 +31,7 @@ def chip(image: Image.Image, corner: tuple[int, int], text: str, size_px: int) -
 
 
 def legend(image: Image.Image, place: tuple[float, float], size_px: int, *, with_unseen: bool = True) -> None:
-    """The classes, the track and the unseen from `place` (x, y of the middle line) to the right."""
+    """Draw the legend of classes, track and unobserved from `place` (x, y of the middle line) to the right."""
     pen = ImageDraw.Draw(image)
     x, y = place
     half = size_px * 0.45

@@ -1,7 +1,7 @@
 """`bev.png`: the labelled map from above, coloured by class, shaded by relief, with the robot's track.
 
-**Conventions.** x to the right, y up; per column the highest labelled voxel shows. Pictures are those of
-`services/domain/viewer/frame_picture.py`: their ground is transparent.
+**Conventions.** x to the right, y up. Each pixel shows the highest labelled voxel of its column. Pictures are those of
+`services/domain/viewer/frame_picture.py` with a transparent background.
 """
 
 from dataclasses import dataclass
@@ -30,12 +30,12 @@ from stone.labels.class_colours import CLASS_NAME
 from stone.labels.voxels import VOXEL_M
 
 MARGIN_PX, LEGEND_PX, MAX_SIDE_PX, MIN_SIDE_PX = 16, 44, 4000, 900
-MOST_PIXELS = 4_000_000  # of a map before it is scaled: two parts of it may lie as far apart as poses can
+MOST_PIXELS = 4_000_000  # of a map before scaling: its parts may be as far apart as poses can be
 
 
 @dataclass(frozen=True, eq=False)
 class ShadedMap:
-    """`indices` (Y, X), north up, of `side_m` each; `low` (2,) is the lowest place in x and y, in such sides."""
+    """`indices` (Y, X), north up, with pixels of `side_m`; `low` (2,) is the lowest x and y in such pixels."""
 
     indices: Indices
     low: NDArray[np.int64]
@@ -44,19 +44,19 @@ class ShadedMap:
 
 @dataclass
 class TopView:
-    """Collects tile after tile the highest voxel of every column; `draw` makes the picture."""
+    """Collects the highest voxel of every column tile by tile; `draw` makes the picture."""
 
     columns: dict[tuple[int, int], tuple[NDArray[np.int64], NDArray[np.uint8]]]
 
     def add(self, tile: tuple[int, int], keys: Keys, classes: NDArray[np.uint8]) -> None:
-        """The voxels (K,) of one tile; no column is shared between tiles."""
+        """Add the voxels (K,) of one tile; tiles share no column."""
         if len(keys):
             indices = indices_of(keys)
             last = np.append((np.diff(indices[:, :2], axis=0) != 0).any(axis=1), True)  # keys sort z lowest
             self.columns[tile] = (indices[last], classes[last])
 
     def draw(self, map_from_ego: SE3) -> Indices:
-        """The picture, at least `MIN_SIDE_PX` and at most about `MAX_SIDE_PX` a side."""
+        """Return the picture, at least `MIN_SIDE_PX` and at most about `MAX_SIDE_PX` a side."""
         whole = self.shaded()
         image = Image.fromarray(whole.indices)
         scale = _scale(max(image.size))
@@ -66,14 +66,14 @@ class TopView:
         return _framed(image, np.stack([track[:, 0], side[1] - track[:, 1]], axis=1), scale / whole.side_m)
 
     def shaded(self) -> ShadedMap:
-        """A pixel a column, or a square of them where there would be more than `MOST_PIXELS`; there is some tile."""
+        """Return a pixel per column, or per square of columns beyond `MOST_PIXELS`; there is at least one tile."""
         indices = np.concatenate([part[0] for part in self.columns.values()])
         classes = np.concatenate([part[1] for part in self.columns.values()])
         low, last = corners_of(indices[:, :2])
         size = last - low + 1
         step = ceil(sqrt(float(size[0]) * float(size[1]) / MOST_PIXELS))
         if step > 1:
-            order = np.argsort(indices[:, 2], kind="stable")  # of a square the highest column shows
+            order = np.argsort(indices[:, 2], kind="stable")  # a square shows its highest column
             indices, classes = indices[order] // step, classes[order]
             low, size = low // step, indices[:, :2].max(axis=0) - low // step + 1
         return ShadedMap(_shaded(indices - np.append(low, 0), classes, size), low, VOXEL_M * step)
@@ -85,14 +85,14 @@ def write_top_view(path: Path, view: TopView, map_from_ego: SE3) -> None:
 
 
 def _scale(side: int) -> float:
-    """Pixels per voxel: whole while enlarging, so that voxels stay square."""
+    """Return pixels per voxel: whole when enlarging, so that voxels stay square."""
     if side > MAX_SIDE_PX:
         return MAX_SIDE_PX / side
     return float(max(1, round(MIN_SIDE_PX / side)))
 
 
 def _shaded(indices: NDArray[np.int64], classes: NDArray[np.uint8], size: NDArray[np.int64]) -> Indices:
-    """(Y, X), north up: classes, lit from the north-west by the relief of the top voxels."""
+    """Return (Y, X), north up: classes, lit from the north-west by the relief of the top voxels."""
     top = np.full((size[1], size[0]), np.nan)
     kind = np.zeros((size[1], size[0]), np.uint8)
     rows, columns = size[1] - 1 - indices[:, 1], indices[:, 0]
@@ -102,7 +102,7 @@ def _shaded(indices: NDArray[np.int64], classes: NDArray[np.uint8], size: NDArra
 
 
 def _framed(image: Image.Image, track: NDArray[np.float64], px_per_m: float) -> Indices:
-    """The map with the track, its start, a legend and a scale bar."""
+    """Return the map with the track, its start, a legend and a scale bar."""
     width = max(image.width, 620) + 2 * MARGIN_PX
     sheet = Image.new("L", (width, image.height + 2 * MARGIN_PX + LEGEND_PX), GROUND_INDEX)
     sheet.paste(image, (MARGIN_PX, MARGIN_PX))
@@ -116,14 +116,14 @@ def _framed(image: Image.Image, track: NDArray[np.float64], px_per_m: float) -> 
 
 
 def draw_line(pen: ImageDraw.ImageDraw, points: list[tuple[float, float]], width_px: int) -> None:
-    """A track in its casing, which sets it off from dark labels and from a dark page."""
+    """Draw a track with an outline, which separates it from dark labels and from a dark page."""
     if len(points) > 1:
         pen.line(points, fill=CASING_INDEX, width=width_px + 2, joint="curve")
         pen.line(points, fill=TRACK_INDEX, width=width_px, joint="curve")
 
 
 def _legend(pens: tuple[ImageDraw.ImageDraw, ImageDraw.ImageDraw], top: int, px_per_m: float) -> None:
-    """With the pen of the picture and that of its words."""
+    """Draw the legend with the pen of the picture and the pen of its text."""
     (pen, writing), font = pens, ImageFont.load_default(size=14)
     x = float(MARGIN_PX)
     for kind, name in CLASS_NAME.items():

@@ -38,7 +38,7 @@ class Extent:
 
 
 def extent_of(pieces: Pieces) -> Extent | None:
-    """None for a map without voxels."""
+    """Return the extent, or None for a map without voxels."""
     found = None
     for load in pieces:
         keys = load().keys

@@ -31,7 +31,7 @@ def write_map_oblique(pieces: Pieces, map_from_ego: SE3, path: Path) -> None:
 
 
 def map_oblique(pieces: Pieces, map_from_ego: SE3) -> Image.Image:
-    """All tiles in one picture, one in memory at a time; an empty map gives paper and legend."""
+    """Return all tiles in one picture, one in memory at a time; an empty map gives background and legend."""
     sheet = Image.new("RGB", (WIDTH_PX, HEIGHT_PX + BAR_PX), PAPER)
     extent = extent_of(pieces)
     if extent is not None:
@@ -46,7 +46,7 @@ def map_oblique(pieces: Pieces, map_from_ego: SE3) -> Image.Image:
 
 
 def _camera(pieces: Pieces, extent: Extent) -> Camera:
-    """As near as shows the voxels; one in `EVERY` is asked."""
+    """Return the nearest camera that shows all voxels, judged by every `EVERY`-th voxel."""
     target = extent.low_m() + extent.size_m() / 2
     towards = TOWARDS_EYE / np.linalg.norm(TOWARDS_EYE)
     turn = Camera(target + towards, target, VIEW_RAD).matrix()[:, :3]

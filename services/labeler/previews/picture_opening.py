@@ -10,7 +10,7 @@ MOST_PIXELS = 1 << 26
 
 
 def opened(sample: CameraSample | None, size_px: tuple[int, int]) -> Image.Image | str:
-    """The picture, no smaller than `size_px` where it is larger, else why there is none."""
+    """Return the picture, reduced to no less than `size_px`, or the reason why it is missing."""
     if sample is None:
         return "no picture"
     if sample.width_px * sample.height_px > MOST_PIXELS:

@@ -1,13 +1,13 @@
-"""Previews into a folder: what `stone label --previews` and the platform write beside a sequence's labels.
+"""Previews written by `stone label --previews` and by the platform beside a sequence's labels.
 
 | file | shows | media type |
 |---|---|---|
 | film.mp4, film.gif | the sequence, cameras around the labels | video/mp4, image/gif |
-| sheet.jpg | the middle frame, as the film shows it | image/jpeg |
+| sheet.jpg | the middle frame, as in the film | image/jpeg |
 | plan.png, oblique.png | the labels of the middle frame from above, and in perspective | image/png |
 | map.png, features.png | the whole map in perspective; its elevation, slope and roughness | image/png |
 
-The last two are made of the map's tiles while they are at hand, the others of a labelled sequence at any time.
+The last two are made from the map's tiles while these exist, the others from a labelled sequence at any time.
 """
 
 import io
@@ -48,14 +48,14 @@ def write_map_previews(pieces: Pieces, map_from_ego: SE3, out: Path, profile: st
 
 
 def png_bytes(picture: Image.Image) -> bytes:
-    """The picture as a PNG; for the labels, whose edges are sharp."""
+    """Return the picture as a PNG, for labels with sharp edges."""
     file = io.BytesIO()
     picture.save(file, "PNG", optimize=True)
     return file.getvalue()
 
 
 def jpeg_bytes(picture: Image.Image) -> bytes:
-    """The picture as a JPEG; for what cameras saw."""
+    """Return the picture as a JPEG, for camera images."""
     file = io.BytesIO()
     picture.save(file, "JPEG", quality=JPEG_QUALITY, optimize=True)
     return file.getvalue()

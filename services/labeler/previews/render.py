@@ -1,7 +1,7 @@
 """Labelled voxels as shaded boxes in perspective: a small renderer that needs no graphics card.
 
-**Conventions.** Boxes are axis-aligned in one world frame, z up. A `Canvas` is drawn on piece by piece, in any order:
-the z-buffer keeps what is nearest. It is drawn `FINER` times as fine as it is shown, which smooths the edges.
+**Conventions.** Boxes are axis-aligned in one world frame, z up. They are drawn on a `Canvas` piece by piece, in any
+order: the z-buffer keeps the nearest. The canvas is `FINER` times finer than the result, which smooths the edges.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ Colour = tuple[int, int, int]
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """N boxes: `bounds_m` (N, 6) low then high corner, `sides` (N,) that may show, `light` (N, 6), `rgb` (N, 3)."""
+    """N boxes: `bounds_m` (N, 6) low then high corner, visible `sides` (N,), `light` (N, 6), `rgb` (N, 3)."""
 
     bounds_m: NDArray[np.float32]
     sides: NDArray[np.uint8]
@@ -35,7 +35,7 @@ class Boxes:
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A pinhole at `eye_m` (3,) that looks at a place; z stays up. The eye is not straight above what it looks at."""
+    """A pinhole at `eye_m` (3,) that looks at a target, not from straight above; z is up."""
 
     eye_m: NDArray[np.float64]
     target_m: NDArray[np.float64]
@@ -51,7 +51,7 @@ class Camera:
 
 
 class Canvas:
-    """A picture of `width_px` × `height_px` that boxes are drawn on."""
+    """A picture of `width_px` × `height_px` on which boxes are drawn."""
 
     def __init__(self, camera: Camera, width_px: int, height_px: int) -> None:
         shape = (height_px * FINER, width_px * FINER)
@@ -62,16 +62,16 @@ class Canvas:
         self._camera = (camera.matrix(), camera.eye_m.astype(np.float64), lens)
 
     def add(self, boxes: Boxes) -> None:
-        """Draw these too; boxes that reach behind the camera are left out."""
+        """Draw boxes; boxes that extend behind the camera are left out."""
         draw((boxes.bounds_m, boxes.sides, boxes.light, boxes.rgb), self._camera, self._pixels, self._nearness)
 
     def image(self) -> Image.Image:
-        """What is drawn so far, smoothed."""
+        """Return the smoothed picture."""
         return Image.fromarray(self._pixels).reduce(FINER)
 
 
 def voxel_boxes(classes: NDArray[np.uint8], low_m: NDArray[np.float64], voxel_m: float = VOXEL_M) -> Boxes:
-    """The labelled voxels of a dense block (X, Y, Z) whose corner is at `low_m` (3,), in the colours of the classes."""
+    """Return the labelled voxels of a dense block (X, Y, Z) with corner `low_m` (3,), in the class colours."""
     flat = np.flatnonzero(classes)
     sides, light = np.zeros(len(flat), np.uint8), np.zeros((len(flat), 6), np.float32)
     expose(classes, flat, sides, light)
@@ -83,30 +83,30 @@ def voxel_boxes(classes: NDArray[np.uint8], low_m: NDArray[np.float64], voxel_m:
 
 
 def solid_boxes(boxes: list[Box], colour: Colour) -> Boxes:
-    """Boxes of one colour."""
+    """Return boxes of one colour."""
     bounds = np.array([(*box.min_m, *box.max_m) for box in boxes], np.float32).reshape(-1, 6)
     return beads(bounds, colour)
 
 
 def beads(bounds_m: NDArray[np.float32], colour: Colour) -> Boxes:
-    """Boxes (N, 6) of one colour, lit from above."""
+    """Return boxes (N, 6) of one colour, lit from above."""
     count = len(bounds_m)
     rgb = np.broadcast_to(np.array(colour, np.uint8), (count, 3)).copy()
     light = np.broadcast_to(SOLID_LIGHT, (count, 6)).copy()
     return Boxes(np.ascontiguousarray(bounds_m, np.float32), np.full(count, ALL_SIDES, np.uint8), light, rgb)
 
 
-# Axis-aligned boxes into pixels: which sides show, how much light they have, and a z-buffer.
-#
-# **Conventions.** Sides are numbered −x, +x, −y, +y, −z, +z; bit s of `sides` says that side s may show. A camera is
-# the 3 × 4 matrix `camera_from_world` (x right, y down, z forward), its eye in the world and (focal, centre x, centre
-# y) in pixels. Nearness is 1/z, which is affine over a plane's picture; 0 is nothing drawn. A pixel belongs to a side
-# when its centre is within or on its edge, so neighbours leave no cracks.
+# Axis-aligned boxes into pixels: visible sides, their light, and a z-buffer. Sides are numbered −x, +x, −y, +y, −z, +z;
+# bit s of `sides` marks side s as visible. A camera is the 3 × 4 matrix `camera_from_world` (x right, y down, z
+# forward), its eye in the world and (focal, centre x, centre y) in pixels. Nearness is 1/z, which is affine over a
+# plane's image; 0 is empty. A pixel belongs to a side if its centre is within it or on its edge, so neighbours leave no
+# gaps.
 
-# Corner c of a box has x high where bit 0 of c is set, y where bit 1, z where bit 2; the corners of a side go round it.
+# Corner c of a box has high x if bit 0 of c is set, high y for bit 1, high z for bit 2; a side lists its corners in
+# order.
 ROUND = np.array([[0, 2, 6, 4], [1, 3, 7, 5], [0, 1, 5, 4], [2, 3, 7, 6], [0, 1, 3, 2], [4, 5, 7, 6]], np.int64)
-SIDE_LIGHT = np.array([0.92, 0.89, 0.84, 0.87, 0.82, 1.00])  # never so dark that a class looks like another
-SHADE = 0.17  # of the light is taken where all eight voxels round the outer face stand in its way
+SIDE_LIGHT = np.array([0.92, 0.89, 0.84, 0.87, 0.82, 1.00])  # never dark enough to resemble another class
+SHADE = 0.17  # share of the light lost if all eight voxels around the outer face block it
 NEAREST_M = 0.3
 
 
@@ -118,7 +118,7 @@ def _is_taken(voxels, i, j, k):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def expose(voxels, flat, sides, light):  # type: ignore[no-untyped-def]
-    """For each taken voxel of `flat` (N,): its `sides` (N,) that face a free one, and their `light` (N, 6), 0 to 1."""
+    """Set the `sides` (N,) of each voxel of `flat` (N,) that face a free voxel, and their `light` (N, 6), 0 to 1."""
     step_i, step_j = voxels.shape[1] * voxels.shape[2], voxels.shape[2]
     for n in range(flat.size):
         i, rest = flat[n] // step_i, flat[n] % step_i
@@ -165,7 +165,7 @@ def draw(boxes, camera, image, nearness):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def _facing(bounds, eye):  # type: ignore[no-untyped-def]
-    """The sides that look towards the eye."""
+    """Return the sides that face the eye."""
     facing = 0
     for axis in range(3):
         facing |= (eye[axis] < bounds[axis]) << (2 * axis)
@@ -175,7 +175,7 @@ def _facing(bounds, eye):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def _project(bounds, matrix, lens, corners):  # type: ignore[no-untyped-def]
-    """Pixel x, y and nearness of the eight corners; False where one is not before the camera."""
+    """Set pixel x, y and nearness of the eight corners; return False if a corner is not in front of the camera."""
     for c in range(8):
         x, y, z = bounds[3 * (c & 1)], bounds[1 + 3 * ((c >> 1) & 1)], bounds[2 + 3 * ((c >> 2) & 1)]
         depth = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] * z + matrix[2, 3]
@@ -194,7 +194,7 @@ def _project(bounds, matrix, lens, corners):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def _fill(q, colour, image, nearness):  # type: ignore[no-untyped-def]
-    """One convex quad (4, 3) of pixel x, y and nearness."""
+    """Fill one convex quad (4, 3) of pixel x, y and nearness."""
     ax, ay, bx, by = q[2, 0] - q[0, 0], q[2, 1] - q[0, 1], q[3, 0] - q[1, 0], q[3, 1] - q[1, 1]
     turn = ax * by - ay * bx
     if abs(turn) < 1e-9:

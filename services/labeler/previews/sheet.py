@@ -1,6 +1,6 @@
-"""One sheet per frame: three cameras above, three below, and between them the labels from above and in perspective.
+"""One sheet per frame: three cameras above, three below, and the labels from above and in perspective between them.
 
-The arrangement of the paper's Fig. 6. A camera without a picture leaves a blank that says so.
+The arrangement follows the paper's Fig. 6. A camera without a picture leaves a blank with the reason.
 """
 
 from collections.abc import Iterable, Mapping
@@ -54,7 +54,7 @@ class _Rectangle:
 
 
 def frame_pictures(source: LabelledSequence, index: int) -> FramePictures:
-    """The pictures of frame `index`, `oblique.WIDTH_PX` and `bev.SIDE_PX` wide, and the sheet `WIDTH_PX` wide.
+    """Return the pictures of frame `index`, `oblique.WIDTH_PX` and `bev.SIDE_PX` wide, and the sheet `WIDTH_PX` wide.
 
     Raises IndexError, and what the source raises.
     """
@@ -63,7 +63,7 @@ def frame_pictures(source: LabelledSequence, index: int) -> FramePictures:
 
 
 def frame_sheet(source: LabelledSequence, index: int, ratio: float | None = None) -> Image.Image:
-    """The sheet alone; `ratio` is the height to width of the cameras' cells, else that of the frame's first picture."""
+    """Return the sheet; `ratio` is the height to width of the camera cells, by default that of the first picture."""
     samples = {channel: source.samples.camera(channel, index) for channel in (*ABOVE, *BELOW)}
     ratio = ratio or cell_ratio(samples.values())
     high_px = _camera_height_px(ratio)
@@ -82,7 +82,7 @@ def frame_sheet(source: LabelledSequence, index: int, ratio: float | None = None
 
 
 def sheet_size(ratio: float) -> tuple[int, int]:
-    """Width and height of a sheet whose cameras' cells have this height to width; both even, as films ask."""
+    """Return width and height of a sheet with camera cells of this ratio; both even, as films require."""
     return WIDTH_PX, 3 * GAP_PX + 2 * _camera_height_px(ratio) + PLAN_PX + BAR_PX
 
 
@@ -91,7 +91,7 @@ def _camera_height_px(ratio: float) -> int:
 
 
 def cell_ratio(samples: Iterable[CameraSample | None]) -> float:
-    """Height to width of the first picture, within reason."""
+    """Return the height to width of the first picture, within limits."""
     ratio = next((one.height_px / one.width_px for one in samples if one is not None), USUAL_RATIO)
     return min(max(ratio, LEAST_RATIO), MOST_RATIO)
 
@@ -110,7 +110,7 @@ def _place_camera(sheet: Image.Image, place: _Rectangle, channel: str, sample: C
 
 
 def _write_bar(sheet: Image.Image, source: LabelledSequence, index: int) -> None:
-    """Frame, time and sequence above the legend."""
+    """Draw frame number, time and sequence above the legend."""
     sequence = source.sequence
     stamps_ns = sequence.frames.stamps_ns
     since_s = (int(stamps_ns[index]) - int(stamps_ns[0])) / 1e9
@@ -126,13 +126,10 @@ def _write_bar(sheet: Image.Image, source: LabelledSequence, index: int) -> None
 
 
 def _fitted(name: str, room_px: float, pen: ImageDraw.ImageDraw) -> str:
-    """The name, cut where there is no room for it."""
+    """Return the name, shortened to the available width."""
     while name and pen.textlength(name, font(BAR_TEXT_PX)) > room_px:
         name = name[:-2].rstrip("…") + "…" if len(name) > 2 else ""
     return name
-
-
-# The robot's outline and track, drawn on preview images.
 
 
 def _nowhere() -> NDArray[np.float64]:
@@ -141,7 +138,7 @@ def _nowhere() -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """`track_ego` (P, 3): the whole run's poses in this frame's axes, in their order; most lie outside the `grid`."""
+    """`track_ego` (P, 3): the whole run's poses in this frame's axes, in order; most are outside the `grid`."""
 
     track_ego: NDArray[np.float64] = field(default_factory=_nowhere)
     footprint: Footprint = field(default_factory=Footprint)
@@ -159,7 +156,7 @@ def surroundings_of(sequence: Sequence, index: int, grid: LabelGrid = GRID) -> S
 
 
 def runs_inside(track_ego: NDArray[np.float64], grid: LabelGrid = GRID) -> list[NDArray[np.float64]]:
-    """The pieces (P', 3) of a track that lie in the grid in plan."""
+    """Return the sections (P', 3) of a track that are within the grid in plan."""
     low, high = np.array(grid.min_m[:2]), np.array(grid.max_m[:2])
     inside = ((track_ego[:, :2] >= low) & (track_ego[:, :2] < high)).all(axis=1)
     cuts = np.flatnonzero(np.diff(inside.astype(np.int8))) + 1
@@ -171,10 +168,9 @@ def _is_inside(point: NDArray[np.float64], low: NDArray[np.float64], high: NDArr
     return bool(((point[:2] >= low) & (point[:2] < high)).all())
 
 
-# The label grid of one frame from above: forward is up, left is left.
-#
-# **Conventions.** Per column the highest labelled voxel shows, lit by the relief; grey is what no ray reached, white
-# what was seen to be free all the way. Rings are 10 and 20 m from the robot.
+# The label grid of one frame from above: forward is up, left is left. Each pixel shows the highest labelled voxel of
+# its column, shaded by the relief; grey columns are unobserved, white columns observed free. Rings are 10 and 20 m from
+# the robot.
 
 
 SIDE_PX = 800
@@ -184,7 +180,7 @@ FINER = 2
 
 
 def bev(grids: Mapping[str, Grid], around: Surroundings = ALONE, side_px: int = SIDE_PX) -> Image.Image:
-    """A picture of `semantics`, its longer side `side_px`; with `mask_lidar` what was never seen is grey."""
+    """Return a picture of `semantics`, its longer side `side_px`; with `mask_lidar`, unobserved columns are grey."""
     fine_px = side_px * FINER
     frame = _PlanFrame(around.grid, fine_px)
     image = Image.fromarray(plan(grids["semantics"], grids.get("mask_lidar"))).resize(
@@ -222,7 +218,7 @@ class _PlanFrame:
         return y, x
 
     def pixels(self, points_ego: NDArray[np.float64]) -> list[tuple[float, float]]:
-        """Return the places of points (P, 2 or 3) in the picture."""
+        """Return the positions of points (P, 2 or 3) in the picture."""
         high_x, high_y = self.grid.max_m[:2]
         across, down = (high_y - points_ego[:, 1]) * self.px_per_m, (high_x - points_ego[:, 0]) * self.px_per_m
         return list(zip(across.tolist(), down.tolist(), strict=True))
@@ -237,9 +233,6 @@ def _ring(pen: ImageDraw.ImageDraw, radius_m: int, frame: _PlanFrame) -> None:
     pen.text((x + aside, y - aside), f"{radius_m} m", INK, font(size), anchor="mm", **halo)  # type: ignore[arg-type]
 
 
-# The label grid of one frame from behind and above, in perspective.
-
-
 OBLIQUE_WIDTH_PX, HEIGHT_PX = 800, 480
 CAMERA = Camera(np.array([-38.0, 12.0, 25.0]), np.array([-2.0, -0.6, -3.0]), np.deg2rad(60.0))
 ROBOT: Colour = (52, 58, 68)
@@ -251,7 +244,7 @@ def oblique(
     around: Surroundings = ALONE,
     size_px: tuple[int, int] = (OBLIQUE_WIDTH_PX, HEIGHT_PX),
 ) -> Image.Image:
-    """The picture of `grids["semantics"]` with the robot and its track; what is not labelled is not drawn."""
+    """Return the picture of `grids["semantics"]` with the robot and its track; unlabelled voxels are not drawn."""
     grid, wider = around.grid, around.grid.max_m[0] / GRID.max_m[0]
     canvas = Canvas(replace(CAMERA, eye_m=CAMERA.eye_m * wider, target_m=CAMERA.target_m * wider), *size_px)
     canvas.add(voxel_boxes(np.ascontiguousarray(grids["semantics"]), np.array(grid.min_m), grid.voxel_m))
@@ -263,7 +256,7 @@ def oblique(
 
 
 def track_boxes(track: NDArray[np.float64]) -> Boxes:
-    """Beads along the track (P, 3), close enough to be a line, standing out of the voxels they lie in."""
+    """Return beads along the track (P, 3) that form a line and stand out of their voxels."""
     steps_m = np.linalg.norm(np.diff(track[:, :2], axis=0), axis=1)
     along_m = np.concatenate([[0.0], np.cumsum(steps_m)])
     at_m = np.arange(0.0, along_m[-1] + BEADS_APART_M, BEADS_APART_M)
@@ -274,7 +267,7 @@ def track_boxes(track: NDArray[np.float64]) -> Boxes:
 
 
 def robot_boxes(footprint: Footprint) -> list[Boxes]:
-    """A body on the footprint, a mast, and a head at its front, so that one sees which way it looks."""
+    """Return a body on the footprint, a mast, and a sensor head at the front that shows the direction."""
     x, y = footprint.length_m / 2, footprint.width_m / 2
     body = solid_boxes([Box((-x, -y, 0.15), (x, y, 0.6)), Box((-0.08, -0.08, 0.6), (0.08, 0.08, 1.1))], ROBOT)
     nose = solid_boxes([Box((x - 0.25, -y, 0.6), (x, y, 0.75))], (245, 245, 245))

@@ -1,7 +1,7 @@
 """`thumbnail.png`: the map from above around the robot's track, shown in lists.
 
-**Conventions.** 640 × 400, north up, an indexed picture as `services/labeler/previews/map_picture.py` makes it, without
-words. All of the track is inside, with a margin; the picture shows at least `LEAST_M` across.
+**Conventions.** 640 × 400, north up, an indexed picture as in `services/labeler/previews/map_picture.py`, without text.
+The picture contains the whole track with a margin, and shows at least `LEAST_M` across.
 """
 
 from pathlib import Path
@@ -25,7 +25,7 @@ def write_thumbnail(path: Path, view: TopView, map_from_ego: SE3) -> None:
 
 
 def thumbnail(view: TopView, map_from_ego: SE3) -> Indices:
-    """The picture; the view has some tile and the track some pose."""
+    """Return the picture; the view has at least one tile and the track at least one pose."""
     track_m = map_from_ego.translation_m[:, :2]
     centre_m, width_m = _framing(track_m)
     per_m = WIDTH_PX / width_m
@@ -37,18 +37,18 @@ def thumbnail(view: TopView, map_from_ego: SE3) -> Indices:
 
 
 def _framing(track_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """The middle (2,) of what is shown, and how wide it is, metres."""
+    """Return the middle (2,) and the width of the shown area, metres."""
     low, high = track_m.min(axis=0) - MARGIN_M, track_m.max(axis=0) + MARGIN_M
     across, up = high - low
     return (low + high) / 2, float(max(across, up * WIDTH_PX / HEIGHT_PX, LEAST_M))
 
 
 def _cropped(whole: ShadedMap, corner_m: NDArray[np.float64], width_m: float) -> Image.Image:
-    """The part of the map whose upper left is at `corner_m`, the ground around it."""
+    """Return the part of the map with its upper left at `corner_m`, surrounded by background."""
     indices, low, side_m = whole.indices, whole.low, whole.side_m
     north_m = (low[1] * side_m) + len(indices) * side_m
     left, top = (corner_m[0] / side_m - low[0], (north_m - corner_m[1]) / side_m)
-    step = width_m / side_m / WIDTH_PX  # map pixels in a pixel of the picture
+    step = width_m / side_m / WIDTH_PX  # map pixels per pixel of the picture
     return Image.fromarray(indices).transform(
         (WIDTH_PX, HEIGHT_PX),
         Image.Transform.AFFINE,

@@ -1,12 +1,12 @@
-"""The release layout: nuScenes tables and samples, Occ3D labels. The page to read first.
+"""The release layout: nuScenes tables and samples, Occ3D labels. Start reading here.
 
     v1.0-trainval/<table>.json   samples/<CHANNEL>/n001-<UTC>__<CHANNEL>__<µs>.{jpg,pcd.bin,pcd}
     gts/<sequence>/<frame_token>/labels.npz   maps/<token>.png
 
-**Conventions.** As in `services/labeler/exports/nuscenes/samples.py`; the map is shifted by whole metres until all of
-it has positive coordinates, and the mask of it says where one could drive. Labels of a grid with a number for what is
-unknown are the array `label`, as the released dataset has it; others are the file itself. What was imported is written
-as it was published: its own tables, samples and maps, byte for byte.
+**Conventions.** As in `services/labeler/exports/nuscenes/samples.py`. The map is shifted by whole metres until all its
+coordinates are positive; its mask marks drivable ground. Labels of a grid that has a number for unknown voxels are the
+array `label`, as in the released dataset; other labels are copied files. Imported datasets are written as published:
+their own tables, samples and maps, byte for byte.
 """
 
 import struct
@@ -47,7 +47,7 @@ def write_nuscenes(source: LabelledSequence, out: Path, step: Step) -> None:
         _write_recorded(source, out, label)
         return
     source.published.write(out)
-    if (out / "gts").is_dir():  # label files of another layout, as they were published
+    if (out / "gts").is_dir():  # label files of another layout, as published
         step(len(frames), len(frames))
         return
     for index in range(len(frames)):
@@ -55,7 +55,7 @@ def write_nuscenes(source: LabelledSequence, out: Path, step: Step) -> None:
 
 
 def _label_file(source: LabelledSequence, index: int) -> bytes:
-    """The labels of a frame as the layout of its grid has them; what was imported is as it was published."""
+    """Return the labels of a frame in the layout of its grid; imported labels as published."""
     unknown = source.grid.unknown
     if unknown is None or source.published is not None:
         return source.labels(index)
@@ -65,7 +65,7 @@ def _label_file(source: LabelledSequence, index: int) -> bytes:
 
 
 def _write_recorded(source: LabelledSequence, out: Path, label: Callable[[int], None]) -> None:
-    """Tables, samples and maps of a sequence that was recorded; `label` is called for each frame."""
+    """Write tables, samples and maps of a recorded sequence; `label` is called for each frame."""
     sequence = source.sequence
     mask = mask_of(open_mesh(source.mesh), sequence.frames.map_from_ego.translation_m[:, :2])
     plan = NuscenesPlan(sequence, channels_of(sequence), mask.low_m, quality_of(source.report).as_record())
@@ -74,17 +74,16 @@ def _write_recorded(source: LabelledSequence, out: Path, label: Callable[[int], 
     write_samples(source.samples, plan, out, label)
 
 
-# The map of a sequence as nuScenes draws its maps: white where the robot could drive, black elsewhere, 0.1 m a pixel.
-#
-# **Conventions.** The devkit puts the lower left corner of a mask at the origin of its global frame, so that frame is
-# the map shifted by whole metres until all of the map has positive coordinates. A column is white where any surface in
-# it is traversable or potentially so. Source: `MapMask` of nuscenes-devkit 1.2.
+# The map of a sequence in the form of nuScenes maps: white where the robot could drive, black elsewhere, 0.1 m per
+# pixel. The devkit places a mask's lower left corner at the origin of its global frame, so the map is shifted by whole
+# metres to positive coordinates. A column is white if any of its surfaces is traversable or potentially traversable.
+# Source: `MapMask` of nuscenes-devkit 1.2.
 
 
 PIXELS_A_VOXEL = 2
 VERTICES_AT_ONCE = 1 << 20
 MARGIN_M = 1
-# The devkit draws 40 m around the robot at any yaw, and cuts that out of the mask without looking for its border.
+# The devkit draws 40 m around the robot at any yaw, and crops the mask there without checking its border.
 VIEW_M = 60
 MOST_SIDE_M = 6000
 
@@ -98,7 +97,7 @@ class Mask:
 
 
 def mask_of(mesh: MeshFile, places_m: NDArray[np.float64]) -> Mask:
-    """The mask of a mesh, as large as it and what is seen from `places_m` (N, 2). Raises `map_too_large`."""
+    """Return the mask of a mesh, covering it and the view from `places_m` (N, 2). Raises `map_too_large`."""
     corners = list(places_m)
     for rows in _parts(mesh):
         xy = mesh.vertices["xyz"][rows, :2]
@@ -112,12 +111,12 @@ def mask_of(mesh: MeshFile, places_m: NDArray[np.float64]) -> Mask:
 
 
 def blank_mask(places_m: NDArray[np.float64]) -> Mask:
-    """A mask that says of nothing seen from `places_m` (N, 2) whether one can drive. Raises `map_too_large`."""
+    """Return a black mask that covers the view from `places_m` (N, 2). Raises `map_too_large`."""
     return _blank(places_m, places_m)
 
 
 def _blank(places_m: NDArray[np.float64], corners_m: NDArray[np.float64]) -> Mask:
-    """All black, as large as what is seen from `places_m` (N, 2) and what lies between `corners_m` (M, 2)."""
+    """Return a black mask that covers the view from `places_m` (N, 2) and the points `corners_m` (M, 2)."""
     low_m = np.minimum(places_m.min(axis=0) - VIEW_M, corners_m.min(axis=0))
     high_m = np.maximum(places_m.max(axis=0) + VIEW_M, corners_m.max(axis=0))
     low, high = np.floor(low_m).astype(np.int64) - MARGIN_M, np.ceil(high_m).astype(np.int64) + MARGIN_M
@@ -132,7 +131,7 @@ def _blank(places_m: NDArray[np.float64], corners_m: NDArray[np.float64]) -> Mas
 
 
 def write_mask(path: Path, mask: Mask) -> None:
-    """An eight-bit grey PNG, row after row from the north (PNG 1.2: IHDR, IDAT, IEND)."""
+    """Write an eight-bit grey PNG, row by row from the north (PNG 1.2: IHDR, IDAT, IEND)."""
     width, height = (side * PIXELS_A_VOXEL for side in mask.is_drivable.shape)
     deflate = zlib.compressobj(6)
     with path.open("wb") as file:

@@ -1,9 +1,8 @@
-"""The plan of a sequence in nuScenes: its channels, the frames of each, times and poses, and all names.
+"""The plan of a sequence in nuScenes: its channels, their frames, times and poses, and all names.
 
-**Conventions.** A scene is a sequence, a sample a frame, and its token the frame's. `global` is the map shifted by
-whole metres (`services/labeler/exports/nuscenes/layout.py`). The ego pose of a datum is the robot's when it was
-measured, and
-has the datum's token. A camera or radar without a message near a frame, or without a pose then, has no datum there.
+**Conventions.** A scene is a sequence, a sample is a frame with the frame's token. `global` is the map shifted by whole
+metres (`services/labeler/exports/nuscenes/layout.py`). The ego pose of a datum is the robot's pose at measurement, with
+the datum's token. A camera or radar without a message near a frame, or without a pose at that time, has no datum there.
 """
 
 from collections.abc import Iterator, Mapping
@@ -29,7 +28,7 @@ SUFFIX: dict[Modality, str] = {"camera": "jpg", "lidar": "pcd.bin", "radar": "pc
 
 @dataclass(frozen=True, eq=False)
 class NuscenesChannel:
-    """One sensor: the frames (K,) it has data in, ascending, and of each its stamp and where the robot was."""
+    """One sensor: the frames (K,) with data, ascending, and the stamp and robot pose of each datum."""
 
     name: str
     modality: Modality
@@ -39,15 +38,17 @@ class NuscenesChannel:
     map_from_ego: SE3
 
     def place(self, frame: int) -> int | None:
-        """Where among `frames` it is; None where the frame has no datum of this sensor."""
+        """Return the frame's position in `frames`; None if the sensor has no datum for it."""
         at = int(np.searchsorted(self.frames, frame))
         return at if at < len(self.frames) and self.frames[at] == frame else None
 
 
 @dataclass(frozen=True, eq=False)
 class NuscenesPlan:
-    """`low_m` is the corner of the map that is the origin of `global`; `quality` is None without labels. If
-    frames are not in time order (`is_ordered`), they have no previous and no next frame."""
+    """The plan of a sequence; `low_m` is the map corner at the origin of `global`, `quality` is None without labels.
+
+    If frames are not in time order (`is_ordered` is False), they have no previous and no next frame.
+    """
 
     sequence: Sequence
     channels: tuple[NuscenesChannel, ...]
@@ -73,7 +74,7 @@ class NuscenesPlan:
         return token_of("calibrated_sensor", self.sequence.name, channel.name)
 
     def datum_token(self, channel: NuscenesChannel, place: int) -> str:
-        """Of the `place`-th datum of a channel; "" outside of them, as the schema ends its chains."""
+        """Return the token of a channel's datum number `place`; "" outside, as the schema ends its chains."""
         if not 0 <= place < len(channel.frames):
             return ""
         return token_of("sample_data", self.sequence.frames.tokens[channel.frames[place]], channel.name)
@@ -89,7 +90,7 @@ class NuscenesPlan:
 
 
 def channels_of(sequence: Sequence) -> tuple[NuscenesChannel, ...]:
-    """The LiDAR where there is one, then cameras that can project, then radars, as the calibration lists them."""
+    """Return the LiDAR, if any, then cameras with intrinsics, then radars, in calibration order."""
     frames = sequence.frames
     if frames.sweeps is None:
         return tuple(_others(sequence))

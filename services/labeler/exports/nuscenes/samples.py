@@ -2,11 +2,11 @@
 
     v1.0-trainval/<table>.json   samples/<CHANNEL>/n001-<UTC>__<CHANNEL>__<µs>.{jpg,pcd.bin,pcd}
 
-**Conventions.** Every frame is a key frame, so there are no `sweeps/`. Pictures are as recorded: the devkit projects
-with `camera_intrinsic` alone, so where a lens bends (`camera_distortion` of `calibrated_sensor` is not all zero) it
-errs towards the corners, and so does whoever does not undistort first. There are no boxes: `instance` and
-`sample_annotation` are empty, `category` names the classes of the voxels. Nothing here knows of labels. Memory holds
-one frame.
+**Conventions.** Every frame is a key frame, so there are no `sweeps/`. Pictures are as recorded. The devkit projects
+with `camera_intrinsic` only, so for a distorting lens (`camera_distortion` of `calibrated_sensor` is not all zero) its
+projections err towards the corners, like those of any reader that does not undistort first. There are no boxes:
+`instance` and `sample_annotation` are empty, `category` lists the voxel classes. This module has no access to labels.
+It holds one frame in memory.
 """
 
 import json
@@ -33,7 +33,7 @@ from stone.sensors.samples import LidarSample, RadarSample, SampleSource
 
 
 class SampleGoneError(Refused):
-    """A frame takes a message that the recording does not have, or that cannot be read."""
+    """A frame uses a message that the recording lacks, or that cannot be read."""
 
     def __init__(self, index: int, channel: str) -> None:
         super().__init__(
@@ -44,7 +44,7 @@ class SampleGoneError(Refused):
 def write_samples(samples: SampleSource, plan: NuscenesPlan, out: Path, written: Callable[[int], None]) -> None:
     """Write tables and samples of the plan's sequence; `written(index)` is called after each frame.
 
-    A picture or scan that cannot be read is left out. Raises what reading samples raises (BAG-*, MSG-* of sweeps).
+    Unreadable pictures and scans are left out. Raises what reading samples raises (BAG-*, MSG-* of sweeps).
     """
     for channel in plan.channels:
         (out / "samples" / channel.name).mkdir(parents=True)
@@ -61,7 +61,7 @@ def write_samples(samples: SampleSource, plan: NuscenesPlan, out: Path, written:
 
 
 def sample_file(samples: SampleSource, channel: NuscenesChannel, place: int) -> tuple[bytes, tuple[int, int]]:
-    """The file of the `place`-th datum of a channel, and a picture's size (width, height), (0, 0) of anything else.
+    """Return the file of a channel's datum number `place`, and a picture's size (width, height), else (0, 0).
 
     Raises `sample_gone`, and what reading samples raises (BAG-*, MSG-*).
     """
@@ -83,7 +83,7 @@ def sample_file(samples: SampleSource, channel: NuscenesChannel, place: int) -> 
 def _write_frame(
     samples: SampleSource, plan: NuscenesPlan, index: int, to: tuple[Path, Mapping[str, NuscenesTableWriter]]
 ) -> dict[str, tuple[str, str]]:
-    """The rows that are written of a frame; by its token, the planned neighbours of each datum that cannot be read."""
+    """Write a frame; return, by its token, the planned neighbours of each unreadable datum."""
     out, tables = to
     frames, gone = plan.sequence.frames, dict[str, tuple[str, str]]()
     token = frames.tokens[index]
@@ -113,7 +113,7 @@ def _write_frame(
 
 
 def _close_chains(table: Path, gone: Mapping[str, tuple[str, str]]) -> None:
-    """Make the neighbours of what is gone neighbours of each other."""
+    """Link the neighbours of missing data to each other."""
     closed = table.with_suffix(".closed")
     with closed.open("w", encoding="utf-8") as file:
         rows = NuscenesTableWriter(file)
@@ -147,11 +147,9 @@ def _datum_row(
     }
 
 
-# Point clouds as nuScenes keeps them: LiDAR returns as bare floats, radar detections as binary PCD.
-#
-# **Conventions.** Points are in the sensor's own axes: a sweep's at the frame's stamp, a radar's when it measured.
-# Only finite rows are written. Source: `LidarPointCloud.from_file` and `RadarPointCloud.from_file` of nuscenes-devkit
-# 1.2.
+# Point clouds in nuScenes formats: LiDAR returns as bare floats, radar detections as binary PCD. Points are in the
+# sensor's axes: a sweep at the frame's stamp, a radar scan at its measurement. Only finite rows are written. Source:
+# `LidarPointCloud.from_file` and `RadarPointCloud.from_file` of nuscenes-devkit 1.2.
 
 
 RADAR_RECORD = np.dtype(
@@ -161,29 +159,29 @@ RADAR_RECORD = np.dtype(
         ("x_rms", "i1"), ("y_rms", "i1"), ("invalid_state", "i1"), ("pdh0", "i1"), ("vx_rms", "i1"), ("vy_rms", "i1"),
     ]
 )  # fmt: skip
-# What these detections do not say, in the words of the schema: motion unknown, Doppler unambiguous, valid.
+# Defaults for facts that detections lack, in the schema's terms: motion unknown, Doppler unambiguous, valid.
 UNKNOWN_MOTION, UNAMBIGUOUS, VALID, QUALITY_VALID = 4, 3, 0, 1
 LAST_ID = 32767
 
 
 def lidar_bytes(sample: LidarSample) -> bytes:
-    """`.pcd.bin`: x y z intensity ring, five float32 a return."""
+    """Return `.pcd.bin`: x y z intensity ring, five float32 per return."""
     rows = np.empty((len(sample.points_lidar), 5), "<f4")
     rows[:, :3], rows[:, 3], rows[:, 4] = sample.points_lidar, sample.intensity, sample.ring
     return rows[np.isfinite(rows).all(axis=1)].tobytes()
 
 
 def radar_bytes(sample: RadarSample) -> bytes:
-    """`.pcd`: the 18 fields of nuScenes; velocities are the measured rate along the ray, in plan.
+    """Return `.pcd`: the 18 fields of nuScenes; velocities are the measured rate along the ray, in plan.
 
-    A scan without a finite detection holds one row of NaN, which the devkit reads as none.
+    A scan without a finite detection has one row of NaN, which the devkit reads as empty.
     """
     records = _records(sample)
     if not len(records):
         records = np.zeros(1, RADAR_RECORD)
         for name in ("x", "y", "z", "rcs", "vx", "vy", "vx_comp", "vy_comp"):
             records[name] = np.nan
-    # The devkit's reader wants one byte more than the last record.
+    # The devkit's reader requires one byte after the last record.
     return _header(len(records)) + records.tobytes() + b"\n"
 
 
@@ -222,10 +220,8 @@ def _header(count: int) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
-# The rows of nuScenes tables that do not grow with the number of data: classes, rig, log, map, scene.
-#
-# **Conventions.** Keys that the schema does not have are added where it has no place for a fact; the devkit ignores
-# them. Rotations are quaternions wxyz, as everywhere. Source: nuScenes schema.
+# nuScenes table rows whose number does not depend on the data: classes, rig, log, map, scene. Facts without a place in
+# the schema get additional keys, which the devkit ignores. Rotations are quaternions wxyz. Source: nuScenes schema.
 
 
 CLASSES = (
@@ -241,7 +237,7 @@ VISIBILITIES = ("v0-40", "v40-60", "v60-80", "v80-100")
 
 
 def add_fixed_rows(tables: Mapping[str, NuscenesTableWriter]) -> None:
-    """What is the same in every export."""
+    """Add the rows that are the same in every export."""
     for index, (name, description) in enumerate(CLASSES):
         token = token_of("category", name)
         tables["category"].add({"token": token, "name": name, "description": description, "index": index})
@@ -250,7 +246,7 @@ def add_fixed_rows(tables: Mapping[str, NuscenesTableWriter]) -> None:
 
 
 def add_rig_rows(tables: Mapping[str, NuscenesTableWriter], plan: NuscenesPlan) -> None:
-    """Sensors, their calibration, and the one log, map and scene of the sequence."""
+    """Add the sensors, their calibration, and the sequence's single log, map and scene."""
     for channel in plan.channels:
         sensor_token = token_of("sensor", channel.name)
         tables["sensor"].add({"token": sensor_token, "channel": channel.name, "modality": channel.modality})
@@ -267,7 +263,7 @@ def add_rig_rows(tables: Mapping[str, NuscenesTableWriter], plan: NuscenesPlan) 
 
 
 def pose_row(plan: NuscenesPlan, channel: NuscenesChannel, place: int) -> Row:
-    """Where the robot was when a datum was measured: `global_from_ego`."""
+    """Return the robot's pose when a datum was measured: `global_from_ego`."""
     pose = channel.map_from_ego[place]
     x, y, z = pose.translation_m.tolist()
     return {

@@ -1,8 +1,8 @@
-"""Tables of the nuScenes schema, written row after row.
+"""Tables of the nuScenes schema, written row by row.
 
-**Conventions.** A table is a JSON list, a row on each line, so that tables of many rows are written, and joined, and
-never held. A token is the first 32 hex digits of sha256 over what the row is about, so it is the same in every export.
-Source: nuScenes schema (schema_nuscenes.md of nuscenes-devkit 1.2).
+**Conventions.** A table is a JSON list with one row per line, so that large tables are written and joined without
+holding them in memory. A token is the first 32 hex digits of sha256 over the row's subject, so it is the same in every
+export. Source: nuScenes schema (schema_nuscenes.md of nuscenes-devkit 1.2).
 """
 
 import json
@@ -23,7 +23,7 @@ Row = Mapping[str, Any]
 
 
 def token_of(kind: str, *facts: object) -> str:
-    """32 hex digits that name one row of table `kind`."""
+    """Return 32 hex digits that identify one row of table `kind`."""
     return sha256(json.dumps([kind, *facts], separators=(",", ":")).encode()).hexdigest()[:32]
 
 
@@ -35,7 +35,7 @@ class NuscenesTableWriter:
         file.write("[")
 
     def add(self, row: Row | str) -> None:
-        """One row, or the line of one."""
+        """Add one row, or the line of a row."""
         line = row if isinstance(row, str) else json.dumps(row, separators=(",", ":"), allow_nan=False)
         self._file.write(("," if self._count else "") + "\n" + line)
         self._count += 1
@@ -46,7 +46,7 @@ class NuscenesTableWriter:
 
 @contextmanager
 def written_tables(folder: Path) -> Iterator[Mapping[str, NuscenesTableWriter]]:
-    """All tables by name, each a file `<name>.json` of the folder, which is made."""
+    """Yield all tables by name, each a file `<name>.json` in the folder, which is created."""
     folder.mkdir(parents=True)
     with ExitStack() as files:
         rows = {
@@ -59,7 +59,7 @@ def written_tables(folder: Path) -> Iterator[Mapping[str, NuscenesTableWriter]]:
 
 
 def lines_of(table: Path) -> Iterator[str]:
-    """The rows of a table that was written here, as their lines."""
+    """Yield the rows of a table written here, as their lines."""
     with table.open(encoding="utf-8") as file:
         for line in file:
             if line.startswith("{"):
@@ -67,5 +67,5 @@ def lines_of(table: Path) -> Iterator[str]:
 
 
 def write_splits(path: Path, scenes: Mapping[str, list[str]]) -> None:
-    """The devkit's custom splits; it knows train, val and test of its own, which are not ours to name."""
+    """Write the devkit's custom splits; the names train, val and test are reserved for the devkit's own splits."""
     path.write_text(json.dumps(scenes, indent=1) + "\n", "utf-8")
