@@ -85,10 +85,10 @@ class WorkAnswer(SandboxAnswer):
 
     @field_validator("result", "facts")
     @classmethod
-    def _are_known(cls, told: dict[str, Fact]) -> dict[str, Fact]:
-        if not FACTS.issuperset(told):
+    def _are_known(cls, facts: dict[str, Fact]) -> dict[str, Fact]:
+        if not FACTS.issuperset(facts):
             raise ValueError("unknown fact or result")
-        return told
+        return facts
 
 
 class TrackAnswer(SandboxAnswer):

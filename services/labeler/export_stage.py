@@ -243,9 +243,9 @@ def located_members(platform: Platform, sequence_id: str, described: Path) -> Pa
     """
     members = read_joined(described)
     with platform.database.reading() as session:
-        found = {member.name: _kept(session, sequence_id, (member.sha256,)) for member in members}
-    kept = {name: recording for name, recording in found.items() if recording is not None}
-    if len(kept) < len(found):
+        recordings = {member.name: _kept(session, sequence_id, (member.sha256,)) for member in members}
+    kept = {name: recording for name, recording in recordings.items() if recording is not None}
+    if len(kept) < len(recordings):
         raise recording_deleted(_names(member for member in members if member.name not in kept))
     return locate_joined(platform, kept, described)
 

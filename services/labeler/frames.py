@@ -163,12 +163,12 @@ class _LabelledMap:
         if self.table is None:
             fine = cut_batch(self.window, map_from_ego, self.grid.on_map)
             return [self._cut_frame(fine[at], map_from_ego[at], frame, {}) for at, frame in enumerate(later)]
-        found = []
+        frames = []
         for at, frame in enumerate(later):
             columns, rows = cut_with_rows(self.window, map_from_ego[at], self.table, self.grid.on_map)
             further = {name: values[rows] for name, values in self.further.items()}
-            found.append(self._cut_frame(columns, map_from_ego[at], frame, further))
-        return found
+            frames.append(self._cut_frame(columns, map_from_ego[at], frame, further))
+        return frames
 
     def _cut_frame(self, fine: Columns, pose: SE3, later: int, further: Mapping[str, NDArray[Any]]) -> _CutFrame:
         columns = pooled(fine, self.grid)
@@ -232,12 +232,12 @@ def _map_around(run: LabelRun, part: Part, reference: Reference) -> _LabelledMap
     for tile in tiles_across(run.parameters, bounds, run.map_of(part)):
         if not surface_path(run, tile).exists():
             continue
-        found = labelled_tile(run, tile, reference, with_confidence=is_asked)
-        keys.append(found.terrain.keys)
-        classes.append(found.classes)
-        squared.append(found.squared)
-        confidence += [] if found.confidence is None else [found.confidence]
-        bricks = (found.arrays[name] for name in ("bricks", "words", "since"))
+        labelled = labelled_tile(run, tile, reference, with_confidence=is_asked)
+        keys.append(labelled.terrain.keys)
+        classes.append(labelled.classes)
+        squared.append(labelled.squared)
+        confidence += [] if labelled.confidence is None else [labelled.confidence]
+        bricks = (labelled.arrays[name] for name in ("bricks", "words", "since"))
         seen.append(Observed(*bricks))  # type: ignore[arg-type]
     all_keys = np.concatenate(keys)
     observed = union(seen)

@@ -61,7 +61,7 @@ def standing_label_set(session: Session, sequence_id: str, recipe: str) -> Label
     return session.scalars(standing).one_or_none()
 
 
-def write_label_set(session: Session, labels: NewLabelSet, told: PublicationAnswer) -> LabelSet:
+def write_label_set(session: Session, labels: NewLabelSet, answer: PublicationAnswer) -> LabelSet:
     row = LabelSet(
         id=new_id(),
         sequence_id=labels.sequence_id,
@@ -69,16 +69,16 @@ def write_label_set(session: Session, labels: NewLabelSet, told: PublicationAnsw
         recipe=labels.recipe,
         parameters=dict(labels.parameters),
         code_version=code_version(labels.kind),
-        frames=len(told.tokens),
+        frames=len(answer.tokens),
         grid=dict(labels.grid) if labels.grid is not None else None,
-        **told.totals.model_dump(),
+        **answer.totals.model_dump(),
     )
     session.add(row)
     session.flush()
     return row
 
 
-def write_artefact(session: Session, label_set_id: str, file: NewArtefact, told: PublicationAnswer) -> None:
+def write_artefact(session: Session, label_set_id: str, file: NewArtefact, answer: PublicationAnswer) -> None:
     row = Artefact(id=new_id(), label_set_id=label_set_id, name=file.name, media_type=file.media_type)
     row.blob_sha256, row.size_bytes = file.blob_sha256, file.size_bytes
     session.add(row)
@@ -87,7 +87,7 @@ def write_artefact(session: Session, label_set_id: str, file: NewArtefact, told:
         return
     of_pack = {"label_set_id": label_set_id, "pack_id": row.id}
     rows = [
-        {**of_pack, **told.frame(ordinal), "offset_bytes": offset, "length_bytes": length, "sha256": digest}
+        {**of_pack, **answer.frame(ordinal), "offset_bytes": offset, "length_bytes": length, "sha256": digest}
         for ordinal, (offset, length, digest) in enumerate(file.pack.ranges, start=file.pack.first)
     ]
     session.execute(insert(LabelledFrameRow).returning(LabelledFrameRow.ordinal), rows)  # many rows per statement

@@ -28,10 +28,10 @@ def files_left(folder: Path) -> list[LeftFile]:
 
     Raises `bad_key` for a name that no object can have.
     """
-    found = sorted(path for path in folder.rglob("[!.]*") if path.is_file() and not path.is_symlink())
-    for path in found:
+    paths = sorted(path for path in folder.rglob("[!.]*") if path.is_file() and not path.is_symlink())
+    for path in paths:
         checked(path.relative_to(folder.parent).as_posix())
-    return [left_file(path.relative_to(folder).as_posix(), path) for path in found]
+    return [left_file(path.relative_to(folder).as_posix(), path) for path in paths]
 
 
 def pack_left(path: Path, pack: PackAnswer) -> LeftFile:

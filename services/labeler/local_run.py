@@ -140,7 +140,7 @@ def _at_grid(run: LabelRun, grid: LabelGrid) -> LabelRun:
         if made.name not in (FURTHER, "packs"):
             (scratch / made.name).symlink_to(made)
     out = run.scratch.parent / FURTHER / grid.name
-    grids = (grid, *(one for one in run.parameters.grids if one != grid))
+    grids = (grid, *(other for other in run.parameters.grids if other != grid))
     parameters = replace(run.parameters, grids=grids)
     return replace(run, parameters=parameters, scratch=scratch, labels_root=out / "gts" / run.sequence.name)
 
@@ -198,14 +198,14 @@ def tasks_of(run: LabelRun, kinds: Collection[str] = STAGES.keys()) -> list[Task
     """Return the jobs of a run, except publishing, as tasks for local processes; optionally only some kinds."""
     jobs = [job for job in label_graph(run) if job.kind in kinds]
     keys: dict[str, Key] = {job.key: (STAGES[job.kind].shown, job.key) for job in jobs}
-    waits = {job.key: frozenset(keys[one] for one in job.needs if one in keys) for job in jobs}
+    waits = {job.key: frozenset(keys[need] for need in job.needs if need in keys) for job in jobs}
     return [Task(keys[job.key], STAGES[job.kind].work, (run, job.arguments, silent), waits[job.key]) for job in jobs]
 
 
 def _completed(run: LabelRun, options: LabelOptions, own: int) -> LabelRun:
     """Return the run with late inputs and findings; its `own` findings come first, those of refinement last."""
-    sequence, found = run.sequence, run.sequence.findings
-    findings = (*found[:own], *options.late_findings(), *found[own:])
+    sequence, own_findings = run.sequence, run.sequence.findings
+    findings = (*own_findings[:own], *options.late_findings(), *own_findings[own:])
     inputs = {**options.late_inputs(), **sequence.inputs}
     return replace(run, sequence=replace(sequence, inputs=inputs, findings=findings))
 

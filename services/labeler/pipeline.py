@@ -124,7 +124,7 @@ def label_graph(run: LabelRun) -> tuple[JobSpec, ...]:
     for part in plan.parts:
         mapped.append(JobSpec(FUSE, {"part": part}, _fused(part)))
         for tile in (tile for tile, parts in plan.needs.items() if parts[-1] == part):
-            waits = tuple(_fused(one) for one in plan.needs[tile])
+            waits = tuple(_fused(needed) for needed in plan.needs[tile])
             mapped.append(JobSpec(SURFACE, {"tile": tile}, f"surface {tile_name(tile)}", waits))
     before = tuple(job.key for job in mapped if job.kind != FUSE)
     reference = JobSpec(REFERENCE, {}, "reference", before)

@@ -45,7 +45,7 @@ class _Publication:
 
     context: LabelStageContext
     prepared: list[tuple[LeftFile, PreparedBlob]]
-    told: PublicationAnswer
+    answer: PublicationAnswer
 
 
 def publish(context: LabelStageContext) -> Outcome:
@@ -55,19 +55,19 @@ def publish(context: LabelStageContext) -> Outcome:
     """
     context.pull(NEEDED, NEEDED)
     opening = replace(context.opening, sequence_file=CHECKED_FILE)
-    told = context.ask(PublicationAnswer, partial(described, opening), "publish", opening)
-    files, prepared = _files(context, told), list[tuple[LeftFile, PreparedBlob]]()
+    answer = context.ask(PublicationAnswer, partial(described, opening), "publish", opening)
+    files, prepared = _files(context, answer), list[tuple[LeftFile, PreparedBlob]]()
     context.attempt.progress("publish", 0, len(files))
     stored = prepare_all(context.platform.store, context.platform.database, [file.path for file in files], adopt=True)
     for file, blob in zip(files, stored, strict=True):
         prepared.append((file, blob))
         context.attempt.progress("publish", len(prepared), len(files))
     context.attempt.log("stored", files=len(files), size_bytes=sum(blob.size_bytes for _, blob in prepared))
-    rows = _Publication(context, prepared, told)
-    return Outcome({"frames": len(told.tokens)}, commit=partial(_write_rows, rows))
+    rows = _Publication(context, prepared, answer)
+    return Outcome({"frames": len(answer.tokens)}, commit=partial(_write_rows, rows))
 
 
-def _files(context: LabelStageContext, told: PublicationAnswer) -> list[LeftFile]:
+def _files(context: LabelStageContext, answer: PublicationAnswer) -> list[LeftFile]:
     folder, is_joined = context.workspace.folder, len(recording_ids_of(context.arguments)) > 1
     return [
         left_file(REPORT, folder / PUBLISHED / REPORT),
@@ -76,7 +76,7 @@ def _files(context: LabelStageContext, told: PublicationAnswer) -> list[LeftFile
         left_file(SEQUENCE_FILE, folder / CHECKED_FILE),
         *([left_file(JOINED, folder / JOINED)] if is_joined else []),
         *files_left(folder / MAP),
-        *(pack_left(folder / pack.name, pack) for pack in told.packs),
+        *(pack_left(folder / pack.name, pack) for pack in answer.packs),
     ]
 
 
@@ -94,16 +94,16 @@ def _write_rows(publication: _Publication, session: Session) -> None:
         storage_quota.reserve(session, sequence.owner_id, size_bytes, labels.id, "label set", limit_bytes)
         if context.platform.settings.viewing.makes_playback:
             follow_labels(session, sequence, labels, PLAYBACK)
-    run.result = {"label_set_id": labels.id, "frames": len(publication.told.tokens), "recipe": recipe}
+    run.result = {"label_set_id": labels.id, "frames": len(publication.answer.tokens), "recipe": recipe}
 
 
 def _write_labels(publication: _Publication, session: Session, new: NewLabelSet) -> LabelSet:
-    labels = write_label_set(session, new, publication.told)
+    labels = write_label_set(session, new, publication.answer)
     blobs = link_all(session, [prepared for _, prepared in publication.prepared])
     for file, prepared in publication.prepared:
         blob = blobs[prepared.sha256]
         stored = NewArtefact(file.name, file.media_type, blob.sha256, blob.size_bytes, file.pack)
-        write_artefact(session, labels.id, stored, publication.told)
+        write_artefact(session, labels.id, stored, publication.answer)
     return labels
 
 

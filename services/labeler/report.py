@@ -164,7 +164,7 @@ def report_of(run: LabelRun) -> LabelReport:
     findings = (*sequence.findings, *label_findings(parameters, reference, counts, relief), *doubts)
     profiles = comparison.as_record(parameters) | {"elevation": asdict(relief)}
     share = {"reestimated_share": round(comparison.reestimated_ratio, 6)}
-    told = None if outliers is None else share | outliers.as_record()
+    record = None if outliers is None else share | outliers.as_record()
     return LabelReport(
         *(sequence, parameters, code_version("labels")),
         reference=reference,
@@ -176,7 +176,7 @@ def report_of(run: LabelRun) -> LabelReport:
         solver=solver,
         far=far,
         held_out=held,
-        outliers=told,
+        outliers=record,
     )
 
 
@@ -184,45 +184,45 @@ def label_findings(
     parameters: LabelParameters, reference: Reference, counts: FrameVoxelCounts, relief: Relief
 ) -> tuple[Finding, ...]:
     """Return warnings about the reliability of these labels."""
-    found = []
+    findings = []
     if reference.voxels < FEW_VOXELS:
         advice = f", or use profile {DEFAULT_PROFILE}" if parameters.profile == "paper" else ""
         few = (
             f"the track covers {reference.voxels} surface voxels; below {FEW_VOXELS} the reference is unreliable. "
             f"Drive farther{advice}"
         )
-        found.append(Finding("LAB-601", "warning", "", few))
+        findings.append(Finding("LAB-601", "warning", "", few))
     undriven = int((counts.classes[:, 1] == 0).sum())
     if undriven:
         none = f"{undriven} of {len(counts.classes)} frames contain no driven voxel"
-        found.append(Finding("LAB-602", "warning", "", none))
+        findings.append(Finding("LAB-602", "warning", "", none))
     if parameters.profile == "paper" and not relief.is_spanned:
         narrow = (
             f"the track spans {relief.track_span_m:.2f} m of elevation, so ground more than about "
             f"{relief.paper_band_m:.2f} m above or below its mean is labelled non-traversable regardless of its "
             f"shape. Process again with profile {DEFAULT_PROFILE}"
         )
-        found.append(Finding("LAB-603", "warning", "", narrow))
-    return tuple(found)
+        findings.append(Finding("LAB-603", "warning", "", narrow))
+    return tuple(findings)
 
 
 def reference_findings(
     parameters: LabelParameters, reference: Reference, comparison: ProfileComparison
 ) -> tuple[Finding, ...]:
     """Return evidence against Gaussian driven ground: an undrivable slope, too many outliers."""
-    found = []
+    findings = []
     sigma_deg = float(np.rad2deg(np.sqrt(reference.covariance[1, 1])))
     if sigma_deg > STEEP_SIGMA_DEG:
         steep = (
             f"the slope of the driven ground scatters by {sigma_deg:.0f}°, more than that of drivable ground. Are "
             "surfaces beside or above the track included, or is the footprint too high?"
         )
-        found.append(Finding("LAB-604", "warning", "", steep))
+        findings.append(Finding("LAB-604", "warning", "", steep))
     share = comparison.unlike / max(comparison.driven, 1)
     if comparison.driven >= FEW_VOXELS and share > UNLIKE_TIMES * parameters.reference.alpha:
         unlike = (
             f"{share:.1%} of the driven voxels differ from the others, but {parameters.reference.alpha:.0%} are "
             "expected by chance: the driven terrain has several kinds, or a few of its voxels are wrong"
         )
-        found.append(Finding("LAB-605", "warning", "", unlike))
-    return tuple(found)
+        findings.append(Finding("LAB-605", "warning", "", unlike))
+    return tuple(findings)

@@ -84,10 +84,10 @@ def load_summaries(run: LabelRun) -> list[TileSummary]:
     for path in (run.scratch / "sums").glob("*_*.npz"):
         arrays = load(path)
         driven = VoxelTerrain(arrays["keys"], arrays["terrain"])  # type: ignore[arg-type]
-        found = Passes(arrays["first_m"], arrays["last_m"])  # type: ignore[arg-type]
+        passes = Passes(arrays["first_m"], arrays["last_m"])  # type: ignore[arg-type]
         descent = Descent(int(arrays["rounds"].item()), float(arrays["residual_ratio"].item()))
         tile = Tile(*arrays["tile"].tolist())
-        summaries.append(TileSummary(tile, driven, found, *arrays["counted"].tolist(), descent))  # type: ignore[call-arg]
+        summaries.append(TileSummary(tile, driven, passes, *arrays["counted"].tolist(), descent))  # type: ignore[call-arg]
     return sorted(summaries, key=lambda summary: summary.tile)
 
 

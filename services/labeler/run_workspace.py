@@ -43,14 +43,14 @@ class LabelStageContext:
     def opening_with_sweeps(self) -> RunOpening:
         """Return the run and its local recordings. Raises `JobCancelledError` if a recording was deleted."""
         recording = locate_run(self.platform, self.recordings, self.workspace.folder)
-        is_in_place = any(one.place is not None for one in self.recordings)
+        is_in_place = any(stored.place is not None for stored in self.recordings)
         return replace(self.opening, recording=recording, is_in_place=is_in_place)
 
     @cached_property
     def recordings(self) -> tuple[StoredRecording, ...]:
         """The recordings of the run. Raises `JobCancelledError` if one was deleted."""
         with self.platform.database.lookups() as session:
-            recordings = [session.get(Recording, one) for one in recording_ids_of(self.arguments)]
+            recordings = [session.get(Recording, recording_id) for recording_id in recording_ids_of(self.arguments)]
             kept = tuple(kept_recording(session, recording) for recording in recordings if recording is not None)
         if len(kept) < len(recordings):
             raise JobCancelledError("its recording was deleted")

@@ -97,8 +97,8 @@ def planned(opening: RunOpening, _folder: Path, _progress: ProgressCallback) -> 
 
 
 def _answer_of(job: JobSpec) -> JobAnswer:
-    told = {name: value for name, value in vars(job).items() if name != "after"}
-    return JobAnswer(**told)
+    fields = {name: value for name, value in vars(job).items() if name != "after"}
+    return JobAnswer(**fields)
 
 
 def files_near(task: StageTask, _folder: Path, _progress: ProgressCallback) -> bytes:

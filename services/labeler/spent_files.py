@@ -28,7 +28,8 @@ def delete_spent(context: LabelStageContext) -> None:
     )
     with context.platform.database.reading() as session:
         rows = [
-            (state == "succeeded", Tile(*one["tile"]), tuple(two["part"])) for state, one, two in session.execute(reads)
+            (state == "succeeded", Tile(*arguments["tile"]), tuple(two["part"]))
+            for state, arguments, two in session.execute(reads)
         ]
     waiting = {near for is_done, tile, _ in rows if not is_done for near in neighbourhood(tile)}
     images = {part_file(part) for _, _, part in rows} - {part_file(part) for is_done, _, part in rows if not is_done}

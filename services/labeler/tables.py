@@ -77,7 +77,9 @@ def _about(sequence: Sequence) -> dict[str, object]:
         "inputs": dict(sequence.inputs),
         "pose_source": sequence.pose_source,
         "map_origin_deg_m": sequence.map_origin_deg_m,
-        "phase_ns": {channel: one.phase_ns for channel, one in taken if one.phase_ns is not None},
+        "phase_ns": {
+            channel: association.phase_ns for channel, association in taken if association.phase_ns is not None
+        },
     }
 
 

@@ -99,7 +99,7 @@ def export(request: ExportRequest, open_source: Callable[[], LabelledSequence], 
             _link_kept(request.out, staging, other)
         files, size_bytes = _move_in(fresh, staging, name)
         fresh.rmdir()
-        join(request.format, staging, {one: entries[one].number for one in sorted(entries)})
+        join(request.format, staging, {sequence: entries[sequence].number for sequence in sorted(entries)})
         (staging / MANIFEST).write_text(_manifest(request.format, entries), "utf-8")
     status = "replaced" if name in known else "added" if known else "written"
     return ExportOutcome(request.format, name, status, entry.frames, tuple(sorted(entries)), files, size_bytes)
@@ -134,14 +134,14 @@ def read_manifest(out: Path, format_name: str) -> dict[str, ExportFolderEntry]:
     try:
         content = json.loads(path.read_text("utf-8"))
         entries = {str(name): ExportFolderEntry(**entry) for name, entry in content["sequences"].items()}
-        found = str(content["format"])
+        written_format = str(content["format"])
         is_ours = all(NAME.fullmatch(name) and isinstance(entry.number, int) for name, entry in entries.items())
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise not_an_export(out, f"{MANIFEST} cannot be read ({error})"[:200]) from error
     if not is_ours:
         raise not_an_export(out, f"{MANIFEST} cannot be read (a sequence has an invalid name or no number)")
-    if found != format_name:
-        raise not_an_export(out, f"it contains an export in format {found}, not {format_name}")
+    if written_format != format_name:
+        raise not_an_export(out, f"it contains an export in format {written_format}, not {format_name}")
     return entries
 
 

@@ -71,7 +71,7 @@ def write_foxglove(source: LabelledSequence, out: Path, step: Step = silent) -> 
         for logged in _once(source):
             log.write(logged)
         for index in range(total):
-            for logged in sorted(_frame(source, index), key=lambda one: one[0]):
+            for logged in sorted(_frame(source, index), key=lambda message: message[0]):
                 log.write(logged)
             step(index + 1, total)
 
@@ -253,8 +253,8 @@ def _cloud(frame_id: str, points: NDArray[np.void], stamp_ns: int) -> PointCloud
 
 def _fields(record: np.dtype[np.void]) -> list[PackedElementField]:
     return [
-        PackedElementField(name=name, offset=place[1], type=NUMERIC[place[0]])
-        for name, place in (record.fields or {}).items()
+        PackedElementField(name=name, offset=field[1], type=NUMERIC[field[0]])
+        for name, field in (record.fields or {}).items()
     ]
 
 

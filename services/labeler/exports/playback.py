@@ -53,16 +53,18 @@ def write_playback(source: LabelledSequence, out: Path, step: Step) -> None:
         (out / "cameras" / channel).mkdir(parents=True)
     (out / "clouds").mkdir()
     has_clouds = total > 0 and sequence.frames.sweeps is not None
-    radars = [one.name for one in sequence.calibration.of_kind("radar") if one.name in sequence.frames.associations]
+    radars = [
+        entry.name for entry in sequence.calibration.of_kind("radar") if entry.name in sequence.frames.associations
+    ]
     has_radars = has_clouds and bool(radars) and sequence.track is not None
     (out / "radars").mkdir()
     has_picture = np.zeros((len(taken), total), np.bool_)
     for index, token in enumerate(sequence.frames.tokens):
-        for place, channel in enumerate(taken):
+        for camera, channel in enumerate(taken):
             picture = small_picture(source.samples.camera(channel, index))
             if picture is not None:
                 (out / camera_file(channel, token)).write_bytes(picture)
-                has_picture[place, index] = True
+                has_picture[camera, index] = True
         if has_clouds:
             sweep = source.samples.lidar(index)
             (out / cloud_file(token)).write_bytes(small_cloud(sweep, sequence.calibration.ego_from_lidar))
@@ -71,7 +73,7 @@ def write_playback(source: LabelledSequence, out: Path, step: Step) -> None:
             (out / radar_file(token)).write_bytes(detections(scans, sequence.calibration.ego_from_lidar))
         step(index + 1, total)
     is_shown = has_picture.any(axis=1)
-    cameras = tuple(taken[place] for place in np.flatnonzero(is_shown))
+    cameras = tuple(taken[camera] for camera in np.flatnonzero(is_shown))
     if cameras:
         (out / CAMERAS).write_bytes(cameras_bytes(playback_cameras(sequence, cameras, has_picture[is_shown])))
     shown = PlaybackChannels(cameras, has_clouds, bool(cameras), placed_sensors(sequence), has_radars)
@@ -84,7 +86,9 @@ def placed_sensors(sequence: Sequence) -> tuple[PlacedSensor, ...]:
     lidar = (
         [] if sequence.frames.sweeps is None else [PlacedSensor(LIDAR, "lidar", pose_of(calibration.ego_from_lidar))]
     )
-    placed = ((one.name, one.kind, calibration.ego_from_lidar @ one.lidar_from_sensor) for one in calibration.mounts)
+    placed = (
+        (mount.name, mount.kind, calibration.ego_from_lidar @ mount.lidar_from_sensor) for mount in calibration.mounts
+    )
     return (*lidar, *(PlacedSensor(name, kind, pose_of(pose)) for name, kind, pose in placed))
 
 
@@ -147,12 +151,12 @@ def playback_cameras(sequence: Sequence, channels: Listing[str], has_picture: ND
     """Return the cameras of these channels, in this order; `has_picture` is (C, N)."""
     total = len(sequence.frames)
     rays, poses = np.full((len(channels), ROWS, COLUMNS, 3), np.nan), np.full((len(channels), total, 7), np.nan)
-    for place, channel in enumerate(channels):
+    for index, channel in enumerate(channels):
         mount = sequence.calibration.mount(channel)
         if mount is None or mount.intrinsics is None:
             continue
-        rays[place] = lens_rays(mount.intrinsics)
-        poses[place] = shutter_poses(sequence, channel)
+        rays[index] = lens_rays(mount.intrinsics)
+        poses[index] = shutter_poses(sequence, channel)
     return PlaybackCameras(has_picture, rays, poses)
 
 

@@ -264,13 +264,13 @@ def key_frame_files(files: DatasetSourceFiles) -> dict[tuple[str, str], str]:
     channels = {str(row.get("token")): str(row.get("channel")) for row in table_rows(files, "sensor")}
     mounts = table_rows(files, "calibrated_sensor")
     mounted = {str(row.get("token")): channels.get(str(row.get("sensor_token"))) for row in mounts}
-    found = dict[tuple[str, str], str]()
+    files_by_key = dict[tuple[str, str], str]()
     for row in table_rows(files, "sample_data"):
         channel = mounted.get(str(row.get("calibrated_sensor_token")))
         if channel is not None and row.get("is_key_frame") is True:
             written = str(row.get("sample_token"))
-            found[plain_token(written) or written, channel] = str(row.get("filename"))
-    return found
+            files_by_key[plain_token(written) or written, channel] = str(row.get("filename"))
+    return files_by_key
 
 
 def lidar_sample(span: ExportFileSpan) -> LidarSample:

@@ -23,10 +23,10 @@ def without_order(
     sequence: Sequence, samples: SampleSource, chosen: Listing[tuple[str, int]]
 ) -> tuple[Sequence, SampleSource]:
     """Return the sequence of these frames (token, place in time), and their samples."""
-    places = np.array([place for _, place in chosen], np.int64)
+    places = np.array([position for _, position in chosen], np.int64)
 
-    def associated(one: Association) -> Association:
-        return Association(one.topic, one.message_index[places], np.zeros(len(places), np.int64))
+    def associated(association: Association) -> Association:
+        return Association(association.topic, association.message_index[places], np.zeros(len(places), np.int64))
 
     own = sequence.frames
     frames = Frames(

@@ -95,9 +95,9 @@ class VoteBricks:
     def _gathered(self, rows: NDArray[np.int64]) -> VoxelVotes:
         """Return the votes of these bricks."""
         count = sum(int(np.count_nonzero(self._votes[row])) for row in rows.tolist())
-        found = VoxelVotes(np.empty(count, np.int64), np.empty((count, 3), np.uint32))
-        _gather((self._keys, self._votes), rows, (found.keys, found.counts))
-        return found
+        votes = VoxelVotes(np.empty(count, np.int64), np.empty((count, 3), np.uint32))
+        _gather((self._keys, self._votes), rows, (votes.keys, votes.counts))
+        return votes
 
 
 def _placed(map_from_ego: SE3, grid: LabelGrid) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -151,16 +151,16 @@ def _vote(words, placed, columns, bricks):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _gather(bricks, rows, out):  # type: ignore[no-untyped-def]
     """Write the voxels with votes of these bricks, up to the length of `out`."""
-    (keys, votes), (found, counts), at = bricks, out, 0
+    (keys, votes), (out_keys, counts), at = bricks, out, 0
     mask = np.uint64((1 << BITS) - 1)
     for row in rows:
         key = keys[row]
         i, j, k = ((key >> 42) - BIAS) << SHIFT, (((key >> 21) & MASK) - BIAS) << SHIFT, ((key & MASK) - BIAS) << SHIFT
         for cell in range(CELLS):
             word = votes[row, cell]
-            if word == 0 or at == found.size:
+            if word == 0 or at == out_keys.size:
                 continue
-            found[at] = pack(i + (cell >> 6), j + ((cell >> 3) & 7), k + (cell & 7))
+            out_keys[at] = pack(i + (cell >> 6), j + ((cell >> 3) & 7), k + (cell & 7))
             for kind in range(3):
                 counts[at, kind] = (word >> np.uint64(BITS * kind)) & mask
             at += 1
@@ -201,8 +201,8 @@ class FusedLabels:
 
     def _spill(self) -> None:
         """Move the votes of the bricks into the files of their tiles."""
-        for place, votes in self.bricks.emptied(TILE_VOXELS // SIDE):
-            self._append(Tile(*place), votes)
+        for position, votes in self.bricks.emptied(TILE_VOXELS // SIDE):
+            self._append(Tile(*position), votes)
 
     def _append(self, tile: Tile, votes: VoxelVotes) -> None:
         records = np.empty(len(votes.keys), VOTE)

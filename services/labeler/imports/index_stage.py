@@ -34,22 +34,22 @@ def index_tar(context: ImportStageContext) -> Outcome:
     with context.folder() as folder:
         with context.archive(folder) as archive:
             opening = DatasetOpening(archive, imported.name, imported.sha256, context.classes, context.stated)
-            told = context.ask(DatasetIndexAnswer, partial(index_dataset, opening), "index", (archive, folder))
-        _refuse(context, told)
-        for scene in told.scenes:
+            index = context.ask(DatasetIndexAnswer, partial(index_dataset, opening), "index", (archive, folder))
+        _refuse(context, index)
+        for scene in index.scenes:
             _keep(folder, context.workspace.folder, scene.ordinal)
-        kept = _stored(context, folder, told)
+        kept = _stored(context, folder, index)
     context.workspace.push(f"{SCENES}/")
-    frames = sum(scene.frames for scene in told.scenes)
-    context.attempt.log("indexed", scenes=len(told.scenes), frames=frames)
-    result = {"scenes": len(told.scenes), "frames": frames}
-    return Outcome(result, then=_jobs(told), commit=partial(_write, context, told, kept))
+    frames = sum(scene.frames for scene in index.scenes)
+    context.attempt.log("indexed", scenes=len(index.scenes), frames=frames)
+    result = {"scenes": len(index.scenes), "frames": frames}
+    return Outcome(result, then=_jobs(index), commit=partial(_write, context, index, kept))
 
 
-def _stored(context: ImportStageContext, folder: Path, told: DatasetIndexAnswer) -> list[tuple[str, PreparedBlob]]:
+def _stored(context: ImportStageContext, folder: Path, index: DatasetIndexAnswer) -> list[tuple[str, PreparedBlob]]:
     """Store the files outside the tables by name. Raises `SandboxCrashedError` if they differ from the answer."""
     stored = list[tuple[str, PreparedBlob]]()
-    for number, file in enumerate(told.extra):
+    for number, file in enumerate(index.extra):
         path = extra_path(folder, number)
         if (
             path.parent.is_symlink()
@@ -62,15 +62,15 @@ def _stored(context: ImportStageContext, folder: Path, told: DatasetIndexAnswer)
     return stored
 
 
-def _refuse(context: ImportStageContext, told: DatasetIndexAnswer) -> None:
-    if unlabelled := [scene.name for scene in told.scenes if not scene.is_labelled]:
+def _refuse(context: ImportStageContext, index: DatasetIndexAnswer) -> None:
+    if unlabelled := [scene.name for scene in index.scenes if not scene.is_labelled]:
         raise Refused(
             "scenes_unlabelled",
             f"{len(unlabelled)} scenes have no labels in gts/, or not for every frame: {_shown(unlabelled)}; upload "
             "the recordings of scenes without labels, or remove these scenes from the tables",
         )
     with context.platform.database.reading() as session:
-        refuse_existing(session, context.imported, [scene.name for scene in told.scenes])
+        refuse_existing(session, context.imported, [scene.name for scene in index.scenes])
 
 
 def _keep(folder: Path, work: Path, ordinal: int) -> None:
@@ -89,20 +89,23 @@ def _keep(folder: Path, work: Path, ordinal: int) -> None:
             raise
 
 
-def _jobs(told: DatasetIndexAnswer) -> tuple[JobSpec, ...]:
-    scenes = [JobSpec(SCENE, {"scene": scene.ordinal}, f"scene {scene.ordinal}") for scene in told.scenes]
+def _jobs(index: DatasetIndexAnswer) -> tuple[JobSpec, ...]:
+    scenes = [JobSpec(SCENE, {"scene": scene.ordinal}, f"scene {scene.ordinal}") for scene in index.scenes]
     return (*scenes, JobSpec(PUBLISH_IMPORT, {}, "publish", tuple(scene.key for scene in scenes)))
 
 
 def _write(
-    context: ImportStageContext, told: DatasetIndexAnswer, kept: list[tuple[str, PreparedBlob]], session: Session
+    context: ImportStageContext, index: DatasetIndexAnswer, kept: list[tuple[str, PreparedBlob]], session: Session
 ) -> None:
     """Write the index. Raises `JobCancelledError`."""
     imported = kept_import(session, context.attempt)
     for name, prepared in sorted(kept, key=lambda file: file[1].sha256):  # the common order of links
         keep_file(session, imported, name, link(session, prepared))
-    imported.left_out = {"total": told.left_out_total, "files": [one.model_dump() for one in told.left_out]}
+    imported.left_out = {
+        "total": index.left_out_total,
+        "files": [oversized.model_dump() for oversized in index.left_out],
+    }
     imported.scenes = [
         {"name": scene.name, "frames": scene.frames, "splits": list(scene.splits), "region": scene.region}
-        for scene in told.scenes
+        for scene in index.scenes
     ]

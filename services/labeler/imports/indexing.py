@@ -115,18 +115,18 @@ def region_of(location: str) -> str:
 
 def _answer(index: DatasetIndex, extra: ExtraFiles) -> DatasetIndexAnswer:
     return DatasetIndexAnswer(
-        extra=[ExtraFileAnswer(name=one.name, size_bytes=one.size_bytes) for one in extra.kept],
+        extra=[ExtraFileAnswer(name=file.name, size_bytes=file.size_bytes) for file in extra.kept],
         left_out=[ExtraFileAnswer(name=name, size_bytes=size_bytes) for name, size_bytes in extra.left_out],
         left_out_total=extra.left_out_total,
         scenes=[
             IndexedSceneAnswer(
                 ordinal=ordinal,
-                name=one.name,
-                frames=len(one),
-                is_labelled=one.is_labelled,
-                splits=one.splits,
-                region=region_of(one.location),
+                name=scene.name,
+                frames=len(scene),
+                is_labelled=scene.is_labelled,
+                splits=scene.splits,
+                region=region_of(scene.location),
             )
-            for ordinal, one in enumerate(index.sequences)
+            for ordinal, scene in enumerate(index.sequences)
         ],
     )

@@ -30,11 +30,11 @@ def _words(grid: Grid) -> np.ndarray[tuple[int, ...], np.dtype[np.uint64]]:
 
 @njit(cache=True, nogil=True)
 def _count(words, counts):  # type: ignore[no-untyped-def]
-    one, two, both = np.int64(0), np.int64(0), np.int64(0)
+    first, two, both = np.int64(0), np.int64(0), np.int64(0)
     for word in words:
         if word != 0:
             low, high = word & LOWEST, (word >> np.uint64(1)) & LOWEST
-            one += np.int64(popcount(low & ~high))
+            first += np.int64(popcount(low & ~high))
             two += np.int64(popcount(high & ~low))
             both += np.int64(popcount(low & high))
-    counts[1], counts[2], counts[3] = one, two, both
+    counts[1], counts[2], counts[3] = first, two, both

@@ -62,7 +62,7 @@ def write_map_products(fused: FusedLabels, sequence: Sequence, folders: tuple[Pa
     out, scratch = folders
     step(0, 4)
     view, scene = TopView({}), SceneWriter(SceneDescription(sequence, PROFILE, None, fused.bricks.grid), out)
-    made = [_tile(one, (view, scene), scratch) for one in fused.tiles()]
+    made = [_tile(tile, (view, scene), scratch) for tile in fused.tiles()]
     if not made:
         place = DatasetPlace(label_folder(sequence.name))
         raise DatasetFaultError("DST-071", place, f"no voxel of {len(sequence.frames)} frames is T, P or N")
@@ -71,20 +71,20 @@ def write_map_products(fused: FusedLabels, sequence: Sequence, folders: tuple[Pa
     poses = sequence.frames.map_from_ego
     write_top_view(out / TOP_VIEW, view, poses)
     write_thumbnail(out / THUMBNAIL, view, poses)
-    voxels, vertices, triangles = (sum(one.size[at] for one in made) for at in range(3))
+    voxels, vertices, triangles = (sum(tile.size[at] for tile in made) for at in range(3))
     step(2, 4)
-    write_mesh(out / MESH, (vertices, triangles), [partial(_piece, one) for one in made])
+    write_mesh(out / MESH, (vertices, triangles), [partial(_piece, tile) for tile in made])
     step(3, 4)
     from services.labeler.previews.map_view import write_map_oblique  # imports a drawing library: half a second
     from services.labeler.previews.preview_files import MAP
 
-    write_map_oblique([slab for one in made for slab in _slabs(one)], poses, out / MAP)
+    write_map_oblique([slab for tile in made for slab in _slabs(tile)], poses, out / MAP)
     step(4, 4)
     return MapFacts(len(made), voxels, vertices, triangles)
 
 
-def _tile(one: tuple[Tile, Keys, NDArray[np.uint8]], into: tuple[TopView, SceneWriter], scratch: Path) -> _Made:
-    (tile, keys, classes), (view, scene) = one, into
+def _tile(fused: tuple[Tile, Keys, NDArray[np.uint8]], into: tuple[TopView, SceneWriter], scratch: Path) -> _Made:
+    (tile, keys, classes), (view, scene) = fused, into
     view.add(tile, keys, classes)  # type: ignore[arg-type]
     nothing = np.full((len(keys), 3), np.nan)
     voxels = TileVoxels(indices_of(keys), classes, nothing, nothing[:, 0], np.zeros(len(keys), np.uint8))

@@ -22,7 +22,7 @@ from services.domain.viewer.playback import PLAYBACK
 from services.labeler.child_answers import PublicationAnswer
 from services.labeler.imports.import_workspace import ImportStageContext, import_context_of
 from services.labeler.imports.index_stage import index_tar
-from services.labeler.imports.scene_stage import TOLD, import_one_scene, told_path
+from services.labeler.imports.scene_stage import TOLD, answer_path, import_one_scene
 from services.labeler.label_rows import (
     LABELS,
     NewArtefact,
@@ -52,7 +52,7 @@ COUNTED = (LABELS, "source/")
 class _SceneRows:
     """The rows of a scene: its files, and the answer about its labels."""
 
-    told: PublicationAnswer
+    answer: PublicationAnswer
     files: tuple[NewArtefact, ...]
 
     @property
@@ -71,7 +71,7 @@ def publish_scenes(context: ImportStageContext) -> Outcome:
     with context.platform.database.reading() as session:
         files = _files(session, context.imported)
     scenes = [_scene(context, ordinal, files.get(ordinal, [])) for ordinal in range(len(context.imported.scenes or []))]
-    frames = sum(len(scene.told.tokens) for scene in scenes)
+    frames = sum(len(scene.answer.tokens) for scene in scenes)
     context.attempt.log("published", scenes=len(scenes), frames=frames)
     return Outcome({"scenes": len(scenes), "frames": frames}, commit=partial(_write, context, scenes))
 
@@ -83,20 +83,20 @@ def _files(session: Session, imported: DatasetImport) -> dict[int, list[Imported
 
 def _scene(context: ImportStageContext, ordinal: int, files: Sequence[ImportedFile]) -> _SceneRows:
     """Return the rows of a scene. Raises `JobCancelledError`, `SandboxCrashedError`."""
-    path = context.workspace.folder / told_path(ordinal)
+    path = context.workspace.folder / answer_path(ordinal)
     if not path.exists():
         gone = "the intermediate files of its scenes were deleted"
         begin_run_again(context.platform, context.attempt, gone)
         raise JobCancelledError(gone)
-    told = PublicationAnswer.believed(path.read_bytes())
-    packs = {f"{LABELS}{pack.name.rpartition('/')[2]}": pack for pack in told.packs}
+    answer = PublicationAnswer.believed(path.read_bytes())
+    packs = {f"{LABELS}{pack.name.rpartition('/')[2]}": pack for pack in answer.packs}
     artefacts = tuple(
         NewArtefact(file.name, file.media_type, file.blob_sha256, file.size_bytes, packs.pop(file.name, None))
         for file in files
     )
     if packs or any(file.pack is not None and file.pack.size_bytes != file.size_bytes for file in artefacts):
         raise SandboxCrashedError(f"listed packs of scene {ordinal} other than the stored packs")
-    return _SceneRows(told, artefacts)
+    return _SceneRows(answer, artefacts)
 
 
 def _write(context: ImportStageContext, scenes: Sequence[_SceneRows], session: Session) -> None:
@@ -121,11 +121,11 @@ def _write_scene(
     if standing is not None:
         return PublishedScene(sequence.id, standing.id, 0)
     parameters = {"profile": PROFILE, "dataset": imported.name, "sha256": imported.sha256, "classes": imported.classes}
-    new = NewLabelSet(sequence.id, context.attempt.root_id, recipe, parameters, "imports", scene.told.grid)
-    labels = write_label_set(session, new, scene.told)
+    new = NewLabelSet(sequence.id, context.attempt.root_id, recipe, parameters, "imports", scene.answer.grid)
+    labels = write_label_set(session, new, scene.answer)
     labels.source_place = imported.place
     for file in scene.files:
-        write_artefact(session, labels.id, file, scene.told)
+        write_artefact(session, labels.id, file, scene.answer)
     if context.platform.settings.viewing.makes_playback:
         follow_labels(session, sequence, labels, PLAYBACK)
     return PublishedScene(sequence.id, labels.id, scene.size_bytes)

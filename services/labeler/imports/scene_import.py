@@ -71,12 +71,12 @@ from stone_files.npz import npz_bytes
 Told = Callable[[int, int], None]
 
 
-def write_source(parts: SceneParts, out: Path, told: Told, *, is_in_place: bool) -> None:
+def write_source(parts: SceneParts, out: Path, progress: Told, *, is_in_place: bool) -> None:
     """Write the indexes and packs to `out`. Raises a `DatasetFaultError`, `bad_member`, `StoreFullError`."""
     tables = {f"{VERSION}/{path.name}": path for path in (parts.folder / TABLES).iterdir()}
     places = {name: number for number, name in enumerate(parts.spans.names)}
     is_own = parts.layout.has_masks and parts.layout.label_key == GRIDS[0]
-    labels = {} if is_own else {one.name: one for one in map(parts.label_file, range(len(parts.spans.labels)))}
+    labels = {} if is_own else {file.name: file for file in map(parts.label_file, range(len(parts.spans.labels)))}
     names = sorted({*tables, *places, *labels})
     check_names(names)
     sensors, packed = sensors_of(parts), PackWriter(out / SOURCE)
@@ -84,7 +84,7 @@ def write_source(parts: SceneParts, out: Path, told: Told, *, is_in_place: bool)
         (out / SOURCE_PLACED).write_bytes(placed_bytes(_placed(parts, [*labels])))
         names = sorted(tables)
     for done, name in enumerate(names):
-        told(done, len(names))
+        progress(done, len(names))
         if name in tables:
             packed.add(name, pieces_of(tables[name]))
         elif name in labels:
@@ -118,8 +118,10 @@ def _checked(parts: SceneParts, number: int, sensors: dict[str, ExportedSensor])
         return span
     if channel not in sensors:
         raise scene_damaged(f"{span.name} belongs to {channel!r}, which is not in the rig")
-    place = DatasetPlace(ANNOTATIONS) if row < 0 else DatasetPlace(f"{parts.about.version}/sample_data.json", row + 1)
-    check_sample(span, sensors[channel], place, has_no_returns=parts.layout.has_no_returns)
+    row_place = (
+        DatasetPlace(ANNOTATIONS) if row < 0 else DatasetPlace(f"{parts.about.version}/sample_data.json", row + 1)
+    )
+    check_sample(span, sensors[channel], row_place, has_no_returns=parts.layout.has_no_returns)
     return span
 
 
@@ -306,11 +308,13 @@ def class_record(classes: ClassMap) -> dict[str, Any]:
 
 def findings_of(labels: ImportedLabels) -> tuple[Finding, ...]:
     """Return warnings about missing data, for users of the labels."""
-    frames, found = len(labels.ranges), []
+    frames, findings = len(labels.ranges), []
     for code, (name, why) in zip(("IMP-601", "IMP-602"), NO_MASK.items(), strict=True):
         if labels.notes[name]:
-            found.append(Finding(code, "warning", "", f"{labels.notes[name]} of {frames} frames have no {name}: {why}"))
-    return tuple(found)
+            findings.append(
+                Finding(code, "warning", "", f"{labels.notes[name]} of {frames} frames have no {name}: {why}")
+            )
+    return tuple(findings)
 
 
 def _shares(counts: FrameVoxelCounts) -> Mapping[str, float]:

@@ -56,15 +56,15 @@ def import_one_scene(context: ImportStageContext) -> Outcome:
         shutil.copytree(context.workspace.folder / scene_folder(ordinal), scene)
         with context.archive(folder) as archive:
             opening = SceneOpening(archive, ordinal, context.classes, is_in_place=context.place is not None)
-            told = context.ask(PublicationAnswer, partial(import_scene, opening), "import", (archive, folder))
-        kept = _Kept(ordinal, _stored(context, _files(scene / OUT, told)))
-    _leave(context, ordinal, told)
+            answer = context.ask(PublicationAnswer, partial(import_scene, opening), "import", (archive, folder))
+        kept = _Kept(ordinal, _stored(context, _files(scene / OUT, answer)))
+    _leave(context, ordinal, answer)
     size_bytes = sum(blob.size_bytes for _, blob in kept.files)
-    context.attempt.log("imported", scene=ordinal, frames=len(told.tokens), size_bytes=size_bytes)
-    return Outcome({"frames": len(told.tokens)}, commit=partial(_hold, context, kept))
+    context.attempt.log("imported", scene=ordinal, frames=len(answer.tokens), size_bytes=size_bytes)
+    return Outcome({"frames": len(answer.tokens)}, commit=partial(_hold, context, kept))
 
 
-def told_path(ordinal: int) -> str:
+def answer_path(ordinal: int) -> str:
     """Return the name, in the workspace, of a scene's answer."""
     return f"{TOLD}/{ordinal:06d}.json"
 
@@ -78,15 +78,15 @@ def _require_indexed(context: ImportStageContext, ordinal: int) -> None:
         raise JobCancelledError(gone)
 
 
-def _files(out: Path, told: PublicationAnswer) -> list[LeftFile]:
+def _files(out: Path, answer: PublicationAnswer) -> list[LeftFile]:
     """Return the artefacts of the scene. Raises `SandboxCrashedError` if they differ from the answer."""
-    found = {file.name: file for file in files_left(out)} if out.is_dir() and not out.is_symlink() else {}
-    packs = {f"{LABELS}{Path(pack.name).name}": pack for pack in told.packs}
-    missing = [name for name in (*NEEDED, *packs) if name not in found]
-    unasked = [name for name in found if len(name) > LONGEST_NAME or (name.startswith(LABELS) and name not in packs)]
+    files = {file.name: file for file in files_left(out)} if out.is_dir() and not out.is_symlink() else {}
+    packs = {f"{LABELS}{Path(pack.name).name}": pack for pack in answer.packs}
+    missing = [name for name in (*NEEDED, *packs) if name not in files]
+    unasked = [name for name in files if len(name) > LONGEST_NAME or (name.startswith(LABELS) and name not in packs)]
     if missing or unasked:
         raise SandboxCrashedError(f"wrote a scene without {missing[:3]}, or with {unasked[:3]}")
-    return [pack_left(file.path, packs[name]) if name in packs else file for name, file in found.items()]
+    return [pack_left(file.path, packs[name]) if name in packs else file for name, file in files.items()]
 
 
 def _stored(context: ImportStageContext, files: list[LeftFile]) -> list[tuple[LeftFile, PreparedBlob]]:
@@ -98,12 +98,12 @@ def _stored(context: ImportStageContext, files: list[LeftFile]) -> list[tuple[Le
     return stored
 
 
-def _leave(context: ImportStageContext, ordinal: int, told: PublicationAnswer) -> None:
-    path = context.workspace.folder / told_path(ordinal)
+def _leave(context: ImportStageContext, ordinal: int, answer: PublicationAnswer) -> None:
+    path = context.workspace.folder / answer_path(ordinal)
     path.parent.mkdir(exist_ok=True)
     with atomic_file(path) as staging:
-        staging.write_bytes(told.packed())
-    context.workspace.push(told_path(ordinal))
+        staging.write_bytes(answer.packed())
+    context.workspace.push(answer_path(ordinal))
 
 
 def _hold(context: ImportStageContext, kept: _Kept, session: Session) -> None:

@@ -88,11 +88,11 @@ def _calibration(scene: DatasetSequence) -> Calibration:
     sensors = [channel.sensor for name, channel in scene.channels.items() if name != LIDAR_CHANNEL]
     mounts = [
         Mount(
-            one.channel,
-            one.modality,  # type: ignore[arg-type]  # camera, lidar or radar
-            ego_from_lidar.inverse() @ one.ego_from_sensor,
-            intrinsics=one.intrinsics,
+            sensor.channel,
+            sensor.modality,  # type: ignore[arg-type]  # camera, lidar or radar
+            ego_from_lidar.inverse() @ sensor.ego_from_sensor,
+            intrinsics=sensor.intrinsics,
         )
-        for one in sensors
+        for sensor in sensors
     ]
     return Calibration(scene.vehicle or scene.name, ego_from_lidar, tuple(mounts))

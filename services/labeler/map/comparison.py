@@ -120,27 +120,27 @@ class ComparisonCounter:
         self._alternative = alternative_reference(run, tiles)
         self.comparison = ProfileComparison(np.zeros((3, 3), np.int64))
 
-    def add(self, found: LabelledTile) -> None:
+    def add(self, tile: LabelledTile) -> None:
         """Add one tile."""
         parameters, vehicle = self._run.parameters, self._run.sequence.calibration.vehicle
-        others = self._classes(found, self._other_reference, self._other)
+        others = self._classes(tile, self._other_reference, self._other)
         bins = np.arange(TRAVERSABLE, NON_TRAVERSABLE + 2) - 0.5
-        pairs, _, _ = np.histogram2d(found.classes, others, (bins, bins))
-        again = found.classes
+        pairs, _, _ = np.histogram2d(tile.classes, others, (bins, bins))
+        again = tile.classes
         if self._alternative is not None:
-            again = self._classes(found, self._alternative, parameters)
-        is_steep = ~found.is_driven & (found.terrain.slope_deg > vehicle.max_slope_deg + STEEPER_DEG)
-        is_beyond = found.is_driven & (found.terrain.limit_ratio(vehicle) > 1.0)
-        is_unlike = found.is_driven & (found.squared > threshold(parameters.reference.alpha))
-        steep_p = (is_steep & (classes == POTENTIAL) for classes in (found.classes, again))
-        counted = (found.is_driven, is_unlike, is_beyond, again != found.classes, is_steep, *steep_p)
+            again = self._classes(tile, self._alternative, parameters)
+        is_steep = ~tile.is_driven & (tile.terrain.slope_deg > vehicle.max_slope_deg + STEEPER_DEG)
+        is_beyond = tile.is_driven & (tile.terrain.limit_ratio(vehicle) > 1.0)
+        is_unlike = tile.is_driven & (tile.squared > threshold(parameters.reference.alpha))
+        steep_p = (is_steep & (classes == POTENTIAL) for classes in (tile.classes, again))
+        counted = (tile.is_driven, is_unlike, is_beyond, again != tile.classes, is_steep, *steep_p)
         before = self.comparison
         totals = [old + int(new.sum()) for old, new in zip(before.counted, counted, strict=True)]
         self.comparison = ProfileComparison(before.counts + pairs.astype(np.int64), *totals)
 
-    def _classes(self, found: LabelledTile, reference: Reference, parameters: LabelParameters) -> NDArray[np.uint8]:
-        squared = squared_distances(self._run, found.terrain, reference, parameters)
-        return classify(squared, found.is_driven, parameters.reference.alpha)
+    def _classes(self, tile: LabelledTile, reference: Reference, parameters: LabelParameters) -> NDArray[np.uint8]:
+        squared = squared_distances(self._run, tile.terrain, reference, parameters)
+        return classify(squared, tile.is_driven, parameters.reference.alpha)
 
 
 def comparison_path(run: LabelRun) -> Path:
@@ -201,12 +201,12 @@ def outlier_counts(tiles: Listing[TileSummary], parameters: LabelParameters) -> 
     rows = np.concatenate([tile.driven.features(parameters.rule) for tile in tiles])
     if len(rows) < FEW_VOXELS:
         return None
-    found = robust_scatter(rows, parameters.reference.outlier_ratio or USUAL_RATIO)
-    sigma = np.sqrt(np.diag(found.covariance))
-    off = np.abs(rows - found.mean)
+    scatter = robust_scatter(rows, parameters.reference.outlier_ratio or USUAL_RATIO)
+    sigma = np.sqrt(np.diag(scatter.covariance))
+    off = np.abs(rows - scatter.mean)
     far = (off > FAR_SIGMAS * np.maximum(sigma, np.finfo(float).eps)).sum(axis=0)
     farthest = rows[off.argmax(axis=0), np.arange(rows.shape[1])]
-    return OutlierCounts(len(rows), found.mean, sigma, rows.std(axis=0, ddof=1), far, farthest)
+    return OutlierCounts(len(rows), scatter.mean, sigma, rows.std(axis=0, ddof=1), far, farthest)
 
 
 def alternative_reference(run: LabelRun, tiles: Listing[TileSummary]) -> Reference | None:
@@ -262,12 +262,12 @@ def limit_findings(comparison: ProfileComparison) -> list[Finding]:
 def _far(counts: OutlierCounts, at: int) -> str:
     """Return one feature's outliers as a phrase."""
     sigma, of_all, farthest = (
-        _told(float(values[at]), at) for values in (counts.sigma, counts.sigma_of_all, counts.farthest)
+        _with_unit(float(values[at]), at) for values in (counts.sigma, counts.sigma_of_all, counts.farthest)
     )
     return f"{counts.far[at]} in {NAMES[at]} (up to {farthest}), with σ {of_all}, or {sigma} without the outliers"
 
 
-def _told(value: float, at: int) -> str:
+def _with_unit(value: float, at: int) -> str:
     if NAMES[at] == "slope":
         return f"{np.rad2deg(value):.1f}°"
     return f"{value:.2g} m" if NAMES[at] == "elevation" else f"{value:.2g} log m²"

@@ -37,21 +37,21 @@ def convergence_of(tiles: Iterable[TileSummary], parameters: SurfaceParameters) 
     if parameters.solver == "octree":
         return None
     descents = [tile.descent for tile in tiles]
-    residuals = [one.residual_ratio if math.isfinite(one.residual_ratio) else math.inf for one in descents]
+    residuals = [descent.residual_ratio if math.isfinite(descent.residual_ratio) else math.inf for descent in descents]
     over = sum(residual > SLACK_RATIO * parameters.poisson.tolerance_ratio for residual in residuals)
     return Convergence(
-        max((one.rounds for one in descents), default=0), max(residuals, default=0.0), len(descents), over
+        max((descent.rounds for descent in descents), default=0), max(residuals, default=0.0), len(descents), over
     )
 
 
-def convergence_findings(found: Convergence | None, parameters: SurfaceParameters) -> tuple[Finding, ...]:
+def convergence_findings(convergence: Convergence | None, parameters: SurfaceParameters) -> tuple[Finding, ...]:
     """Return LAB-609 if a tile's surface does not match its points."""
-    if found is None or not found.unconverged:
+    if convergence is None or not convergence.unconverged:
         return ()
     sentence = (
-        f"the surface of {found.unconverged} of {found.tiles} tiles did not converge in {found.rounds} rounds "
-        f"(residual up to {found.residual_ratio:.2g} cells, tolerance {parameters.poisson.tolerance_ratio:g}). Slopes "
-        "and heights there do not match the points; is the tolerance too small, or does the map contain points that "
-        "are not on a surface?"
+        f"the surface of {convergence.unconverged} of {convergence.tiles} tiles did not converge in "
+        f"{convergence.rounds} rounds (residual up to {convergence.residual_ratio:.2g} cells, tolerance "
+        f"{parameters.poisson.tolerance_ratio:g}). Slopes and heights there do not match the points; is the tolerance "
+        "too small, or does the map contain points that are not on a surface?"
     )
     return (Finding("LAB-609", "warning", "", sentence),)

@@ -29,7 +29,7 @@ class FarPoints:
     untimed_sweeps: int = 0
 
     def __add__(self, other: "FarPoints") -> "FarPoints":
-        return FarPoints(*(one + another for one, another in zip(astuple(self), astuple(other), strict=True)))
+        return FarPoints(*(own + another for own, another in zip(astuple(self), astuple(other), strict=True)))
 
 
 def far_points_of(sweep: Sweep) -> FarPoints:
@@ -41,38 +41,38 @@ def far_points_path(run: LabelRun, part: Part) -> Path:
     return run.scratch / FAR / f"{part[0]:06d}.npz"
 
 
-def save_far_points(run: LabelRun, part: Part, found: FarPoints) -> None:
-    save(far_points_path(run, part), {"counts": np.array(astuple(found), np.int64)})
+def save_far_points(run: LabelRun, part: Part, counted: FarPoints) -> None:
+    save(far_points_path(run, part), {"counts": np.array(astuple(counted), np.int64)})
 
 
 def load_far_points(run: LabelRun) -> FarPoints:
     """Return the sum over all parts of the run."""
     counts = (load(far_points_path(run, part))["counts"].tolist() for part in parts_of(run))
-    return sum((FarPoints(*one) for one in counts), FarPoints())
+    return sum((FarPoints(*row) for row in counts), FarPoints())
 
 
-def far_point_findings(found: FarPoints) -> tuple[Finding, ...]:
+def far_point_findings(far: FarPoints) -> tuple[Finding, ...]:
     """Return LAB-608 if points were excluded."""
-    if not found.points:
+    if not far.points:
         return ()
     sentence = (
-        f"{found.points} points in {found.sweeps} of {found.read} sweeps are farther than {FARTHEST_POINT_M:g} m from "
+        f"{far.points} points in {far.sweeps} of {far.read} sweeps are farther than {FARTHEST_POINT_M:g} m from "
         "the LiDAR, beyond any LiDAR's range, and are excluded. Does the driver write a number for missing returns, "
         "are the points in millimetres, or is the recording damaged?"
     )
     return (Finding("LAB-608", "warning", "", sentence),)
 
 
-def time_findings(found: FarPoints, sequence: Sequence) -> tuple[Finding, ...]:
+def time_findings(far: FarPoints, sequence: Sequence) -> tuple[Finding, ...]:
     """Return MSG-321 and MSG-322 for bad times in sweeps that synchronisation did not read."""
     topic = sequence.frames.sweeps.topic if sequence.frames.sweeps else ""
     known = {finding.code for finding in sequence.findings}
     counts = (
-        ("MSG-321", found.mistimed, f"{found.mistimed} points in {found.mistimed_sweeps}", "have bad times"),
-        ("MSG-322", found.untimed_sweeps % max(found.read, 1), f"{found.untimed_sweeps}", "are not deskewed"),
+        ("MSG-321", far.mistimed, f"{far.mistimed} points in {far.mistimed_sweeps}", "have bad times"),
+        ("MSG-322", far.untimed_sweeps % max(far.read, 1), f"{far.untimed_sweeps}", "are not deskewed"),
     )
     return tuple(
-        Finding(code, "warning", topic, f"{shown} of {found.read} fused sweeps {what}: their times cannot be read")
+        Finding(code, "warning", topic, f"{shown} of {far.read} fused sweeps {what}: their times cannot be read")
         for code, count, shown, what in counts
         if count and code not in known
     )

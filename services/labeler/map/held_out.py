@@ -38,13 +38,14 @@ class HeldOutTrack:
         self._run = run
         driven = [tile.driven for tile in tiles]
         self._terrain = VoxelTerrain(
-            np.concatenate([one.keys for one in driven]), np.concatenate([one.columns for one in driven])
+            np.concatenate([terrain.keys for terrain in driven]),
+            np.concatenate([terrain.columns for terrain in driven]),
         )
         self._passes = Passes(
             np.concatenate([tile.passes.first_m for tile in tiles]),
             np.concatenate([tile.passes.last_m for tile in tiles]),
         )
-        maps = np.repeat([tile.tile.map for tile in tiles], [len(one) for one in driven])
+        maps = np.repeat([tile.tile.map for tile in tiles], [len(terrain) for terrain in driven])
         self._places = DrivenPlaces(centres_of(self._terrain.keys, VOXEL_M)[:, :2], maps)
 
     def from_first(self, ratio: float = HALF) -> HeldOut | None:
@@ -80,17 +81,17 @@ def held_out_record(track: HeldOutTrack) -> dict[str, Any]:
     A half without enough ground of its own is null.
     """
     halves = dict(zip(HALVES, (track.from_first(), track.from_last()), strict=True))
-    known = [one for one in halves.values() if one is not None]
-    total = sum(int(one.voxels.sum()) for one in known)
-    kept = sum(int(one.kept.sum()) for one in known)
+    known = [half for half in halves.values() if half is not None]
+    total = sum(int(half.voxels.sum()) for half in known)
+    kept = sum(int(half.kept.sum()) for half in known)
     return {
         "recall": round(kept / total, 4) if total else None,
-        "judged_m": round(sum(one.judged_m for one in known), 1),
-        **{name: None if one is None else _record(one) for name, one in halves.items()},
+        "judged_m": round(sum(half.judged_m for half in known), 1),
+        **{name: None if half is None else _record(half) for name, half in halves.items()},
     }
 
 
-def _record(found: HeldOut) -> dict[str, Any]:
+def _record(held_out: HeldOut) -> dict[str, Any]:
     bands = [
         {
             "from_m": low,
@@ -98,9 +99,9 @@ def _record(found: HeldOut) -> dict[str, Any]:
             "voxels": int(voxels),
             "recall": round(float(kept / voxels), 4) if voxels else None,
         }
-        for low, high, voxels, kept in zip(BANDS_M[:-1], BANDS_M[1:], found.voxels, found.kept, strict=True)
+        for low, high, voxels, kept in zip(BANDS_M[:-1], BANDS_M[1:], held_out.voxels, held_out.kept, strict=True)
     ]
-    figures = {"recall": found.recall, "judged_m": found.judged_m, "known_m": found.known_m}
+    figures = {"recall": held_out.recall, "judged_m": held_out.judged_m, "known_m": held_out.known_m}
     return {name: round(value, 4 if name == "recall" else 1) for name, value in figures.items()} | {
         "by_distance": bands
     }

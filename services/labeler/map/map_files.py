@@ -57,11 +57,11 @@ def write_map(run: LabelRun, tiles: list[TileSummary], reference: Reference, out
     driven = CoverageCounter(run)
     for number, summary in enumerate(tiles):
         step(number, len(tiles) + 1)
-        found = labelled_tile(run, summary.tile, reference, with_confidence=True)
-        view.add(summary.tile, found.terrain.keys, found.classes)  # type: ignore[arg-type]
-        counter.add(found)
-        driven.add(summary.tile, found)
-        scene.add(summary.tile, found)
+        labelled = labelled_tile(run, summary.tile, reference, with_confidence=True)
+        view.add(summary.tile, labelled.terrain.keys, labelled.classes)  # type: ignore[arg-type]
+        counter.add(labelled)
+        driven.add(summary.tile, labelled)
+        scene.add(summary.tile, labelled)
     scene.finish()
     save_comparison(run, counter.comparison)
     save_coverage(run, driven.coverage())
@@ -77,13 +77,13 @@ def write_map(run: LabelRun, tiles: list[TileSummary], reference: Reference, out
 
 
 def _piece(run: LabelRun, tile: Tile, reference: Reference) -> Piece:
-    found = labelled_tile(run, tile, reference)
-    mesh = found.mesh
+    labelled = labelled_tile(run, tile, reference)
+    mesh = labelled.mesh
     vertices: NDArray[np.float32] = mesh["vertices"]  # type: ignore[assignment]
-    kinds = class_at(vertices, found.terrain.keys, found.classes)
+    kinds = class_at(vertices, labelled.terrain.keys, labelled.classes)
     return vertices, mesh["vertex_features"], mesh["triangles"], kinds  # type: ignore[return-value]
 
 
 def _map_piece(run: LabelRun, tile: Tile, reference: Reference) -> MapPiece:
-    found = labelled_tile(run, tile, reference)
-    return MapPiece(found.terrain.keys, found.terrain.features(run.parameters.rule), found.classes)
+    labelled = labelled_tile(run, tile, reference)
+    return MapPiece(labelled.terrain.keys, labelled.terrain.features(run.parameters.rule), labelled.classes)

@@ -115,7 +115,7 @@ class _Aligner:
 
     def _aligned(self, cloud: Any, given: SE3) -> tuple[SE3, str]:
         options = self._options
-        found = self._gicp.align(
+        result = self._gicp.align(
             self._map,
             cloud,
             given.as_matrix(),
@@ -125,11 +125,11 @@ class _Aligner:
             rotation_epsilon=1e-4,
             translation_epsilon=5e-4,
         )
-        if found.num_inliers < options.least_overlap_ratio * cloud.size():
+        if result.num_inliers < options.least_overlap_ratio * cloud.size():
             return given, "too_little_seen"
-        if not found.converged or not np.isfinite(found.T_target_source).all():
+        if not result.converged or not np.isfinite(result.T_target_source).all():
             return given, "not_converged"
-        pose = SE3.from_matrix(np.asarray(found.T_target_source))
+        pose = SE3.from_matrix(np.asarray(result.T_target_source))
         moved_m, turned_rad = apart(given, pose)
         if moved_m > options.max_correction_m or turned_rad > options.max_correction_rad:
             return given, "beyond_limit"
@@ -159,7 +159,7 @@ def _refinement(trail: _Trail, before: Sharpness, after: Sharpness) -> Refinemen
 
 
 def _findings(done: Refinement, options: RefinementParameters) -> tuple[Finding, ...]:
-    said = Finding(
+    refined = Finding(
         "LAB-611",
         "info",
         "",
@@ -169,11 +169,11 @@ def _findings(done: Refinement, options: RefinementParameters) -> tuple[Finding,
         f"{1000 * done.before.thickness_m:.1f} mm",
     )
     if not sum(done.kept.values()):
-        return (said,)
+        return (refined,)
     reasons = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in done.kept.items() if count)
     limits = f"{options.max_correction_m:g} m and {np.rad2deg(options.max_correction_rad):.1f} degrees"
     kept = f"{sum(done.kept.values())} of {done.frames} poses were not refined ({reasons}; limits {limits}): "
     if not done.kept["beyond_limit"]:
-        return (said, Finding("LAB-612", "info", "", f"{kept}they keep their given poses"))
+        return (refined, Finding("LAB-612", "info", "", f"{kept}they keep their given poses"))
     advice = "corrections this large are not noise; is the pose source the right one?"
-    return (said, Finding("LAB-612", "warning", "", kept + advice))
+    return (refined, Finding("LAB-612", "warning", "", kept + advice))

@@ -36,22 +36,22 @@ class SceneFiles:
 
     def __init__(self, run: LabelRun, reference: Reference, out: Path) -> None:
         self._run = run
-        said = SceneDescription(
+        description = SceneDescription(
             run.sequence, run.parameters.profile, _reference_record(run, reference), run.parameters.grid
         )
-        self._writer = SceneWriter(said, out)
+        self._writer = SceneWriter(description, out)
 
-    def add(self, tile: Tile, found: LabelledTile) -> None:
+    def add(self, tile: Tile, labelled: LabelledTile) -> None:
         """Write one tile."""
-        indices = indices_of(found.terrain.keys)
-        surface = found.mesh
+        indices = indices_of(labelled.terrain.keys)
+        surface = labelled.mesh
         if not len(indices) and not len(surface["vertices"]):
             return
-        features = np.round(found.terrain.features(self._run.parameters.rule) / STEPS) * STEPS
-        confidence = np.zeros(len(indices), np.uint8) if found.confidence is None else found.confidence
-        voxels = TileVoxels(indices, found.classes, features, found.squared, confidence)
+        features = np.round(labelled.terrain.features(self._run.parameters.rule) / STEPS) * STEPS
+        confidence = np.zeros(len(indices), np.uint8) if labelled.confidence is None else labelled.confidence
+        voxels = TileVoxels(indices, labelled.classes, features, labelled.squared, confidence)
         corner_m = np.array([tile.i, tile.j, 0.0]) * self._run.parameters.core_m
-        mesh = thinned(_surface(surface, found), MOST_TRIANGLES)
+        mesh = thinned(_surface(surface, labelled), MOST_TRIANGLES)
         self._writer.add(tile_name(tile), voxels, mesh, corner_m)
 
     def finish(self) -> None:
@@ -68,12 +68,12 @@ def _reference_record(run: LabelRun, reference: Reference) -> dict[str, Any]:
     }
 
 
-def _surface(arrays: Arrays, found: LabelledTile) -> TileMesh:
+def _surface(arrays: Arrays, labelled: LabelledTile) -> TileMesh:
     """Return the triangles of a tile, without unused vertices."""
     used = np.zeros(len(arrays["vertices"]), np.bool_)
     used[arrays["triangles"]] = True
     mesh = Mesh(arrays["vertices"], arrays["triangles"]).where(used)  # type: ignore[arg-type]
-    classes = class_at(mesh.vertices_map, found.terrain.keys, found.classes)  # type: ignore[arg-type]
+    classes = class_at(mesh.vertices_map, labelled.terrain.keys, labelled.classes)  # type: ignore[arg-type]
     return TileMesh(mesh.vertices_map, classes, mesh.triangles)
 
 
@@ -181,11 +181,11 @@ MOST_PACKED = 2**21  # three such numbers fit into 64 bits
 
 def thinned(mesh: TileMesh, most_triangles: int) -> TileMesh:
     """Return at most `most_triangles` (> 0) triangles; smaller meshes are returned unchanged."""
-    found, cell_m = mesh, FIRST_CELL_M
-    while len(found.triangles) > most_triangles:
-        found = _clustered(mesh, cell_m)
+    smaller, cell_m = mesh, FIRST_CELL_M
+    while len(smaller.triangles) > most_triangles:
+        smaller = _clustered(mesh, cell_m)
         cell_m *= GROWTH
-    return found
+    return smaller
 
 
 def _clustered(mesh: TileMesh, cell_m: float) -> TileMesh:

@@ -70,14 +70,14 @@ def surface(run: LabelRun, tile: Tile, step: Step = silent) -> TileSummary:
     of_vertices, datum = terrain_features(mesh, normals, run.parameters.terrain), datum_m(run.sequence, tile.map)
     terrain = _terrain(run, voxel_features(mesh.vertices_map, of_vertices), points, datum)
     terrain = terrain.where(in_core(centres_of(terrain.keys, VOXEL_M), tile, run.parameters.core_m))
-    found = _passes(run, tile, path, terrain)
+    passes = _passes(run, tile, path, terrain)
     kept, of_kept = _core_mesh(mesh, of_vertices - (datum, 0.0, 0.0), tile, run.parameters.core_m)
     observed = load_observed(run, tile)
-    _leave(run, tile, (terrain, found.is_driven), (kept, of_kept, observed))
+    _leave(run, tile, (terrain, passes.is_driven), (kept, of_kept, observed))
     step(STEPS, STEPS)
     inside = int(in_core(points.centroids_map(), tile, run.parameters.core_m).sum())
     counts = (len(terrain), inside, int(moving.sum()), len(kept.vertices_map), len(kept.triangles))
-    return TileSummary(tile, terrain.where(found.is_driven), found.where(found.is_driven), *counts, descent)
+    return TileSummary(tile, terrain.where(passes.is_driven), passes.where(passes.is_driven), *counts, descent)
 
 
 def _cube(parameters: LabelParameters, tile: Tile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -122,10 +122,10 @@ def _mesh(parameters: LabelParameters, points: PointMap, low: NDArray[np.float64
     return (whole.where(keep), vertex_normals(whole)[keep]), descent
 
 
-def _terrain(run: LabelRun, found: VoxelFeatures, points: PointMap, datum: float) -> VoxelTerrain:
+def _terrain(run: LabelRun, features: VoxelFeatures, points: PointMap, datum: float) -> VoxelTerrain:
     """Return the terrain of the voxels that the mesh crosses, for all profiles; elevations are above `datum` metres."""
     parameters, vehicle = run.parameters, run.sequence.calibration.vehicle
-    voxels = replace(found, features=with_elevation(found.features, found.features[:, ELEVATION] - datum))
+    voxels = replace(features, features=with_elevation(features.features, features.features[:, ELEVATION] - datum))
     height_m = height_above_local_ground(voxels, parameters.local_ground_radius_m)
     shape = ground_shape(voxels, np.deg2rad(vehicle.max_slope_deg), parameters.body_clearance_m)
     return terrain_of(voxels, height_m, shape, looks_of(voxels.keys, points.keys, points.frames_seen()))

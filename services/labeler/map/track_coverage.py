@@ -27,9 +27,9 @@ class CoverageCounter:
         self._run = run
         self._driven = defaultdict[int, list[Keys]](list)
 
-    def add(self, tile: Tile, found: LabelledTile) -> None:
+    def add(self, tile: Tile, labelled: LabelledTile) -> None:
         """Add one tile."""
-        self._driven[tile.map].append(found.terrain.keys[found.is_driven])
+        self._driven[tile.map].append(labelled.terrain.keys[labelled.is_driven])
 
     def coverage(self) -> TrackCoverage:
         """Return the coverage of all sections of the track, each in its own map."""
@@ -45,21 +45,24 @@ def coverage_path(run: LabelRun) -> Path:
     return run.scratch / COVERAGE
 
 
-def save_coverage(run: LabelRun, found: TrackCoverage) -> None:
-    save(coverage_path(run), {"counts": np.array([found.places, found.closed, found.poses, found.bare], np.int64)})
+def save_coverage(run: LabelRun, coverage: TrackCoverage) -> None:
+    save(
+        coverage_path(run),
+        {"counts": np.array([coverage.places, coverage.closed, coverage.poses, coverage.bare], np.int64)},
+    )
 
 
 def load_coverage(run: LabelRun) -> TrackCoverage:
     return TrackCoverage(*load(coverage_path(run))["counts"].tolist())
 
 
-def coverage_findings(found: TrackCoverage, band_m: float) -> tuple[Finding, ...]:
+def coverage_findings(coverage: TrackCoverage, band_m: float) -> tuple[Finding, ...]:
     """Return LAB-607 if less of the track is T than on driven ground in general."""
-    if found.closed_ratio >= USUAL_RATIO:
+    if coverage.closed_ratio >= USUAL_RATIO:
         return ()
     sentence = (
-        f"{1 - found.closed_ratio:.1%} of the footprint's track has no T ({found.bare} of {found.poses} poses have "
-        f"none): there is no surface within ±{band_m:g} m of the footprint. Do the poses drift in z, is the footprint "
-        "too high or too low, or did the LiDAR not observe the ground there?"
+        f"{1 - coverage.closed_ratio:.1%} of the footprint's track has no T ({coverage.bare} of {coverage.poses} poses "
+        f"have none): there is no surface within ±{band_m:g} m of the footprint. Do the poses drift in z, is the "
+        "footprint too high or too low, or did the LiDAR not observe the ground there?"
     )
     return (Finding("LAB-607", "warning", "", sentence),)

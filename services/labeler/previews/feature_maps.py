@@ -80,11 +80,11 @@ def _add(
         return
     indices = indices_of(piece.keys)
     last = np.append((np.diff(indices[:, :2], axis=0) != 0).any(axis=1), True)  # keys sort z lowest
-    place = (indices[last, :2] - extent.low[:2]) // columns_per_px
+    pixel = (indices[last, :2] - extent.low[:2]) // columns_per_px
     sums, counts = into
-    np.add.at(counts, (place[:, 1], place[:, 0]), 1)
+    np.add.at(counts, (pixel[:, 1], pixel[:, 0]), 1)
     for feature in ORDER:
-        np.add.at(sums[feature], (place[:, 1], place[:, 0]), piece.features[last, feature])
+        np.add.at(sums[feature], (pixel[:, 1], pixel[:, 0]), piece.features[last, feature])
 
 
 def feature_figure(rasters: Rasters, track_map: NDArray[np.float64], profile: str) -> Figure:
@@ -98,8 +98,8 @@ def feature_figure(rasters: Rasters, track_map: NDArray[np.float64], profile: st
     words = {ELEVATION: HEIGHT[profile], SLOPE: "slope θ, °", ROUGHNESS: "roughness r, ln m²"}
     for number, feature in enumerate(ORDER, 1):
         bottom_in = height_in - number * panel_in + BELOW_IN
-        place = (LEFT_IN / WIDTH_IN, bottom_in / height_in, wide_in / WIDTH_IN, wide_in * ratio / height_in)
-        axes = figure.add_axes(place)
+        rectangle = (LEFT_IN / WIDTH_IN, bottom_in / height_in, wide_in / WIDTH_IN, wide_in * ratio / height_in)
+        axes = figure.add_axes(rectangle)
         _panel(figure, axes, rasters, feature)
         axes.set_title(words[feature], color=INK, fontsize=TEXT_POINTS + 3, loc="left")
         axes.plot(track_map[:, 0], track_map[:, 1], color=TRACK_COLOUR[feature], linewidth=2.0)

@@ -137,9 +137,9 @@ def gif_palette(pictures: list[Image.Image], kept: list[tuple[int, int, int]]) -
     sample = Image.new("RGB", (max(picture.width for picture in pictures), int(tops[-1])))
     for picture, top in zip(pictures, tops, strict=False):
         sample.paste(picture, (0, int(top)))
-    found = sample.quantize(GIF_COLOURS - len(kept), Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    quantized = sample.quantize(GIF_COLOURS - len(kept), Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     palette = Image.new("P", (1, 1))
-    palette.putpalette([*sum(kept, ()), *(found.getpalette() or [])])
+    palette.putpalette([*sum(kept, ()), *(quantized.getpalette() or [])])
     return palette
 
 

@@ -30,10 +30,10 @@ def chip(image: Image.Image, corner: tuple[int, int], text: str, size_px: int) -
     pen.text((at[0], (top + corner[1]) / 2), text, INK, font(size_px), anchor="lm")
 
 
-def legend(image: Image.Image, place: tuple[float, float], size_px: int, *, with_unseen: bool = True) -> None:
+def legend(image: Image.Image, position: tuple[float, float], size_px: int, *, with_unseen: bool = True) -> None:
     """Draw the legend of classes, track and unobserved from `place` (x, y of the middle line) to the right."""
     pen = ImageDraw.Draw(image)
-    x, y = place
+    x, y = position
     half = size_px * 0.45
     for kind, name in CLASS_NAME.items():
         pen.rectangle((x, y - half, x + 2 * half, y + half), fill=CLASS_RGB[kind])
@@ -45,7 +45,7 @@ def legend(image: Image.Image, place: tuple[float, float], size_px: int, *, with
         _word(pen, (x + 2 * half, y), "never seen", size_px)
 
 
-def _word(pen: ImageDraw.ImageDraw, place: tuple[float, float], text: str, size_px: int) -> float:
-    x = place[0] + SWATCH_GAP_RATIO * size_px
-    pen.text((x, place[1]), text, INK, font(size_px), anchor="lm")
+def _word(pen: ImageDraw.ImageDraw, position: tuple[float, float], text: str, size_px: int) -> float:
+    x = position[0] + SWATCH_GAP_RATIO * size_px
+    pen.text((x, position[1]), text, INK, font(size_px), anchor="lm")
     return x + pen.textlength(text, font(size_px)) + ENTRY_GAP_RATIO * size_px

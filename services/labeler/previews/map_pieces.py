@@ -39,11 +39,11 @@ class Extent:
 
 def extent_of(pieces: Pieces) -> Extent | None:
     """Return the extent, or None for a map without voxels."""
-    found = None
+    bounds = None
     for load in pieces:
         keys = load().keys
         if len(keys):
             low, last = corners_of(indices_of(keys))
             high = last + 1
-            found = (low, high) if found is None else (np.minimum(found[0], low), np.maximum(found[1], high))
-    return None if found is None else Extent(*found)
+            bounds = (low, high) if bounds is None else (np.minimum(bounds[0], low), np.maximum(bounds[1], high))
+    return None if bounds is None else Extent(*bounds)

@@ -71,8 +71,8 @@ def frame_sheet(source: LabelledSequence, index: int, ratio: float | None = None
     sheet = Image.new("RGB", sheet_size(ratio), PAPER)
     for row, channels in ((GAP_PX, ABOVE), (low_px, BELOW)):
         for column, channel in enumerate(channels):
-            place = _Rectangle(GAP_PX + column * (CAMERA_PX + GAP_PX), row, CAMERA_PX, high_px)
-            _place_camera(sheet, place, channel, samples[channel])
+            rectangle = _Rectangle(GAP_PX + column * (CAMERA_PX + GAP_PX), row, CAMERA_PX, high_px)
+            _place_camera(sheet, rectangle, channel, samples[channel])
     grids, around = source.grids(index), surroundings_of(source.sequence, index, source.grid)
     size_px = (WIDTH_PX - 3 * GAP_PX - PLAN_PX, PLAN_PX)
     sheet.paste(bev(grids, around, PLAN_PX), (GAP_PX, top_px))
@@ -92,13 +92,13 @@ def _camera_height_px(ratio: float) -> int:
 
 def cell_ratio(samples: Iterable[CameraSample | None]) -> float:
     """Return the height to width of the first picture, within limits."""
-    ratio = next((one.height_px / one.width_px for one in samples if one is not None), USUAL_RATIO)
+    ratio = next((sample.height_px / sample.width_px for sample in samples if sample is not None), USUAL_RATIO)
     return min(max(ratio, LEAST_RATIO), MOST_RATIO)
 
 
-def _place_camera(sheet: Image.Image, place: _Rectangle, channel: str, sample: CameraSample | None) -> None:
-    picture = opened(sample, (place.width, place.height))
-    cell = Image.new("RGB", (place.width, place.height), BLANK)
+def _place_camera(sheet: Image.Image, rectangle: _Rectangle, channel: str, sample: CameraSample | None) -> None:
+    picture = opened(sample, (rectangle.width, rectangle.height))
+    cell = Image.new("RGB", (rectangle.width, rectangle.height), BLANK)
     if isinstance(picture, Image.Image):
         picture = ImageOps.contain(picture, cell.size, Image.Resampling.BILINEAR)
         cell.paste(picture, ((cell.width - picture.width) // 2, (cell.height - picture.height) // 2))
@@ -106,7 +106,7 @@ def _place_camera(sheet: Image.Image, place: _Rectangle, channel: str, sample: C
         pen = ImageDraw.Draw(cell)
         pen.text((cell.width / 2, cell.height / 2), picture, SOFT, font(LABEL_PX), anchor="mm")
     chip(cell, (6, cell.height - 6), channel, LABEL_PX)
-    sheet.paste(cell, (place.x, place.y))
+    sheet.paste(cell, (rectangle.x, rectangle.y))
 
 
 def _write_bar(sheet: Image.Image, source: LabelledSequence, index: int) -> None:

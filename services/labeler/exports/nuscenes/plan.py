@@ -73,15 +73,15 @@ class NuscenesPlan:
     def calibrated_token(self, channel: NuscenesChannel) -> str:
         return token_of("calibrated_sensor", self.sequence.name, channel.name)
 
-    def datum_token(self, channel: NuscenesChannel, place: int) -> str:
+    def datum_token(self, channel: NuscenesChannel, number: int) -> str:
         """Return the token of a channel's datum number `place`; "" outside, as the schema ends its chains."""
-        if not 0 <= place < len(channel.frames):
+        if not 0 <= number < len(channel.frames):
             return ""
-        return token_of("sample_data", self.sequence.frames.tokens[channel.frames[place]], channel.name)
+        return token_of("sample_data", self.sequence.frames.tokens[channel.frames[number]], channel.name)
 
-    def filename(self, channel: NuscenesChannel, place: int) -> str:
+    def filename(self, channel: NuscenesChannel, number: int) -> str:
         """`samples/<CHANNEL>/n001-<UTC>__<CHANNEL>__<µs>.<suffix>` (design §4)."""
-        stamp_us = int(channel.stamps_ns[place]) // NS_PER_US
+        stamp_us = int(channel.stamps_ns[number]) // NS_PER_US
         return f"samples/{channel.name}/{self.logfile}__{channel.name}__{stamp_us}.{SUFFIX[channel.modality]}"
 
     @property

@@ -60,12 +60,12 @@ def write_samples(samples: SampleSource, plan: NuscenesPlan, out: Path, written:
     write_splits(out / VERSION / SPLITS, {"all": [plan.sequence.name]})
 
 
-def sample_file(samples: SampleSource, channel: NuscenesChannel, place: int) -> tuple[bytes, tuple[int, int]]:
+def sample_file(samples: SampleSource, channel: NuscenesChannel, number: int) -> tuple[bytes, tuple[int, int]]:
     """Return the file of a channel's datum number `place`, and a picture's size (width, height), else (0, 0).
 
     Raises `sample_gone`, and what reading samples raises (BAG-*, MSG-*).
     """
-    index, size_px = int(channel.frames[place]), (0, 0)
+    index, size_px = int(channel.frames[number]), (0, 0)
     if channel.modality == "lidar":
         return lidar_bytes(samples.lidar(index)), size_px
     if channel.modality == "radar":
@@ -97,18 +97,18 @@ def _write_frame(
         }
     )
     for channel in plan.channels:
-        place = channel.place(index)
-        if place is None:
+        number = channel.place(index)
+        if number is None:
             continue
         try:
-            content, size_px = sample_file(samples, channel, place)
+            content, size_px = sample_file(samples, channel, number)
         except SampleGoneError:
-            row = _datum_row(plan, channel, place, (0, 0))
+            row = _datum_row(plan, channel, number, (0, 0))
             gone[str(row["token"])] = (str(row["prev"]), str(row["next"]))
             continue
-        (out / plan.filename(channel, place)).write_bytes(content)
-        tables["ego_pose"].add(pose_row(plan, channel, place))
-        tables["sample_data"].add(_datum_row(plan, channel, place, size_px))
+        (out / plan.filename(channel, number)).write_bytes(content)
+        tables["ego_pose"].add(pose_row(plan, channel, number))
+        tables["sample_data"].add(_datum_row(plan, channel, number, size_px))
     return gone
 
 
@@ -128,22 +128,22 @@ def _close_chains(table: Path, gone: Mapping[str, tuple[str, str]]) -> None:
 
 
 def _datum_row(
-    plan: NuscenesPlan, channel: NuscenesChannel, place: int, size_px: tuple[int, int]
+    plan: NuscenesPlan, channel: NuscenesChannel, number: int, size_px: tuple[int, int]
 ) -> Mapping[str, object]:
-    token = plan.datum_token(channel, place)
+    token = plan.datum_token(channel, number)
     return {
         "token": token,
-        "sample_token": plan.sequence.frames.tokens[channel.frames[place]],
+        "sample_token": plan.sequence.frames.tokens[channel.frames[number]],
         "ego_pose_token": token,
         "calibrated_sensor_token": plan.calibrated_token(channel),
-        "timestamp": int(channel.stamps_ns[place]) // NS_PER_US,
+        "timestamp": int(channel.stamps_ns[number]) // NS_PER_US,
         "fileformat": "jpg" if channel.modality == "camera" else "pcd",
         "is_key_frame": True,
         "height": size_px[1],
         "width": size_px[0],
-        "filename": plan.filename(channel, place),
-        "prev": plan.datum_token(channel, place - 1) if plan.is_ordered else "",
-        "next": plan.datum_token(channel, place + 1) if plan.is_ordered else "",
+        "filename": plan.filename(channel, number),
+        "prev": plan.datum_token(channel, number - 1) if plan.is_ordered else "",
+        "next": plan.datum_token(channel, number + 1) if plan.is_ordered else "",
     }
 
 
@@ -262,13 +262,13 @@ def add_rig_rows(tables: Mapping[str, NuscenesTableWriter], plan: NuscenesPlan) 
     tables["scene"].add(_scene_row(plan))
 
 
-def pose_row(plan: NuscenesPlan, channel: NuscenesChannel, place: int) -> Row:
+def pose_row(plan: NuscenesPlan, channel: NuscenesChannel, number: int) -> Row:
     """Return the robot's pose when a datum was measured: `global_from_ego`."""
-    pose = channel.map_from_ego[place]
+    pose = channel.map_from_ego[number]
     x, y, z = pose.translation_m.tolist()
     return {
-        "token": plan.datum_token(channel, place),
-        "timestamp": int(channel.stamps_ns[place]) // NS_PER_US,
+        "token": plan.datum_token(channel, number),
+        "timestamp": int(channel.stamps_ns[number]) // NS_PER_US,
         "rotation": pose.wxyz.tolist(),
         "translation": [x - plan.low_m[0], y - plan.low_m[1], z],
     }

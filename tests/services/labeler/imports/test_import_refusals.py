@@ -14,7 +14,7 @@ from services.labeler.imports.answers import DatasetIndexAnswer
 from services.labeler.imports.indexing import index_dataset
 from services.labeler.imports.scene_import import import_scene
 from services.labeler.imports.scene_parts import DatasetOpening, SceneOpening, scene_folder
-from services.labeler.imports.scene_stage import told_path
+from services.labeler.imports.scene_stage import answer_path
 from services.runtime.jobs.specs import Attempt, Handler, Outcome
 from services.runtime.orm import Blob, DatasetImport
 from services.runtime.platform import Platform
@@ -169,7 +169,7 @@ def test_packs_other_than_those_that_are_kept_are_not_published(platform: Platfo
 
     def wrap(kind: str, handler: Handler) -> Handler:
         def run(attempt: Attempt) -> Outcome:
-            path = Workspace(platform.store, platform.settings, attempt.root_id).folder / told_path(0)
+            path = Workspace(platform.store, platform.settings, attempt.root_id).folder / answer_path(0)
             told = PublicationAnswer.model_validate_json(path.read_bytes())
             (pack,) = told.packs
             offset, length, digest = pack.ranges[-1]
