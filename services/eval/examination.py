@@ -1,10 +1,10 @@
 """Examination of a range of a submission's frames in a sandboxed process: validation, or counting too.
 
-**Conventions.** Frames follow `tokens`, the whole manifest; an empty range checks the archive's directory alone. The
+**Conventions.** Frames follow `tokens`, the whole manifest; an empty range checks only the archive's directory. The
 child opens the files itself. A submission may take over the child that reads it, so a child that also reads the ground
 truth returns no text. It returns a `CountingOutcome` in one byte, then exactly the counts of the range, little-endian
-int32 in the order of `ARRAYS`. The parent checks these counts against the supports of the truth. If the child counted
-nothing, a child without the ground truth returns the errors as JSON.
+int32 in the order of `ARRAYS`. The parent checks these counts against the supports of the ground truth. If the child
+counted nothing, a child without the ground truth returns the errors as JSON.
 """
 
 import json
@@ -61,11 +61,10 @@ from stone_submissions.validation import (
 )
 from stone_submissions.verdict import Validation, ValidationProblem, merged, validation_of, verdict
 
-# Frames of a submission, a thread each block: read, checked, counted; whatever is wrong is collected.
-#
-# **Conventions.** Counts are in the order of the tokens asked for. A frame that is missing or refused counts zero and
-# has its problem; nothing stops at the first. `deflate` and the numba kernels release the interpreter, so threads
-# share cores. Progress is called from the calling thread only. At any time each thread holds one frame.
+# Frames of a submission, one thread per block: read, checked, counted, with all faults collected. Counts are in the
+# order of the given tokens. A missing or refused frame counts zero and has its problem; the other frames are still
+# read. `deflate` and the numba kernels release the interpreter, so threads share cores. Only the calling thread calls
+# the progress callback. Each thread holds one frame at a time.
 
 
 TruthOf = Callable[[str], TruthPlanes]
@@ -73,8 +72,12 @@ TruthOf = Callable[[str], TruthPlanes]
 
 @dataclass(frozen=True, eq=False)
 class CountedFrames:
-    """The counts and the refusals of F frames: `confusions` [F, ring, truth, prediction], `bev` [F, ring, 3] int32;
-    the counts by column, and `late` [F, truth, prediction], the counts of late voxels."""
+    """The counts and refusals of F frames.
+
+    - `confusions` [F, ring, truth, prediction], `bev` [F, ring, 3] int32
+    - the counts by column
+    - `late` [F, truth, prediction]: the counts of late voxels
+    """
 
     confusions: Confusion
     bev: Drivable
@@ -84,7 +87,7 @@ class CountedFrames:
 
 
 def sampled_tokens(tokens: Sequence[str]) -> frozenset[str]:
-    """Return the frames, of all tokens of a manifest, in which the column counts are made."""
+    """Return the frames of a manifest's tokens for which columns are counted."""
     return frozenset(tokens[:: counted_every(len(tokens))])
 
 
@@ -97,10 +100,9 @@ def count_range(
     threads: int = THREADS,
     progress: Progress = silent,
 ) -> CountedFrames:
-    """Return the counts of these frames, every check on; counts by column and of late voxels are zero for frames that
-    are not in `sampled`.
+    """Return the counts of these frames with all checks; column and late counts are zero outside `sampled`.
 
-    What is wrong with the archive as a whole is not told again. Raises what `truth_of` raises.
+    Faults of the archive as a whole are not repeated. Raises what `truth_of` raises.
     """
     shape = (len(tokens),)
     confusions, bev = np.zeros((*shape, RINGS, CLASSES, CLASSES), np.int32), np.zeros((*shape, RINGS, 3), np.int32)
@@ -147,15 +149,16 @@ def count_frame(
     return refusal_of(submission, token, count)
 
 
-# A range of a submission's frames looked at, and the join of all ranges: what every scoring is made of.
-#
-# **Conventions.** What is wrong with the archive as a whole is known when it is opened and not told again by a range.
+# Examined ranges of a submission's frames and their join: the basis of every score. Faults of the archive as a whole
+# are found at its opening and not repeated by a range.
 
 
 @dataclass(frozen=True, eq=False)
 class Counts:
-    """The counts of F frames: `confusions` [F, 3, 4, 4], `bev` [F, 3, 3] int32, `column_counts`, and `late` [F, 4, 4]
-    of late voxels. The last two are None if not kept."""
+    """The counts of F frames; `column_counts` and `late` are None if not stored.
+
+    `confusions` [F, 3, 4, 4], `bev` [F, 3, 3] int32, and `late` [F, 4, 4] of late voxels.
+    """
 
     confusions: NDArray[np.int32]
     bev: NDArray[np.int32]
@@ -163,13 +166,13 @@ class Counts:
     late: NDArray[np.int32] | None = None
 
     def arrays(self) -> dict[str, NDArray[np.int32]]:
-        """All counts by the names under which they are kept."""
+        """Return all counts by their stored names."""
         column_counts = vars(self.column_counts) if self.column_counts else {}
         late = {"late": self.late} if self.late is not None else {}
         return {"confusions": self.confusions, "bev": self.bev, **column_counts, **late}
 
     def packed(self) -> bytes:
-        """For a row, until the join."""
+        """Return the compressed counts for a row, until the join."""
         return zlib.compress(self.raw(), 1)
 
     def raw(self) -> bytes:
@@ -178,7 +181,7 @@ class Counts:
 
 @dataclass(frozen=True, eq=False)
 class ExaminedRange:
-    """What is wrong with a range, and, where nothing is and it was to be counted, its counts."""
+    """The faults of a range, or its counts if it has none and is to be counted."""
 
     validation: Validation
     counts: Counts | None = field(default=None)
@@ -193,7 +196,7 @@ def examined(
     threads: int = THREADS,
     progress: Progress = silent,
 ) -> ExaminedRange:
-    """These frames of a submission, counted against their truth or, without it, only checked.
+    """Return these frames of a submission, counted against their ground truth or, without it, only checked.
 
     Raises what `truth_of` raises.
     """
@@ -206,7 +209,7 @@ def examined(
 
 
 def joined(ranges: Iterable[ExaminedRange]) -> ExaminedRange:
-    """Ranges, in their order, as one; it has counts where each of them has."""
+    """Join consecutive ranges; the result has counts if each range has."""
     given = list(ranges)
     counts = [one.counts for one in given if one.counts is not None]
     validation = merged(one.validation for one in given)
@@ -219,7 +222,7 @@ def _concatenated(counts: Sequence[Counts]) -> Counts:
 
 
 def counts_in(arrays: Mapping[str, NDArray[np.int32]]) -> Counts:
-    """Return the counts with these `Counts.arrays`. Raises KeyError where one is missing."""
+    """Return the counts with these `Counts.arrays`. Raises KeyError if an array is missing."""
     column_counts = ColumnCounts(arrays["pairs"], arrays["columns"]) if "pairs" in arrays else None
     return Counts(arrays["confusions"], arrays["bev"], column_counts, arrays.get("late"))
 
@@ -233,7 +236,7 @@ ARRAYS: Mapping[str, tuple[int, ...]] = {
 }
 FRAME_BYTES = 4 * sum(map(prod, ARRAYS.values()))
 FRAME_S = 0.1
-"""Many times what the slowest honest frame takes (one whose array is stored, not deflated, in a deflated archive)."""
+"""Many times the slowest honest frame (an array stored, not deflated, in a deflated archive)."""
 LONGEST_PROBLEMS_BYTES = 2**20
 
 log = structlog.get_logger(__name__)
@@ -248,7 +251,7 @@ class CountingOutcome(IntEnum):
 
 
 class ImpossibleCountsError(Refused):
-    """Counting a sound file ended in a way that our program never does; `fault` is for the operator's log."""
+    """Counting a valid file ended in an impossible way; `fault` is for the operator's log."""
 
     def __init__(self, fault: str) -> None:
         log.warning("counting ended in an impossible way", fault=fault)
@@ -259,7 +262,7 @@ class ImpossibleCountsError(Refused):
 
 @dataclass(frozen=True)
 class Examination:
-    """The frames of a grid to look at; without a `pack_path` they are checked and nothing is counted."""
+    """The frames of a grid to examine; without a `pack_path` they are checked but not counted."""
 
     zip_path: Path
     tokens: tuple[str, ...]
@@ -282,7 +285,7 @@ class Examination:
 
 
 def examine(examination: Examination, watch: SandboxWatch) -> ExaminedRange:
-    """Look at the range, in a child.
+    """Examine the range in a child.
 
     Raises `scoring_crashed` if the child broke its limits, `ImpossibleCountsError`, `scoring_interrupted`,
     `ground_truth_damaged`, and what `watch` raises.
@@ -335,7 +338,7 @@ def _is_sampled(examination: Examination) -> NDArray[np.bool_]:
 
 
 def _checked(examination: Examination, watch: SandboxWatch) -> ExaminedRange:
-    """Return the range as checked by a child that reads no ground truth. Raises as `examine` does."""
+    """Return the range as checked by a child that reads no ground truth. Raises as `examine`."""
     try:
         answer = sandboxed_with_progress(partial(check_submission, examination), examination.limits, watch)
         validation = validation_of(json.loads(answer))
@@ -352,12 +355,12 @@ def _checked(examination: Examination, watch: SandboxWatch) -> ExaminedRange:
 
 
 def unpacked(packed: bytes, frames: int) -> Counts:
-    """The counts that `Counts.packed` packed, of this many frames."""
+    """Return the counts of this number of frames from `Counts.packed`."""
     return counts_of(zlib.decompress(packed), frames)
 
 
 def counts_of(raw: bytes, frames: int) -> Counts:
-    """Raises `ValueError` for another number of bytes than that of this many frames."""
+    """Return the counts. Raises `ValueError` if the number of bytes does not fit this number of frames."""
     if len(raw) != answer_bytes(frames):
         raise ValueError(f"{len(raw)} bytes are not the counts of {frames} frames")
     arrays, start = dict[str, NDArray[np.int32]](), 0
@@ -368,7 +371,7 @@ def counts_of(raw: bytes, frames: int) -> Counts:
 
 
 def answer_bytes(frames: int) -> int:
-    """How long the counts of this many frames are."""
+    """Return the bytes of the counts of this number of frames."""
     return frames * FRAME_BYTES
 
 
@@ -381,7 +384,7 @@ def check_submission(examination: Examination, progress: ProgressCallback) -> by
 
 
 def count_submission(examination: Examination, progress: ProgressCallback) -> bytes:
-    """Return an outcome and the counts of the range, if it has any; runs in the child that reads the truth."""
+    """Return an outcome and the counts of the range, if any; runs in the child that reads the ground truth."""
     if examination.pack_path is None:
         return bytes([CountingOutcome.NOT_COUNTED])
     with open_submission(examination.zip_path, examination.tokens, examination.grid) as submission:

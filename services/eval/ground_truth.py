@@ -1,4 +1,4 @@
-"""Ground truth on disk as planes, in which it is scored; `stone_submissions/ground_truth.py` reads the files."""
+"""Ground truth on disk as bit planes for scoring; `stone_submissions/ground_truth.py` reads the files."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from stone_submissions.ground_truth import FrameLabels, Mask, labels_in, read_la
 
 
 def read_truth(path: Path, mask: Mask, grid: LabelGrid = PAPER) -> TruthPlanes:
-    """The ground truth of one frame of a grid.
+    """Return the ground truth of one frame of a grid.
 
     Raises `UnreadableInputError`, and `GroundTruthError` for anything but a label file of the labeler.
     """
@@ -18,12 +18,12 @@ def read_truth(path: Path, mask: Mask, grid: LabelGrid = PAPER) -> TruthPlanes:
 
 
 def truth_in(npz: bytes, mask: Mask, path: Path, grid: LabelGrid = PAPER) -> TruthPlanes:
-    """The ground truth in the bytes of a label file, which `path` only names. Raises `GroundTruthError`."""
+    """Return the ground truth in the bytes of a label file; `path` is only its name. Raises `GroundTruthError`."""
     return planes_of_labels(labels_in(npz, mask, path, grid), path, grid)
 
 
 def planes_of_labels(labels: FrameLabels, path: Path, grid: LabelGrid) -> TruthPlanes:
-    """The labels as planes. Raises `GroundTruthError` for values that are no class."""
+    """Return the labels as planes. Raises `GroundTruthError` for values that are not classes."""
     try:
         return truth_planes(labels.semantics, labels.is_evaluated, grid, labels.is_late)
     except LabelRangeError as error:

@@ -1,9 +1,8 @@
-"""The join stage: all counts of a submission become its score, or the list of what is wrong with it.
+"""The join stage: all counts of a submission become its score, or the list of its faults.
 
-**Conventions.** Counts come from wherever they are: kept with an earlier score against the same ground truth, from
-parts, and where neither has them they are counted here; all of one score were counted by one version of the code. Slow
-things come first; rows, what follows for the submission and the job's success are one transaction. What a job answers
-tells nothing but where the submission stands.
+**Conventions.** Counts come from an earlier score against the same ground truth or from parts; missing counts are
+computed here. One version of the code counts everything in a score. Slow work comes first; rows, consequences for the
+submission and the job's success are one transaction. A job's result contains only the submission's state.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -43,7 +42,7 @@ from stone_submissions.verdict import Validation, merged, validation_of
 
 
 def join(context: EvalStageContext) -> Outcome:
-    """Score the submission by the evaluation version, unless that is done or nothing is to be scored any more."""
+    """Score the submission by the evaluation version, unless it has that score or needs no score any more."""
     evaluation_version = context.evaluation_version
     case = context.case(evaluation_version.truth_id)
     with context.platform.database.reading() as session:
@@ -56,7 +55,7 @@ def join(context: EvalStageContext) -> Outcome:
 def concluded(
     context: EvalStageContext, case: Case, evaluation_version: EvaluationVersion, whole: ExaminedRange
 ) -> Outcome:
-    """What becomes of a submission when all its frames were looked at."""
+    """Return the outcome for a completely examined submission."""
     if not whole.validation.ok:
         return refuse(context, case, whole.validation)
     if whole.counts is None:
@@ -66,7 +65,7 @@ def concluded(
 
 
 def gaps(parts: Sequence[ScorePart], frames: int) -> Iterator[Span]:
-    """The ranges of [0, frames) that no part has; parts are in their order and do not overlap."""
+    """Yield the ranges of [0, frames) that no part covers; parts are sorted and do not overlap."""
     at = 0
     for part in parts:
         if part.start > at:
@@ -82,14 +81,14 @@ def _is_scored(session: Session, case: Case, evaluation_version: EvaluationVersi
 
 
 def _parts(session: Session, case: Case) -> Sequence[ScorePart]:
-    """Those that this code counted, in their order; what another version did, before an upgrade, is counted again."""
+    """Return the parts counted by this code version, in order; parts of other versions are counted again."""
     of_both = (ScorePart.submission_id == case.submission_id, ScorePart.truth_id == case.truth.id)
     ours = select(ScorePart).where(*of_both, ScorePart.code_version == code_version("scores"))
     return session.scalars(ours.order_by(ScorePart.start)).all()
 
 
 def _whole(context: EvalStageContext, case: Case, parts: Sequence[ScorePart]) -> ExaminedRange:
-    """All frames, in their order."""
+    """Return all frames, in order."""
     if case.kept is not None:
         return ExaminedRange(merged(()), _kept_counts(context.platform.store.local(case.kept.object_key)))
     counted = {gap[0]: context.examined(case, gap) for gap in gaps(parts, case.truth.frames)}
@@ -113,7 +112,7 @@ def _kept_counts(path: Path) -> Counts:
 def made_score(
     context: EvalStageContext, case: Case, evaluation_version: EvaluationVersion, counts: Counts
 ) -> NewScore:
-    """The score of these counts, its files stored; it bears the version of the code that counted.
+    """Return the score of these counts with its files stored; it records the code version that counted.
 
     Raises `unknown_metric`, and what the store raises.
     """
@@ -136,11 +135,11 @@ def made_score(
 
 
 def sequences_of(truth: ReadyTruth) -> tuple[SequenceFacts, ...]:
-    """The sequences of a ground truth in the order of its frames."""
+    """Return the sequences of a ground truth in the order of its frames."""
     return tuple(
         SequenceFacts(
             *(one["name"], one["frames"], one["environment"] or None, one["illumination"] or None),
-            *(one.get("drive") or None, one.get("first_stamp_ns")),  # an earlier version knew no drives
+            *(one.get("drive") or None, one.get("first_stamp_ns")),  # an earlier version had no drives
             tuple(one.get("places", ())),
         )
         for one in truth.facts["sequences"]
@@ -148,25 +147,24 @@ def sequences_of(truth: ReadyTruth) -> tuple[SequenceFacts, ...]:
 
 
 def _stored(context: EvalStageContext, content: bytes) -> PreparedBlob:
-    """Each attempt writes a file of its own: what is stored may share its bytes, so none is written twice."""
+    """Store the content from a file of this attempt: stored files may share their bytes, so none is rewritten."""
     path = context.folder / f"{token_hex(8)}.npz"
     path.write_bytes(content)
     return prepare(context.platform.store, context.platform.database, path, adopt=True)
 
 
-# Final states of submissions, written in the transaction in which their last job succeeds.
-#
-# **Conventions.** The first join settles it, by the evaluation version in force when it began; after that it lacks the
-# score of every evaluation version that is pending or came into force meanwhile, so jobs for these are added to its
-# run in the same transaction. The phase's row is held while that is decided: a re-score that begins at the same time
-# either sees the submission scored or is seen. Locks are taken in the order run, submission, team, phase.
+# Final states of submissions, written in the transaction in which their last job succeeds. The first join settles the
+# submission, by the evaluation version that was active at its start. Jobs for all other pending or newly active
+# versions are added to the run in the same transaction. The phase's row is locked meanwhile: a re-score that starts
+# concurrently either reads the submission as scored or is included. Locks are taken in the order run, submission, team,
+# phase.
 
 
 Stage = Callable[[EvalStageContext], Outcome]
 
 
 def settling(stage: Stage, context: EvalStageContext) -> Outcome:
-    """What the stage answers; a refusal ends the submission, not the job, and a fault of the platform goes on."""
+    """Return the stage's outcome; a refusal ends the submission, not the job, and platform faults are raised."""
     try:
         return stage(context)
     except JobCancelledError:
@@ -179,7 +177,7 @@ def settling(stage: Stage, context: EvalStageContext) -> Outcome:
 
 
 def refuse(context: EvalStageContext, case: Case, found: Validation) -> Outcome:
-    """The submission is not valid; one that has a score stays scored, without one by another evaluation version."""
+    """Return the outcome of an invalid submission; a submission with a score by another version stays scored."""
     if not case.is_under_way:
         return Outcome({"state": "unscorable"}, commit=partial(_give_up, case))
     context.attempt.log("not valid", errors=found.errors_total, first=found.errors[0].code)
@@ -187,12 +185,12 @@ def refuse(context: EvalStageContext, case: Case, found: Validation) -> Outcome:
 
 
 def write_verdict(case: Case, state: str, found: Validation | None, session: Session) -> None:
-    """End a submission without a score. Raises `JobCancelledError` where it ended otherwise meanwhile."""
+    """End a submission without a score. Raises `JobCancelledError` if it ended in another state meanwhile."""
     settle(session, case.submission_id, state, problems=found.as_record() if found else None)
 
 
 def write(context: EvalStageContext, case: Case, new: NewScore, session: Session) -> None:
-    """Write the score and, the first time, end the submission. Raises as `write_verdict` does."""
+    """Write the score and, the first time, end the submission. Raises as `write_verdict`."""
     score = write_score(session, new)
     if settle(session, case.submission_id, "scored"):
         raise_alarms(session, score)
@@ -200,7 +198,7 @@ def write(context: EvalStageContext, case: Case, new: NewScore, session: Session
 
 
 def _score_by_the_others(context: EvalStageContext, case: Case, session: Session) -> None:
-    """Have the run score it by every version that it lacks by now; a run that is being stopped takes nothing new."""
+    """Queue jobs for every version whose score is missing, unless the run is being cancelled."""
     session.execute(select(Phase.id).where(Phase.id == case.phase_id).with_for_update(read=True))
     run = lock_run(session, context.attempt.root_id)
     if run.cancel_reason:
@@ -215,7 +213,7 @@ def _give_up(case: Case, session: Session) -> None:
 
 
 def _fail(submission_id: str, error: StoneError, session: Session) -> None:
-    """A scored submission stays scored."""
+    """End the submission as failed, unless it is scored."""
     submission = live_submission(session, submission_id)
     if submission.state != "scored":
         settle(session, submission_id, "failed", failure=Failure(error.code, str(error)))

@@ -14,9 +14,9 @@ from stone_submissions.manifest import Manifest
 
 @cache
 def warm() -> None:
-    """Load the kernels, or compile them, before the first child: none of them could keep what it does (0.4 s).
+    """Load or compile the kernels before the first child, since children cannot keep compiled code (0.4 s).
 
-    By the way that a frame takes, so that none is forgotten.
+    The warm-up processes a frame, so that it covers all kernels.
     """
     nothing, token = np.zeros(PAPER.shape, np.uint8), "0" * 32
     truth = truth_planes(nothing, nothing == 0)

@@ -1,14 +1,15 @@
-"""From a submitted zip to a verdict, and from a valid one to scores. Read this first.
+"""From a submitted zip to a verdict, and from a valid one to scores. Start reading here.
 
     open → part (each range of frames) → join → score
 
-The archive's directory is checked when it is opened; a range
-(`services/domain/benchmarks/submissions/scoring_jobs.py`) is `examined`, counted or only checked; all ranges are
-`joined` (both `services/eval/examination.py`). Here one range follows the other, its frames on a few threads; the queue
-examines each range in a sandbox, in a job of its own where there are several (`services/eval/queue_handlers.py`).
+The archive's directory is checked when it is opened. A range (`services/domain/benchmarks/submissions/scoring_jobs.py`)
+is `examined`, counted or only checked, and all ranges are `joined` (both `services/eval/examination.py`). This module
+examines one range after another on a few threads; the queue examines each range in a sandbox, in its own job if there
+are several (`services/eval/queue_handlers.py`).
 
-**Conventions.** Nothing here starts a process or keeps state, so it runs as it is in a child with memory and time
-limits. Peak memory does not grow with the submission, but for the counts: 468 bytes a frame, twice that at the join.
+**Conventions.** This module starts no process and keeps no state, so it can run in a child with memory and time limits.
+Peak memory does not grow with the submission, except for the counts: 468 bytes per frame, twice as much during the
+join.
 """
 
 from collections.abc import Sequence
@@ -41,9 +42,10 @@ def score(
     order: FrameOrder | None = None,
     grid: LabelGrid | None = None,
 ) -> Scores:
-    """The scores of a submission that holds exactly the frames of this ground truth; without their `order` in time no
-    interval of these places is given. Occupied voxels whose label is right with a probability below `least_confidence`
-    are left out.
+    """Return the scores of a submission that contains exactly the frames of this ground truth.
+
+    Without the frames' `order` in time there are no intervals for these places. Occupied voxels whose label is right
+    with a probability below `least_confidence` are left out.
 
     Raises `SubmissionRefusedError` with the whole validation, `GroundTruthError`, `UnreadableInputError`,
     `no_confidence`, `unknown_grid`, and what `order` raises.
@@ -81,9 +83,9 @@ def count(
     threads: int = THREADS,
     progress: Progress = silent,
 ) -> Counts:
-    """The counts of these frames of a submission that is valid.
+    """Return the counts of these frames of a valid submission.
 
-    Raises `SubmissionRefusedError`; an archive whose names are wrong is refused before any frame is counted.
+    Raises `SubmissionRefusedError`; an archive with wrong names is refused before any frame is counted.
     """
     if submission.problems:
         raise SubmissionRefusedError(verdict(submission.problems))
@@ -95,7 +97,7 @@ def count(
 
 @dataclass
 class _Onward:
-    """The progress of range after range as that of all frames; `before` are those of the ranges that are done."""
+    """The progress over all frames; `before` counts the frames of finished ranges."""
 
     threads: int
     progress: Progress
@@ -110,7 +112,7 @@ class _Onward:
 def _examined(
     submission: SubmissionZip, tokens: Sequence[str], truth_of: TruthOf | None, onward: _Onward
 ) -> ExaminedRange:
-    """All ranges of these frames, one after another, and their join."""
+    """Examine all ranges of these frames, one after another, and join them."""
     ranges, wanted = (tokens[slice(*span)] for span in ranges_of(len(tokens))), sampled_tokens(tokens)
     return joined(
         examined(submission, range_, truth_of, sampled=wanted, threads=onward.threads, progress=onward)

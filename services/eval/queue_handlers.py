@@ -1,10 +1,10 @@
-"""What `eval` does in the queue, stage by stage; counting and scores are those that `pipeline.score` calls.
+"""The stages of `eval` in the queue; they count and score with the functions of `pipeline.score`.
 
     open → part (each range of frames) → join (each evaluation version); truth; compare
 
-**Conventions.** A stage may run twice, at once or after being killed anywhere: what it writes is one row each time, in
-the transaction of its success. A submission that is refused is no failed job: the job succeeds, the submission has
-ended. Neither result nor log line nor failure tells anything of a ground truth.
+**Conventions.** A stage may run twice, concurrently or after being killed anywhere: it writes a row only in the
+transaction of its success. A refused submission is not a failed job: the job succeeds and the submission has ended.
+Results, log lines and failures reveal nothing about a ground truth.
 """
 
 from contextlib import ExitStack, suppress
@@ -36,7 +36,7 @@ from stone.errors import Refused
 
 
 def handlers(platform: Platform) -> Handlers:
-    """The stages by kind."""
+    """Return the stages by kind."""
     stages: dict[str, Stage] = {
         OPEN: partial(settling, open_submission),
         PART: partial(settling, count_part),
@@ -48,7 +48,7 @@ def handlers(platform: Platform) -> Handlers:
 
 
 def open_submission(context: EvalStageContext) -> Outcome:
-    """The file is kept and its directory checked; what has one part's worth of frames is looked at at once.
+    """Store the file and check its directory; a submission with a single part is examined immediately.
 
     Raises `JobCancelledError`, `upload_damaged`, `ground_truth_unready`, `scoring_crashed`.
     """
@@ -63,7 +63,7 @@ def open_submission(context: EvalStageContext) -> Outcome:
     if not case.is_under_way:
         return Outcome({"state": case.state})
     following = scoring_specs(case.submission_id, evaluation_version, case.truth.frames)
-    is_small = len(following) == 1  # the join alone: it would count all of it
+    is_small = len(following) == 1  # only the join, which would count all frames
     found = context.examined(case, (0, case.truth.frames if is_small else 0))
     if is_small:
         return concluded(context, case, evaluation_version, found)
@@ -73,7 +73,7 @@ def open_submission(context: EvalStageContext) -> Outcome:
 
 
 def count_part(context: EvalStageContext) -> Outcome:
-    """The counts of a range of frames, kept until the join. Raises as `open_submission`, and `submission_purged`."""
+    """Count a range of frames and store the counts until the join. Raises as `open_submission`, `submission_purged`."""
     truth_id, start, stop = (context.attempt.arguments[name] for name in ("truth_id", "start", "stop"))
     case = context.case(truth_id)
     if case.is_over or case.kept is not None:
@@ -95,20 +95,18 @@ def _with_context(platform: Platform, stage: Stage, attempt: Attempt) -> Outcome
     return stage(EvalStageContext(platform, attempt))
 
 
-# Moves the file of a submission from its upload to the object store.
-#
-# **Conventions.** It is kept under its own transaction, not with the job's success: the file that came in can then go,
-# and an attempt that is killed afterwards finds it kept.
+# Moves the file of a submission from its upload to the object store. It is stored in a separate transaction, not with
+# the job's success, so that the upload can be deleted and a later attempt finds the file.
 
 
 def keep_file(platform: Platform, submission: SubmissionRow) -> None:
-    """Have the file as a blob, and the submission in scoring; nothing happens where that is so.
+    """Store the file as a blob and mark the submission as being scored, unless this is already done.
 
-    Raises `upload_damaged`, `JobCancelledError` where it ended meanwhile, and what the store raises.
+    Raises `upload_damaged`, `JobCancelledError` if the submission ended meanwhile, and what the store raises.
     """
     if submission.blob_sha256 is None:
         _keep(platform, submission)
-    elif submission.state == "queued":  # an administrator has it tried again
+    elif submission.state == "queued":  # retried by an administrator
         with platform.database.transaction() as session:
             mark_scoring(session, submission.id)
     if submission.upload_id:
@@ -126,7 +124,7 @@ def _keep(platform: Platform, submission: SubmissionRow) -> None:
 
 
 def _received(platform: Platform, submission: SubmissionRow, copies: ExitStack) -> Path:
-    """The file on this machine. Raises `upload_damaged` when it is gone."""
+    """Return the path of the uploaded file on this machine. Raises `upload_damaged` if it does not exist."""
     with platform.database.reading() as session:
         upload = session.get(Upload, submission.upload_id or "")
     if upload is not None:

@@ -1,8 +1,8 @@
 """Builds the pack of a ground truth in a sandboxed child: opens label files and writes their bit planes.
 
-**Conventions.** Label files were computed from what a stranger recorded, or brought as they are, so only the child
-opens them, each held against its digest and read as strictly as a submission's. It reads the packs that it is named,
-writes one file in its folder, and answers with what the row is to say. The manifest is the parent's, made of names.
+**Conventions.** Label files derive from untrusted recordings or were imported, so only the child opens them, compares
+each with its digest, and reads them as strictly as a submission's. It reads the given packs, writes one file in its
+folder, and returns the facts for the row. The parent makes the manifest from names.
 """
 
 from collections.abc import Mapping
@@ -29,7 +29,7 @@ PACK = "truth.pack"
 
 @dataclass(frozen=True)
 class PackedLabelFile:
-    """A range of the pack of this number, and the sha256 of what is there; a plain value, for sandboxed children."""
+    """A range of the pack with this number, and the sha256 of its content; a plain value, for sandboxed children."""
 
     name: str
     pack: int
@@ -38,7 +38,7 @@ class PackedLabelFile:
     sha256: str
 
     def read(self, packs: Mapping[int, Path]) -> bytes:
-        """The npz, of packs by number. Raises `labels_unfit`, `short_pack`."""
+        """Return the npz from the packs by number. Raises `labels_unfit`, `short_pack`."""
         if self.length_bytes > MAX_LABELS_BYTES:
             raise labels_unfit(f"file {self.name}", f"it is longer than {MAX_LABELS_BYTES} bytes")
         with packs[self.pack].open("rb") as pack:
@@ -78,7 +78,7 @@ class TruthInputs:
 
 
 def write_truth(inputs: TruthInputs, folder: Path, progress: ProgressCallback) -> bytes:
-    """The pack of all frames, written into the folder. Raises as `TruthInputs.planes`."""
+    """Write the pack of all frames into the folder. Raises as `TruthInputs.planes`."""
     summary = write_truth_pack(folder / PACK, inputs.manifest, inputs.planes, threads=1, progress=progress)
     return TruthAnswer(sha256=summary.sha256, frames=summary.frames).packed()
 

@@ -1,7 +1,7 @@
-"""A submission together with the ground truth that it is scored against, read from the database.
+"""A submission and the ground truth for its scoring, read from the database.
 
-**Conventions.** A stage may run twice, and long after its submission has ended: it looks at the state first. Queued and
-scoring submissions are under way; a scored one is only scored again, by another evaluation version.
+**Conventions.** A stage may run twice, and long after its submission has ended, so it checks the state first. Queued
+and scoring submissions are in progress; a scored submission can only be scored again by another evaluation version.
 """
 
 from collections.abc import Mapping
@@ -26,7 +26,7 @@ VALIDATION = "validation"
 
 @dataclass(frozen=True)
 class ReadyTruth:
-    """A ground truth that is ready, and the objects it lies in."""
+    """A ready ground truth and its objects."""
 
     id: str
     sha256: str
@@ -47,7 +47,7 @@ class ReadyTruth:
 
 @dataclass(frozen=True)
 class KeptCounts:
-    """The counts that an earlier score stands on, and the version of the code that counted them."""
+    """The counts of an earlier score, and the version of the code that counted them."""
 
     object_key: str
     code_version: str
@@ -55,9 +55,9 @@ class KeptCounts:
 
 @dataclass(frozen=True)
 class Case:
-    """`zip_key` is the object of the file; empty while it is not kept, or not any more.
+    """`zip_key` is the object of the file; empty if the file is not stored (any more).
 
-    `kept` are counts against this ground truth that need not be made again: this code made them, or the file is gone.
+    `kept` are reusable counts against this ground truth: this code version counted them, or the file was deleted.
     """
 
     submission_id: str
@@ -74,11 +74,11 @@ class Case:
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing is to be counted for it any more."""
+        """Whether the submission needs no more counting."""
         return self.state not in (*LIVE, "scored")
 
     def kept_key(self) -> str:
-        """Raises `submission_purged`."""
+        """Return the object key of the file. Raises `submission_purged`."""
         if not self.zip_key:
             raise Refused(
                 "submission_purged",
@@ -88,7 +88,7 @@ class Case:
 
 
 def live_submission(session: Session, submission_id: str) -> SubmissionRow:
-    """The row as it is now. Raises `JobCancelledError` when it was deleted."""
+    """Return the current row. Raises `JobCancelledError` if it was deleted."""
     found = session.get(SubmissionRow, submission_id, populate_existing=True)
     if found is None:
         raise JobCancelledError("its submission was deleted")
@@ -96,7 +96,7 @@ def live_submission(session: Session, submission_id: str) -> SubmissionRow:
 
 
 def case_of(session: Session, submission_id: str, truth_id: str) -> Case:
-    """Raises `JobCancelledError`, `ground_truth_unready`."""
+    """Return the case. Raises `JobCancelledError`, `ground_truth_unready`."""
     row = live_submission(session, submission_id)
     zip_key = session.scalar(select(Blob.object_key).where(Blob.sha256 == row.blob_sha256)) or ""
     return Case(
@@ -111,7 +111,7 @@ def case_of(session: Session, submission_id: str, truth_id: str) -> Case:
 
 
 def truth_of(session: Session, truth_id: str) -> ReadyTruth:
-    """Raises `ground_truth_unready`."""
+    """Return the ground truth. Raises `ground_truth_unready`."""
     row = session.get(GroundTruthRow, truth_id)
     if row is None or row.ready_ns is None:
         raise truth_unready(f"ground truth {truth_id}")
@@ -120,7 +120,7 @@ def truth_of(session: Session, truth_id: str) -> ReadyTruth:
 
 
 def _kept_counts(session: Session, submission_id: str, truth_id: str, *, is_file_kept: bool) -> KeptCounts | None:
-    """Those of this code; those of another only where the file that they were counted from is not kept any more."""
+    """Return counts by this code version, or by another version if the counted file was deleted."""
     of_both = (Score.submission_id == submission_id, Score.truth_id == truth_id)
     counted = select(Blob.object_key, Score.record).join(Score, Score.confusions_sha256 == Blob.sha256).where(*of_both)
     rows = session.execute(counted.order_by(Score.id)).all()

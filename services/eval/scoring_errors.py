@@ -1,6 +1,6 @@
-"""Why a submission that may be sound is not scored.
+"""Errors for which a possibly valid submission is not scored.
 
-**Conventions.** Sentences go to whoever sent the submission in: none says anything about a label.
+**Conventions.** The submitter reads these sentences: they must reveal nothing about a label.
 """
 
 from stone.errors import Refused

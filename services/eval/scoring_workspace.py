@@ -17,7 +17,7 @@ from services.runtime.telemetry.counters import FRAMES, process_counters
 
 @dataclass(frozen=True, eq=False)
 class EvalStageContext:
-    """What every stage is handed."""
+    """The arguments of every stage."""
 
     platform: Platform
     attempt: Attempt
@@ -33,21 +33,20 @@ class EvalStageContext:
 
     @property
     def folder(self) -> Path:
-        """Of the run; it goes some time after the run has ended."""
+        """The run's folder, which is deleted some time after the run has ended."""
         return Workspace(self.platform.store, self.platform.settings, self.attempt.root_id).folder
 
     def case(self, truth_id: str) -> Case:
-        """As the rows have it now. Raises `JobCancelledError`, `ground_truth_unready`."""
+        """Return the current case. Raises `JobCancelledError`, `ground_truth_unready`."""
         with self.platform.database.reading() as session:
             return case_of(session, self.submission_id, truth_id)
 
     def examined(self, case: Case, span: Span) -> ExaminedRange:
-        """The frames [start, stop) of the submission, counted unless it is only to be checked.
+        """Examine the frames [start, stop) of the submission; they are counted unless they are only to be checked.
 
-        Before the file is refused, it is compared with the file that was sent: its sender is not to blame for decay in
-        the store.
-
-        Raises `submission_purged`, `scoring_crashed`, `scoring_interrupted`, `JobCancelledError`, `ObjectDamagedError`.
+        Before the file is refused, it is compared with the uploaded file, so that damage in the store is not blamed on
+        the submitter. Raises `submission_purged`, `scoring_crashed`, `scoring_interrupted`, `JobCancelledError`,
+        `ObjectDamagedError`.
         """
         store = self.platform.store
         manifest = case.truth.manifest(self.platform)

@@ -1,6 +1,6 @@
-"""The file by which a score is compared with others: its `RatioSpectra`.
+"""The file for comparing a score with others: its `RatioSpectra`.
 
-**Conventions.** The spectra of two scores by one ground truth determine how surely the two differ.
+**Conventions.** The spectra of two scores by one ground truth determine the significance of their difference.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ from stone_files.npz import npz_bytes
 
 
 def spectra_npz(spectra: RatioSpectra) -> bytes:
-    """The same spectra, the same bytes."""
+    """Return the spectra as a file; equal spectra give equal bytes."""
     return npz_bytes(
         {
             "frames_of_sequence": np.array(spectra.layout.frames_of_sequence, np.int64),

@@ -1,4 +1,4 @@
-"""The Celery task of the queue `eval`: each wake-up runs a job, or a row of short ones.
+"""The Celery task of the queue `eval`: each wake-up runs a job, or several short jobs.
 
 **Conventions.** Loaded by the worker's parent before it forks: the kernels are imported once, for all children. One
 thread for every library.
@@ -17,5 +17,5 @@ from services.runtime.platform import platform
 
 @shared_task(name="eval.work", ignore_result=True)
 def work() -> int:
-    """Run the next job, and the short ones after it; how many attempts it were."""
+    """Run the next job, and the short jobs after it; return the number of attempts."""
     return run_row(platform(), "eval", handlers(platform()), takes_jobs)

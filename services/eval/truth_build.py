@@ -1,9 +1,9 @@
 """The stage that builds a ground truth: the labels of one part of a dataset version → a pack, a manifest and facts.
 
-**Conventions.** Here, and nowhere else, are the labels of test read out of a version, by a sandboxed child
-(`services/eval/sandboxed_truth.py`): this process reads the index, which is ours, and moves files. Frames follow the
-version's index; inside a sequence they follow time. If the phase withholds the order, they follow the phase's tokens,
-and the facts hold the place in time of each frame. A ground truth that is ready is never written again.
+**Conventions.** Only this stage reads the labels of test from a version, in a sandboxed child
+(`services/eval/sandboxed_truth.py`); this process reads the platform's own index and moves files. Frames follow the
+version's index; within a sequence they follow time. If the phase withholds the order, they follow the phase's tokens,
+and the facts contain the place in time of each frame. A ready ground truth is never written again.
 """
 
 from collections.abc import Mapping
@@ -39,8 +39,10 @@ MANIFEST = "manifest.json"
 
 @dataclass(frozen=True)
 class TruthSource:
-    """The source of a ground truth: its mask and grid, the location of the part's files, the facts about its sequences
-    by name, and the frames selected (`unordered`; None for all, in time order)."""
+    """The source of a ground truth: its mask and grid, and the location of the part's files.
+
+    It has the facts about its sequences by name, and the selected frames (`unordered`; None for all, in time order).
+    """
 
     mask: Mask
     grid: LabelGrid
@@ -51,7 +53,7 @@ class TruthSource:
 
 @dataclass(frozen=True)
 class BuiltTruth:
-    """A ground truth that only wants its row."""
+    """A ground truth that is complete except for its row."""
 
     summary: TruthAnswer
     pack: PreparedBlob
@@ -60,9 +62,9 @@ class BuiltTruth:
 
 
 def build_truth(context: EvalStageContext) -> Outcome:
-    """Build the ground truth the job is for; the first of a phase is put in force.
+    """Build the job's ground truth; the first of a phase becomes active.
 
-    Raises `JobCancelledError` when it was deleted, `labels_unfit`, `SandboxCrashedError`,
+    Raises `JobCancelledError` if the ground truth was deleted, `labels_unfit`, `SandboxCrashedError`,
     `SandboxInterruptedError`, and what the store raises.
     """
     truth_id = context.attempt.arguments["truth_id"]
@@ -127,8 +129,10 @@ def _built(context: EvalStageContext, source: TruthSource) -> BuiltTruth:
 
 
 def _inputs(store: Store, stored: StoredFiles, source: TruthSource) -> tuple[TruthInputs, dict[str, list[int]]]:
-    """Return the label files and the packs that hold them, on this machine; and each frame's place in time by sequence
-    if frames are not in time order. Raises `labels_unfit`."""
+    """Return the label files with their local packs, and each frame's place in time by sequence.
+
+    The places are only given if frames are not in time order. Raises `labels_unfit`.
+    """
     ordinals, manifest = _frames(stored, source.said)
     places = dict[str, list[int]]()
     if source.unordered is not None:
@@ -144,7 +148,7 @@ def _packed_file(files: PackedFiles, ordinal: int) -> PackedLabelFile:
 
 
 def _frames(stored: StoredFiles, said: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, int], Manifest]:
-    """The place of each frame's label file in the index, by token, and the manifest. Raises `labels_unfit`."""
+    """Return the index position of each frame's label file, by token, and the manifest. Raises `labels_unfit`."""
     ordinals: dict[str, int] = {}
     sequences: dict[str, list[str]] = {}
     for ordinal, name in enumerate(stored.files.names):
@@ -172,7 +176,7 @@ def _unordered(
 
 
 def _write(truth_id: str, built: BuiltTruth, session: Session) -> None:
-    """The row is complete, once; the first of a phase is put in force."""
+    """Complete the row, once; the first ground truth of a phase becomes active."""
     link_all(session, (built.pack, built.manifest))
     unready = update(GroundTruthRow).where(GroundTruthRow.id == truth_id, GroundTruthRow.ready_ns.is_(None))
     made = unready.values(

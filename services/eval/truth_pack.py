@@ -1,12 +1,12 @@
-"""A whole ground truth in one file: its bit planes frame by frame, so that any part of it is read alone.
+"""A whole ground truth in one file: its bit planes frame by frame, so that any frame can be read alone.
 
 **Conventions.** Magic, the packed planes of each frame in the order of the manifest, an index (an npz of `tokens`,
 `offsets`, `counts`, `crc32`, `other_supports`; `grid`, JSON, if it is not the paper's; `late` if late voxels are
 known), then the start of the index and the magic again; little-endian. Packs of earlier versions have no
-`other_supports`. A frame is the `changes` and `columns` of `stone.scoring.plane_runs`: on real labels unpacked in a
-quarter of LZ4's time and an eighth of zstd's, for 1.6 and 3 times the bytes. In the frames that
-`stone.scoring.columns` counts, the deflated plane of late voxels follows; `late` (n,) holds its length in bytes. Equal
-ground truths give equal bytes. The platform writes every pack, so its checks only detect decay.
+`other_supports`. A frame consists of the `changes` and `columns` of `stone.scoring.plane_runs`: on real labels it
+unpacks in a quarter of LZ4's time and an eighth of zstd's, for 1.6 and 3 times the bytes. In the frames that
+`stone.scoring.columns` counts, the deflated plane of late voxels follows; `late` (n,) is its length in bytes. Equal
+ground truths give equal bytes. The platform writes every pack, so its checks only detect damage.
 """
 
 import json
@@ -49,7 +49,7 @@ NOT_KEPT = -1
 
 
 class TruthPackError(StoneError):
-    """A kept ground truth is not what was written."""
+    """A stored ground truth differs from what was written."""
 
     code = "bad_truth_pack"
 
@@ -59,7 +59,7 @@ class TruthPackError(StoneError):
 
 @dataclass(frozen=True)
 class PackSummary:
-    """`sha256` is that of everything evaluated, as in the signature of a score; not that of the file."""
+    """`sha256` covers everything evaluated, as in the signature of a score; it is not the file's hash."""
 
     sha256: str
     frames: int
@@ -82,9 +82,9 @@ def write_truth_pack(
     threads: int = THREADS,
     progress: Progress = silent,
 ) -> PackSummary:
-    """The ground truth of every frame of the manifest, whole or absent; memory does not grow with it.
+    """Write the ground truth of every frame of the manifest, atomically and with constant memory.
 
-    `truth_of` is called from several threads; what it raises is raised.
+    `truth_of` is called from several threads; its errors are raised.
     """
     tokens, index = manifest.tokens, _Index(manifest.grid)
     counted = frozenset(tokens[:: counted_every(len(tokens))])
@@ -106,9 +106,9 @@ def write_truth_pack(
 
 
 class TruthPack:
-    """A pack that is open until it is closed: any thread may read any frame, each holds one at a time.
+    """An open pack: any thread may read any frame, and holds one at a time.
 
-    Raises `UnreadableInputError` where the file cannot be opened and `TruthPackError` where it is no pack.
+    Raises `UnreadableInputError` if the file cannot be opened and `TruthPackError` if it is not a pack.
     """
 
     def __init__(self, path: Path) -> None:
@@ -139,7 +139,7 @@ class TruthPack:
         os.close(self._descriptor)
 
     def planes(self, index: int) -> TruthPlanes:
-        """The ground truth of frame `index`. Raises `TruthPackError` where its bytes changed."""
+        """Return the ground truth of frame `index`. Raises `TruthPackError` if its bytes changed."""
         start, stop = self._offsets[index : index + 2].tolist()
         packed = os.pread(self._descriptor, stop - start, start)
         if deflate.crc32(packed) != self._crc32[index]:
@@ -151,12 +151,15 @@ class TruthPack:
         return TruthPlanes(planes_of(runs), self._counts[index], self.grid, late)
 
     def planes_of(self, token: str) -> TruthPlanes:
-        """The ground truth of this frame, which must be in `tokens`."""
+        """Return the ground truth of this frame, which must be in `tokens`."""
         return self.planes(self._index_of[token])
 
     def supports(self) -> NDArray[np.int32]:
-        """Return the counts of the truth alone, (F, ring, 13): voxels by class, drivable columns, columns by class,
-        late voxels by class. A pack of an earlier version has voxels by class only; other counts are `NOT_KEPT`."""
+        """Return the counts of the ground truth alone, (F, ring, 13).
+
+        They are voxels by class, drivable columns, columns by class, late voxels by class. A pack of an earlier version
+        has only voxels by class; other counts are `NOT_KEPT`.
+        """
         evaluated, low, high, both = np.moveaxis(self._counts, -1, 0)
         voxels = np.stack([evaluated - low - high + both, low - both, high - both, both], axis=-1)
         unknown = np.full((*voxels.shape[:-1], SUPPORTS - CLASSES), NOT_KEPT)
@@ -194,7 +197,7 @@ class TruthPack:
 
 
 class _Index:
-    """What was written so far."""
+    """The index of the frames written so far."""
 
     def __init__(self, grid: LabelGrid) -> None:
         self._grid = grid

@@ -50,9 +50,9 @@ def read_supports(pack_path: Path) -> bytes:
 
 
 def can_be_counted(counts: Mapping[str, NDArray[np.int32]], supports: Supports, is_sampled: NDArray[np.bool_]) -> bool:
-    """Return whether some prediction has these `Counts.arrays` against a truth of these supports.
+    """Return whether some prediction has these `Counts.arrays` against a ground truth with these supports.
 
-    `is_sampled` (F,) names the frames in which columns are counted.
+    `is_sampled` (F,) marks the frames whose columns are counted.
     """
     confusions, bev, pairs, columns, late = (
         counts[name].astype(np.int64) for name in ("confusions", "bev", "pairs", "columns", "late")

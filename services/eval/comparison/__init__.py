@@ -1,1 +1,1 @@
-"""Comparison of two label sets of one run of the robot, of which neither is the truth."""
+"""Comparison of two label sets of one run of the robot, without a ground truth."""

@@ -1,7 +1,7 @@
-"""Counts of two label sets, frame by frame: over all voxels, and over those that were seen in both.
+"""Counts of two label sets, frame by frame: over all voxels, and over voxels that were observed in both.
 
-**Conventions.** Confusions are [ring, A, B] (`stone/scoring/agreement.py`). A voxel was *seen* where `mask_lidar` is
-not 0. One frame of both sets is in memory at a time.
+**Conventions.** Confusions are [ring, A, B] (`stone/scoring/agreement.py`). A voxel is *seen* if `mask_lidar` is not 0.
+One frame of both sets is in memory at a time.
 """
 
 from collections.abc import Callable, Iterable
@@ -29,7 +29,7 @@ Counted = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class LabelGrids:
-    """The labels of a frame, uint8 of the grid's shape; `seen` is None where the file does not say what was seen."""
+    """The labels of a frame, uint8 of the grid's shape; `seen` is None if the file has no mask."""
 
     semantics: Grid
     seen: Grid | None
@@ -40,7 +40,7 @@ FrameGrids = Callable[[], tuple[LabelGrids, LabelGrids]]
 
 @dataclass(frozen=True, eq=False)
 class SeenCounts:
-    """Counts where both saw: `confusion` (3, 4, 4), and voxels `seen` in both, in A only and in B only."""
+    """Counts over commonly seen voxels: `confusion` (3, 4, 4), and voxels `seen` in both, in A only and in B only."""
 
     confusion: Counted
     voxels: tuple[int, int, int]
@@ -48,9 +48,9 @@ class SeenCounts:
 
 @dataclass(frozen=True, eq=False)
 class LabelSetCounts:
-    """Sums over F frames: `confusion` (3, 4, 4) of all voxels; `agreements` (F,), NaN where nothing is occupied.
+    """Sums over F frames: `confusion` (3, 4, 4) of all voxels; `agreements` (F,), NaN if nothing is occupied.
 
-    `seen` is None where a frame of either set does not say what was seen.
+    `seen` is None if a frame of either set has no mask.
     """
 
     confusion: Counted
@@ -59,7 +59,7 @@ class LabelSetCounts:
 
 
 def label_grids(npz: bytes, path: Path, grid: LabelGrid) -> LabelGrids:
-    """The labels in a file of labels at a grid, read as strictly as a submission. Raises `GroundTruthError`."""
+    """Return the labels in a label file at a grid, read as strictly as a submission. Raises `GroundTruthError`."""
     try:
         members = npz_members(npz)
         if SEMANTICS not in members or not members.keys() <= KEYS:
@@ -76,7 +76,7 @@ def label_grids(npz: bytes, path: Path, grid: LabelGrid) -> LabelGrids:
 def counted_pairs(
     frames: Iterable[FrameGrids], total: int, grid: LabelGrid, progress: Progress = silent
 ) -> LabelSetCounts:
-    """The counts of `total` frames of a grid, one after another. Raises what a frame raises."""
+    """Return the counts of `total` frames of a grid, one after another. Raises what a frame raises."""
     everywhere, where_seen = (np.zeros((RINGS, CLASSES, CLASSES), np.int64) for _ in range(2))
     voxels, agreements, says_seen = np.zeros(3, np.int64), np.full(total, np.nan), True
     for index, grids in enumerate(frames):
@@ -102,5 +102,5 @@ def _confusion(a: LabelGrids, b: LabelGrids, is_evaluated: NDArray[np.bool_], gr
 
 
 def _seen_voxels(a: Grid, b: Grid) -> Counted:
-    """Voxels seen in both, in A and in B."""
+    """Return the numbers of voxels seen in both, in A and in B."""
     return np.array([np.count_nonzero((a != 0) & (b != 0)), np.count_nonzero(a), np.count_nonzero(b)], np.int64)

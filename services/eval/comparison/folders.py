@@ -1,4 +1,4 @@
-"""Comparison of two folders of labels on this machine, frame tokens held against each other."""
+"""Comparison of two local label folders, with frames matched by token."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from stone_submissions.validation import Progress, silent
 
 @dataclass(frozen=True)
 class LabelFolders:
-    """The label files of A and of B by frame token, of the frames in both and in the order of A, and their grid."""
+    """The label files of A and B by frame token, for the frames in both in the order of A, and their grid."""
 
     a: dict[str, Path]
     b: dict[str, Path]
@@ -28,7 +28,7 @@ class LabelFolders:
     grid: LabelGrid
 
     def grids(self, token: str) -> tuple[LabelGrids, LabelGrids]:
-        """Raises `UnreadableInputError`, `GroundTruthError`."""
+        """Return the labels of a frame in A and B. Raises `UnreadableInputError`, `GroundTruthError`."""
         return _read(self.a[token], self.grid), _read(self.b[token], self.grid)
 
     def pairs(self) -> Iterator[FrameGrids]:
@@ -36,7 +36,7 @@ class LabelFolders:
 
 
 def open_folders(a: Path, b: Path) -> LabelFolders:
-    """Two folders that hold `gts/<sequence>/<frame_token>/labels.npz`.
+    """Open two folders with `gts/<sequence>/<frame_token>/labels.npz`.
 
     Raises `UnreadableInputError`, `GroundTruthError`, `unknown_grid`, `grids_differ`, `nothing_in_common`.
     """
@@ -51,13 +51,13 @@ def open_folders(a: Path, b: Path) -> LabelFolders:
 
 
 def compare_folders(folders: LabelFolders, progress: Progress = silent) -> dict[str, Any]:
-    """The record of the comparison. Raises what `LabelFolders.grids` raises."""
+    """Return the record of the comparison. Raises what `LabelFolders.grids` raises."""
     counts = counted_pairs(folders.pairs(), len(folders.frames.tokens), folders.grid, progress)
     return comparison_record(folders.frames, counts)
 
 
 def write_pictures(folders: LabelFolders, record: dict[str, Any], folder: Path) -> list[Path]:
-    """`<frame_token>.png` of the frames that are least alike: A, B and the difference from above.
+    """Write `<frame_token>.png` of the least similar frames: A, B and the difference from above.
 
     Raises as `LabelFolders.grids`.
     """

@@ -1,8 +1,8 @@
-"""The record of a comparison, as the command prints it and the API answers it.
+"""The record of a comparison, as printed by the command and returned by the API.
 
-**Conventions.** Ratios are those of `stone.scoring.metric.RATIOS` over all voxels, which do not change when A and B are
-exchanged; `agreement_ratio` is that of `stone/scoring/agreement.py`. None where undefined. Rings are horizontal
-distances from the robot, half-open; the last has no end.
+**Conventions.** Ratios are those of `stone.scoring.metric.RATIOS` over all voxels, which are symmetric in A and B;
+`agreement_ratio` is that of `stone/scoring/agreement.py`. None if undefined. Rings are horizontal distances from the
+robot, half-open; the last has no end.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ RINGS_M: tuple[tuple[float, float | None], ...] = tuple(zip((0.0, *RING_EDGES_M)
 
 @dataclass(frozen=True)
 class ComparedFrames:
-    """The frames of both sets, in order, and how many are in one only."""
+    """The frames of both sets, in order, and the numbers of frames in only one of them."""
 
     tokens: Sequence[str]
     only_in_a: int
@@ -31,7 +31,7 @@ class ComparedFrames:
 
 
 def comparison_record(frames: ComparedFrames, counts: LabelSetCounts) -> dict[str, Any]:
-    """Plain JSON values."""
+    """Return plain JSON values."""
     seen = counts.seen
     record: dict[str, Any] = {
         "frames": len(frames.tokens),
@@ -61,7 +61,7 @@ def _figures(confusion: Counted) -> dict[str, Any]:
 
 
 def _least_alike(tokens: Sequence[str], counts: LabelSetCounts) -> list[dict[str, Any]]:
-    """Of the frames that are not alike, those that are least so, the least first."""
+    """Return the least similar frames that differ, the worst first."""
     order = np.argsort(counts.agreements, kind="stable")[:LEAST_ALIKE]  # NaN is last
     unlike = [int(index) for index in order if counts.agreements[index] < 1.0]
     return [{"token": tokens[index], "agreement_ratio": float(counts.agreements[index])} for index in unlike]

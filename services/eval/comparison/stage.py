@@ -1,7 +1,7 @@
 """The stage that compares two label sets of a sequence: packs of the store → counts in a sandbox → the record.
 
-**Conventions.** Label files are opened by a sandboxed child only, each held against its digest. The counts that it
-answers are measured before they are believed: every frame, and all its voxels.
+**Conventions.** Only a sandboxed child opens label files, and compares each with its digest. Its counts are checked
+before they are accepted: every frame, and all its voxels.
 """
 
 from collections.abc import Iterator, Mapping
@@ -52,7 +52,7 @@ Agreement = Annotated[float, Field(ge=0, le=1)] | None
 
 
 class CountsAnswer(SandboxAnswer):
-    """What was counted: confusions flat, [ring, A, B]; `seen_voxels` in both, in A only, in B only."""
+    """The counts: confusions flat, [ring, A, B]; `seen_voxels` in both, in A only, in B only."""
 
     asked: ClassVar[str] = "the counts of two label sets"
     confusion: Cells
@@ -71,7 +71,7 @@ class CountsAnswer(SandboxAnswer):
         )
 
     def counts(self, frames: int, grid: LabelGrid) -> LabelSetCounts:
-        """Raises `SandboxCrashedError` where they are not those of this many frames of the grid."""
+        """Return the counts. Raises `SandboxCrashedError` if they do not fit this number of frames of the grid."""
         if len(self.agreements) != frames or sum(self.confusion) != frames * grid.voxels:
             raise SandboxCrashedError(f"counted other than {frames} frames")
         agreements = np.array([nan if one is None else one for one in self.agreements])
@@ -83,15 +83,14 @@ class CountsAnswer(SandboxAnswer):
 
 @dataclass(frozen=True)
 class PackedPairs:
-    """The label files of all frames in A and in B, the packs by number in which they lie, and their grid; a plain
-    value."""
+    """The label files of all frames in A and in B, their packs by number, and their grid; a plain value."""
 
     packs: Mapping[int, Path]
     pairs: tuple[tuple[PackedLabelFile, PackedLabelFile], ...]
     grid: LabelGrid
 
     def grids(self, index: int) -> tuple[LabelGrids, LabelGrids]:
-        """Raises `labels_unfit`, `short_pack`, `GroundTruthError`."""
+        """Return the labels of a frame. Raises `labels_unfit`, `short_pack`, `GroundTruthError`."""
         a, b = (label_grids(file.read(self.packs), Path(file.name), self.grid) for file in self.pairs[index])
         return a, b
 
@@ -100,7 +99,7 @@ class PackedPairs:
 
 
 def compare_label_sets(context: EvalStageContext) -> Outcome:
-    """Count the comparison the job is for.
+    """Count the job's comparison.
 
     Raises `JobCancelledError`, `nothing_in_common`, `SandboxCrashedError`, and what the store raises.
     """
@@ -124,7 +123,7 @@ def compare_label_sets(context: EvalStageContext) -> Outcome:
 
 
 def count_pairs(packed: PackedPairs, _folder: Path, progress: ProgressCallback) -> bytes:
-    """The child's part. Raises as `PackedPairs.grids`."""
+    """Count in the child. Raises as `PackedPairs.grids`."""
     return CountsAnswer.of(counted_pairs(packed.frames(), len(packed.pairs), packed.grid, progress)).packed()
 
 
@@ -139,7 +138,7 @@ def _counted(context: EvalStageContext, pairs: list[StoredPair], grid: LabelGrid
 
 
 def _packed(context: EvalStageContext, pairs: list[StoredPair], grid: LabelGrid) -> PackedPairs:
-    """The packs on this machine, and where each file lies in them."""
+    """Return the local packs, and the position of each file in them."""
     keys = sorted({file.object_key for pair in pairs for file in (pair.a, pair.b)})
     numbers = {key: number for number, key in enumerate(keys)}
 
@@ -154,9 +153,6 @@ def _packed(context: EvalStageContext, pairs: list[StoredPair], grid: LabelGrid)
 
 def _by_ring(cells: list[int]) -> Counted:
     return np.array(cells, np.int64).reshape(RINGS, CLASSES, CLASSES)
-
-
-# Why two label sets cannot be compared.
 
 
 def no_shared_frame(a: str, b: str, frames: tuple[int, int]) -> Refused:
