@@ -1,10 +1,10 @@
-"""Why a received recording cannot be kept."""
+"""Errors of recordings that cannot be stored."""
 
 from stone.errors import Refused, StoneError
 
 
 class RecordingChangedError(StoneError):
-    """The bytes are not those that were uploaded."""
+    """The bytes differ from the uploaded bytes."""
 
     code = "recording_changed"
 

@@ -1,9 +1,9 @@
-"""The excerpt of a recording in a bucket: what labels need of it, as MCAP files that are kept.
+"""The excerpt of a recording in a bucket: the messages needed for labels, stored as MCAP files.
 
-    ranges → a file with holes → a sandboxed child says what lacks, or writes messages that came → holes again
+    ranges → a sparse file → a sandboxed child lists missing ranges, or writes messages → holes again
 
-**Conventions.** The parent fetches bytes and understands none; the child, which has no network, reads the file and
-answers with ranges of it. Bytes are here for some chunks at a time, so that little more than the excerpt is stored.
+**Conventions.** The parent fetches bytes without parsing them; the child, which has no network, reads the file and
+returns ranges. Bytes are local for a few chunks at a time, so that little more than the excerpt is stored.
 """
 
 import json
@@ -29,7 +29,7 @@ ROUNDS = 3  # its ends, its summary, its message indexes
 
 @dataclass(frozen=True)
 class _Chunks:
-    """Chunks by number, half-open, and where their messages lie."""
+    """Chunks by number, half-open, and the ranges of their messages."""
 
     numbers: Range
     ranges: tuple[Range, ...]
@@ -37,7 +37,7 @@ class _Chunks:
 
 @dataclass(frozen=True, eq=False)
 class ExcerptMaker:
-    """Makes the files in `folder`. `fetched_bytes` were read of the object."""
+    """Makes the files in `folder`. `fetched_bytes` counts the bytes read from the object."""
 
     platform: Platform
     attempt: Attempt
@@ -45,7 +45,7 @@ class ExcerptMaker:
     folder: Path
 
     def made(self) -> tuple[tuple[Path, ...], int]:
-        """The files, in the order of the recording, and how many bytes were read for them.
+        """Return the files, in the order of the recording, and the number of bytes read for them.
 
         Raises what reading the object and the bag raise, `SandboxCrashedError`, `JobCancelledError`.
         """
@@ -81,7 +81,7 @@ class ExcerptMaker:
         return sandbox.run(task, "fetch", 1)
 
     def _believed(self, plan: Any) -> tuple[list[Range], list[_Chunks]]:
-        """Ranges of the object, and nothing else."""
+        """Return the ranges in the plan. Raises `SandboxCrashedError` for anything but ranges of the object."""
         match plan:
             case {"lacks": list(lacks), "chunks": list(chunks)}:
                 found = [_Chunks((int(number), int(number) + 1), self._ranges(ranges)) for number, ranges in chunks]
@@ -96,7 +96,7 @@ class ExcerptMaker:
 
 
 def _batches(chunks: Sequence[_Chunks]) -> list[_Chunks]:
-    """Runs of chunks, each of `BATCH_BYTES` or as many as make `MOST_PARTS` of them."""
+    """Return groups of consecutive chunks, of `BATCH_BYTES` each, or larger to limit them to `MOST_PARTS`."""
     total_bytes = sum(stop - start for one in chunks for start, stop in one.ranges)
     return list(_grouped(chunks, max(BATCH_BYTES, total_bytes // MOST_PARTS)))
 
@@ -119,7 +119,7 @@ def _as_one(group: Sequence[_Chunks]) -> _Chunks:
 
 
 def _plan(name: str, here: Sequence[Range], with_pictures: bool, folder: Path, _progress: ProgressCallback) -> bytes:
-    """The child's part."""
+    """Plan the excerpt in the child."""
     plan = planned_excerpt(folder / name, here, with_pictures=with_pictures)
     return json.dumps({"lacks": plan.lacks, "chunks": plan.chunks}).encode()
 
@@ -127,7 +127,7 @@ def _plan(name: str, here: Sequence[Range], with_pictures: bool, folder: Path, _
 def _write(
     name: str, chunks: Range, target: str, with_pictures: bool, folder: Path, _progress: ProgressCallback
 ) -> bytes:
-    """The child's part."""
+    """Write the excerpt in the child."""
     return str(write_excerpt(folder / name, chunks, folder / target, with_pictures=with_pictures)).encode()
 
 

@@ -1,8 +1,8 @@
 """Compiled kernels and libraries for reading recordings, loaded once in the process that forks children.
 
-**Conventions.** Numba compiles by the type, the alignment and the mutability of columns, so each layout of points that
-drivers are known to send is shown to the kernels as it comes out of a message. Another layout is compiled where it is
-met, a second each time. Libraries that are loaded where they are used are used here too: each child loaded them anew.
+**Conventions.** Numba compiles for the type, the alignment and the mutability of columns, so the kernels are called
+with each known driver's point layout as decoded from a message. Other layouts are compiled at their first use, a second
+each time. Lazily imported libraries are used here too; otherwise each child would import them again.
 """
 
 from functools import cache
@@ -26,7 +26,7 @@ from stone_recordings.sync.registration import Target
 
 
 class PointLayout(NamedTuple):
-    """Name, type and byte of a point's time and of its laser, and the bytes of a point."""
+    """Name, type and byte offset of a point's time and of its laser, and the size of a point in bytes."""
 
     time: tuple[str, str, int]
     laser: tuple[str, str, int]
@@ -40,7 +40,7 @@ OUSTER = PointLayout(("t", "<u4", 20), ("ring", "u1", 26), 48)
 
 @cache
 def warm() -> None:
-    """Call each kernel with four points, those of the ground with a plain around the robot: once a process."""
+    """Call each kernel with four points, and the ground kernels with a plain around the robot, once per process."""
     _use_kernels()
     _use_libraries()
 
@@ -58,8 +58,7 @@ def _use_kernels() -> None:
 
 
 def _use_libraries() -> None:
-    """scipy's trees and sparse matrices, small_gicp, every type of message that is known, matplotlib with its font, and
-    the formats of pictures."""
+    """Use scipy's trees and sparse matrices, small_gicp, all known message types, matplotlib and image formats."""
     plain = _plain().astype(np.float64)
     seen, row = look(plain), np.arange(2)
     way = Way(np.stack([row, row], axis=1).astype(np.float64), row.astype(np.float64), 0 * row)
@@ -71,7 +70,7 @@ def _use_libraries() -> None:
 
 
 def _plain() -> NDArray[np.float32]:
-    """Level ground (N, 3) around the origin."""
+    """Return level ground (N, 3) around the origin."""
     side_m = np.arange(-3.0, 3.0, 0.1)
     x_m, y_m = (plane.ravel() for plane in np.meshgrid(side_m, side_m))
     return np.stack([x_m, y_m, np.zeros_like(x_m)], axis=1).astype(np.float32)

@@ -1,10 +1,10 @@
-"""From one recording and its calibration to a synchronised sequence: the page to read first.
+"""From one recording and its calibration to a synchronised sequence. Start reading here.
 
     topics → stamps → ego trajectory → frames → associations → sweeps on demand → maps joined where the track breaks
-           → mount held against the ground → drift in z followed
+           → mount checked against the ground → drift in z followed
 
 **Conventions.** The LiDAR stamp is the frame (paper, III-C). Nothing is shifted, extrapolated or repaired silently:
-what was noticed is in the sequence's findings, what is unusable in its exclusions, the rest is refused.
+observations are in the sequence's findings, unusable sweeps in its exclusions, and other faults are refused.
 """
 
 from collections.abc import Mapping
@@ -52,24 +52,25 @@ RADAR, PLACED = "radar", "CAL-439"
 
 
 def silent(_stage: str, _done: int, _total: int) -> None:
-    """Nobody asks how far it is."""
+    """Ignore progress; the default callback."""
 
 
 @dataclass(frozen=True)
 class SynchroniseOptions:
-    """Topics by name where the recording's roles are not meant; poses more than `max_pose_gap_ns` apart are a gap.
+    """Options of synchronisation.
 
-    `odometry_topic` may be "kiss-icp", or "course:TOPIC". `topics` names the topic of a role (lidar, pose) or of a
-    channel (CAM_FRONT).
-    `ground` is "given" by the calibration, or "auto": measured, and the height of the LiDAR's mount taken
-    from it, and a tilt beyond terrain's.
-    `poses` is a file that tells them instead of a topic; `poses_frame` is the frame of the poses of a topic that names
-    none.
-    `time_offsets_ns` are added to the stamps of the parts "lidar" and "pose" instead of what the calibration says.
-    `recording_sha256` spares reading the whole recording again where it is known; with `is_hashed` false nobody hashes
-    it here, and `inputs` of the sequence lack it. With `is_checked` false its findings lack those of `late_findings`.
-    `recorded` spares reading the messages again where they were read for the same sources. `base_from_lidar` is where
-    the poses' base has the LiDAR if the calibration's ego frame is another.
+    - `max_pose_gap_ns`: a longer interval between poses is a gap
+    - `odometry_topic`: a topic, "kiss-icp", or "course:TOPIC"
+    - `topics`: the topic of a role (lidar, pose) or of a channel (CAM_FRONT), instead of the recognised one
+    - `ground`: "given" by the calibration, or "auto": measure the height of the LiDAR's mount, and a tilt beyond
+      terrain's
+    - `poses`: a file with the poses, instead of a topic; `poses_frame`: the frame of a topic's poses if it names none
+    - `time_offsets_ns`: added to the stamps of "lidar" and "pose", instead of the calibration's offsets
+    - `recording_sha256`: known hash, which saves reading the whole recording again
+    - `is_hashed`: if False, the recording is not hashed, and the sequence's `inputs` lack the hash
+    - `is_checked`: if False, the findings lack those of `late_findings`
+    - `recorded`: messages already read for the same sources
+    - `base_from_lidar`: the LiDAR's pose in the poses' base, if the calibration has another ego frame
     """
 
     odometry_topic: str | None = None
@@ -89,7 +90,7 @@ class SynchroniseOptions:
 
     @property
     def asked_topics(self) -> AskedTopics:
-        """What is asked for by name goes before what the profile names."""
+        """The requested topics; topics given by name take precedence over the profile's."""
         named = {"lidar": self.lidar_topic, "pose": self.odometry_topic}
         given = {role: topic for role, topic in named.items() if topic}
         return AskedTopics.of_roles({**self.topics, **given}, has_pose_file=self.poses is not None)
@@ -98,10 +99,10 @@ class SynchroniseOptions:
 def synchronise(
     bag_path: Path, calibration: Calibration, options: SynchroniseOptions, name: str
 ) -> tuple[Sequence, BagSweeps]:
-    """The sequence called `name`, and where its deskewed sweeps come from.
+    """Return the sequence called `name`, and the source of its deskewed sweeps.
 
-    Raises what opening and decoding raise (BAG-*, MSG-*), what `stone_recordings.sync.errors` has
-    (no LiDAR, no pose source, no usable pose, no frame), and MissingSensorError when an INS has no mount.
+    Raises what opening and decoding raise (BAG-*, MSG-*), the errors of `stone_recordings.sync.errors` (no LiDAR, no
+    pose source, no usable pose, no frame), and MissingSensorError if an INS has no mount.
     """
     with open_bag(bag_path) as bag:
         return synchronise_in(bag, calibration, options, name)
@@ -110,7 +111,7 @@ def synchronise(
 def synchronise_in(
     bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str
 ) -> tuple[Sequence, BagSweeps]:
-    """As `synchronise`, of the recording that the caller has open. Raises as it does, but for opening."""
+    """As `synchronise`, for an open recording. Raises the same, except errors of opening."""
     if not options.is_hashed:
         return _checked(bag, calibration, options, name)
     with hashed_meanwhile(bag.path, options.recording_sha256) as inputs:
@@ -119,7 +120,7 @@ def synchronise_in(
 
 
 def _checked(bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str) -> tuple[Sequence, BagSweeps]:
-    """All but the hash of the recording."""
+    """Return the sequence without the hash of the recording."""
     sequence, sweeps = _grounded(bag, calibration, options, name)
     if not options.is_checked:
         return sequence, sweeps
@@ -127,15 +128,14 @@ def _checked(bag: Bag, calibration: Calibration, options: SynchroniseOptions, na
 
 
 def late_findings(bag: Bag, sequence: Sequence, sweeps: BagSweeps) -> tuple[Finding, ...]:
-    """What only pictures and registered sweeps tell: they change nothing but what is said of the sequence."""
+    """Return the findings of pictures and registered sweeps, which do not change the sequence itself."""
     seen = projection_findings(bag, sequence, sweeps)
     seen += trigger_findings(bag, _without_refuted(sequence, seen), sweeps)
     return seen + lag_findings(measured_lag(sequence, SweepsOfOpenBag(sweeps, bag)))
 
 
 def _grounded(bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str) -> tuple[Sequence, BagSweeps]:
-    """With the ground measured, the mount of the LiDAR corrected by it where that is asked for, and drift in z followed
-    where the poses have it."""
+    """Return the sequence with measured ground, drift in z followed, and the LiDAR's mount corrected on request."""
     (sequence, sweeps), applied = _synchronised(bag, calibration, options, name), tuple[Finding, ...]()
     seen, fit = _ground(bag, sequence, sweeps)
     if options.ground == "auto" and fit is not None:
@@ -144,7 +144,7 @@ def _grounded(bag: Bag, calibration: Calibration, options: SynchroniseOptions, n
         turned = _synchronised(bag, settled_on, options, name)
         seen, again = _ground(bag, *turned)
         if again is not None and again.is_way_tilted and not (fit.is_mount_tilted or fit.is_way_tilted):
-            # The map was right, and the poses, which are of the ego frame, did not turn with the LiDAR.
+            # The map was right, and the poses, which are of the ego frame, did not rotate with the LiDAR.
             settled_on = settled(sequence, SweepsOfOpenBag(sweeps, bag), fit.untilted())
             turned = _synchronised(bag, settled_on, options, name)
             seen, again = _ground(bag, *turned)
@@ -158,14 +158,14 @@ def _grounded(bag: Bag, calibration: Calibration, options: SynchroniseOptions, n
 
 
 def _ground(bag: Bag, sequence: Sequence, sweeps: BagSweeps) -> tuple[SeenWay, GroundFit | None]:
-    """Return the ground that sweeps along the way show, and its place in the ego frame."""
+    """Return the ground in sweeps along the track, and its pose in the ego frame."""
     opened = SweepsOfOpenBag(sweeps, bag)
     seen = seen_along(sequence, opened)
     return seen, measured_ground(sequence, opened, seen)
 
 
 def _without_refuted(sequence: Sequence, seen: tuple[Finding, ...]) -> Sequence:
-    """A mount that is not its camera's cannot say when that camera should have fired."""
+    """Remove trigger findings of cameras with a wrong mount, which cannot give the trigger time."""
     refuted = {finding.topic for finding in seen if finding.code == "CAL-404"}
     mounts = tuple(mount for mount in sequence.calibration.mounts if mount.name not in refuted)
     return replace(sequence, calibration=replace(sequence.calibration, mounts=mounts))
@@ -174,7 +174,7 @@ def _without_refuted(sequence: Sequence, seen: tuple[Finding, ...]) -> Sequence:
 def _synchronised(
     bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str
 ) -> tuple[Sequence, BagSweeps]:
-    """All but the cameras' checks, which look at frames."""
+    """Return the sequence without the cameras' checks, which read frames."""
     sequence, sweeps = unjoined_sequence(bag, calibration, options, name)
     return joined(sequence, SweepsOfOpenBag(sweeps, bag)), sweeps
 
@@ -182,7 +182,10 @@ def _synchronised(
 def unjoined_sequence(
     bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str
 ) -> tuple[Sequence, BagSweeps]:
-    """What the messages alone tell: each part of a broken track has a map of its own. Raises as `synchronise_in`."""
+    """Return the sequence from messages only; each part of a broken track has its own map.
+
+    Raises as `synchronise_in`.
+    """
     sources = choose_sources(bag, options.asked_topics)
     known = options.recorded
     recorded = known if known is not None and known.sources == sources else read_recorded(bag, sources)

@@ -1,8 +1,10 @@
-"""What ingest does in the queue: `register` reads a recording, `synchronise` makes a sequence of it, `check` looks for
-what only pictures and registered sweeps tell of it; `keep_dataset` keeps the archive of a published dataset.
+"""The stages of ingest in the queue.
 
-**Conventions.** A stage is a function of the platform and an attempt; it may run twice, at once or after being killed
-anywhere, and leaves the same bytes. Files for the labeler lie in the workspace of the run.
+`register` reads a recording, `synchronise` makes a sequence from it, `check` examines its pictures and registered
+sweeps, and `keep_dataset` stores the archive of a published dataset.
+
+**Conventions.** A stage is a function of the platform and an attempt. It may run twice, concurrently or after being
+killed anywhere, and writes the same bytes. Files for the labeler are in the workspace of the run.
 """
 
 from collections.abc import Mapping, Sequence
@@ -53,7 +55,7 @@ from stone_recordings.sync.stored_recording import RecordingPlace, StoredRecordi
 
 @dataclass(frozen=True)
 class _Inputs:
-    """What rows say of the inputs of a sequence; `sha256s` of its recordings by name."""
+    """Facts of rows about a sequence's inputs; `sha256s` of its recordings by name."""
 
     name: str
     recordings: tuple[StoredRecording, ...]
@@ -63,7 +65,7 @@ class _Inputs:
 
 
 def handlers(platform: Platform) -> Handlers:
-    """The stages by kind."""
+    """Return the stages by kind."""
     stages = {
         REGISTER: register,
         SYNCHRONISE: synchronise_recording,
@@ -74,7 +76,7 @@ def handlers(platform: Platform) -> Handlers:
 
 
 def synchronise_recording(platform: Platform, attempt: Attempt) -> Outcome:
-    """Leave in the workspace the sequence, the description of its sweeps, and how several recordings are joined.
+    """Write the sequence, the description of its sweeps, and `joined.json` of several recordings to the workspace.
 
     Raises what `synchronised` and `arguments_of_run` raise.
     """
@@ -107,7 +109,7 @@ def synchronise_recording(platform: Platform, attempt: Attempt) -> Outcome:
 
 
 def check_sequence(platform: Platform, attempt: Attempt) -> Outcome:
-    """Leave in the workspace the sequence with all of its findings; nobody waits for it but who publishes labels.
+    """Write the sequence with all of its findings to the workspace; only the publication of labels needs it.
 
     Raises what `checked` and `arguments_of_run` raise, `work_gone`.
     """
@@ -137,7 +139,7 @@ def check_sequence(platform: Platform, attempt: Attempt) -> Outcome:
 
 
 def _located(platform: Platform, recordings: Sequence[StoredRecording]) -> tuple[Path, ...]:
-    """The bags on this machine."""
+    """Return the bags on this machine."""
     return tuple(locate(platform, recording) for recording in recordings)
 
 
@@ -164,16 +166,18 @@ def _inputs(platform: Platform, attempt: Attempt, arguments: Mapping[str, Any]) 
     return _Inputs(sequence.name, kept, sha256s, StoredRecordingFile(rig.object_key, calibration.filename), valid_ns)
 
 
-# The stage that keeps the uploaded archive of a dataset as a blob, where workers of the labeler find it. Of an archive
-# in place it notes size and version, which every later stage compares.
-#
-# **Conventions.** The upload's file stays until the blob's row is written, so an attempt killed anywhere is repeated;
-# the sweeper removes the file where this could not. Nobody opens the archive here: its bytes are hashed and stored.
+# The stage that stores the uploaded archive of a dataset as a blob, for the labeler's workers. For an archive in place
+# it records size and version, which every later stage compares. The upload's file stays until the blob's row is
+# written, so an attempt killed anywhere is repeated; the sweeper deletes a remaining file. The archive is not opened
+# here: its bytes are hashed and stored.
 
 
 def keep_dataset(platform: Platform, attempt: Attempt) -> Outcome:
-    """Keep the archive. Raises `JobCancelledError`, `recording_file_missing`, `RecordingChangedError`, what the store
-    raises; of an archive in place what `refuse_changed_dataset` raises."""
+    """Store the archive.
+
+    Raises `JobCancelledError`, `recording_file_missing`, `RecordingChangedError`, what the store raises; for an archive
+    in place what `refuse_changed_dataset` raises.
+    """
     imported = import_of_attempt(platform, attempt)
     if place := place_of(imported):
         size_bytes = _noted(platform, attempt, place)
@@ -186,7 +190,7 @@ def keep_dataset(platform: Platform, attempt: Attempt) -> Outcome:
 
 
 def _noted(platform: Platform, attempt: Attempt, place: RecordingPlace) -> int:
-    """The size of the archive at the place, which is as it was noted, or is noted now."""
+    """Return the size of the archive at the place, comparing it with the recorded size or recording it."""
     settings = platform.settings.in_place
     if place.files:
         refuse_changed_dataset(settings, place)
@@ -213,7 +217,7 @@ def _keep(platform: Platform, attempt: Attempt, imported: DatasetImport) -> None
 
 
 def _write(platform: Platform, attempt: Attempt, imported: DatasetImport, prepared: PreparedBlob) -> None:
-    """Raises `RecordingChangedError`, `JobCancelledError`."""
+    """Write the rows. Raises `RecordingChangedError`, `JobCancelledError`."""
     if prepared.sha256 != imported.sha256:
         raise RecordingChangedError(imported.name, prepared.sha256, imported.sha256)
     with platform.database.transaction() as session:

@@ -1,12 +1,12 @@
-"""The stage that reads a recording once and keeps it: received → registered or refused.
+"""The stage that reads a recording once and stores it: received → registered or refused.
 
-    files → (what was cut off is recovered) → inspection → quality → previews → blobs → rows
+    files → (truncated files are recovered) → inspection → quality → previews → blobs → rows
     files in place, or an excerpt of an object → inspection → quality → previews → rows
 
 **Conventions.** The uploads' files stay until blobs hold their bytes, so an attempt killed anywhere is repeated from
-the start and makes the same; the sweeper removes the files afterwards. A sandboxed child does all the reading
-(`seeing`) while the files are hashed, so what breaks its reader fails the job and nothing else, and the recording stays
-as it was received. A refusal is written before the job fails by it, in the same words.
+the start with the same result; the sweeper deletes the files afterwards. A sandboxed child does all the reading
+(`seeing`) while the files are hashed. If its reader crashes, only the job fails, and the recording stays received. A
+refusal is written, in the same words, before it fails the job.
 """
 
 import shutil
@@ -45,7 +45,7 @@ EXCERPT = "excerpt"
 
 @dataclass(frozen=True)
 class _StoredBytes:
-    """The stored bytes: of each file and of what was recovered of it by the file's row, and of the previews."""
+    """The stored bytes: of each file and its recovered version, by the file's row, and of the previews."""
 
     originals: Mapping[str, PreparedBlob]
     recovered: Mapping[str, PreparedBlob]
@@ -56,8 +56,10 @@ class _StoredBytes:
 
 
 def register(platform: Platform, attempt: Attempt) -> Outcome:
-    """Inspect the recording and keep it as blobs. Raises the `BAG-*` refusals, `RecordingChangedError`, what `seen`
-    raises."""
+    """Inspect the recording and store it as blobs.
+
+    Raises the `BAG-*` refusals, `RecordingChangedError`, what `seen` raises.
+    """
     if place := _place_of(platform, str(attempt.arguments["recording_id"])):
         return _read_in_place(platform, attempt, place)
     with received(platform, str(attempt.arguments["recording_id"])) as brought:
@@ -71,7 +73,7 @@ def _place_of(platform: Platform, recording_id: str) -> RecordingPlace | None:
 
 
 def _read_in_place(platform: Platform, attempt: Attempt, asked: RecordingPlace) -> Outcome:
-    """Inspect a recording where it lies. Of its bytes nothing is kept but previews; of an object an excerpt."""
+    """Inspect a recording in place. Only previews are stored, and an excerpt of an object."""
     recording_id = str(attempt.arguments["recording_id"])
     work = Workspace(platform.store, platform.settings, attempt.root_id).folder
     attempt.progress("inspect", 0, STEPS)
@@ -103,11 +105,11 @@ def _read_in_place(platform: Platform, attempt: Attempt, asked: RecordingPlace) 
 
 
 def _at_hand(platform: Platform, attempt: Attempt, place: RecordingPlace, work: Path) -> tuple[Path, tuple[Path, ...]]:
-    """The bag on this machine: where it lies, or an excerpt and its files."""
+    """Return the local bag, and its files: the recording in place (no files), or an excerpt."""
     if not is_by_ranges(platform.settings.in_place, place):
         return located_in_place(platform.settings, place), ()
     folder = work / EXCERPT / place.name
-    shutil.rmtree(folder, ignore_errors=True)  # of an attempt that was cut off
+    shutil.rmtree(folder, ignore_errors=True)  # from an interrupted attempt
     folder.mkdir(parents=True)
     parts, read_bytes = ExcerptMaker(platform, attempt, place, folder).made()
     attempt.log("fetched", read_bytes=read_bytes, size_bytes=place.size_bytes, files=len(parts))
@@ -125,12 +127,12 @@ def _read_and_kept(platform: Platform, attempt: Attempt, brought: ReceivedBag) -
         with hashed_beside(platform.store, [file.path for file in brought.files], adopt=True) as hashed:
             try:
                 found = _seen(platform, attempt, brought, work)
-            except IngestError:  # a file that decayed on the way is not reported as corrupt
+            except IngestError:  # a file damaged during transfer must not be reported as corrupt
                 _refuse_changed(brought, hashed())
                 raise
             attempt.progress("keep", 2, STEPS)
             originals = _originals(platform, brought, hashed())
-    except PlatformFaultError:  # a disk that is full, a store that is away: no fault of the recording
+    except PlatformFaultError:  # a full disk or unavailable store is not the recording's fault
         raise
     except (IngestError, RecordingChangedError) as error:
         _refuse(platform, brought.recording_id, error)
@@ -152,7 +154,7 @@ def _read_and_kept(platform: Platform, attempt: Attempt, brought: ReceivedBag) -
 
 
 def _seen(platform: Platform, attempt: Attempt, brought: ReceivedBag, work: Path) -> RecordingSurvey:
-    """What was recovered lies below `work` then, until the run is collected."""
+    """Survey the recording; recovered files are then in `work` until the run is collected."""
     with private_folder_in(work) as folder:
         apart = JobSandbox(folder, brought.reads, attempt, platform.settings, warm, makes_links=True)
         found = seen(brought, apart)
@@ -166,14 +168,14 @@ def _moved(path: Path, work: Path) -> Path:
 
 
 def _originals(platform: Platform, brought: ReceivedBag, hashed: Sequence[PreparedBlob]) -> dict[str, PreparedBlob]:
-    """The stored files by their rows. Raises `RecordingChangedError`."""
+    """Return the stored files by their rows. Raises `RecordingChangedError`."""
     _refuse_changed(brought, hashed)
     stored = prepare_hashed(platform.database, hashed)
     return {file.row_id: blob for file, blob in zip(brought.files, stored, strict=True)}
 
 
 def _refuse_changed(brought: ReceivedBag, hashed: Sequence[PreparedBlob]) -> None:
-    """Raises `RecordingChangedError`."""
+    """Raise `RecordingChangedError` if a hash differs from the uploaded file's."""
     for file, found in zip(brought.files, hashed, strict=True):
         if found.sha256 != file.sha256:
             raise RecordingChangedError(file.filename, found.sha256, file.sha256)
@@ -197,7 +199,7 @@ def _register(session: Session, brought: ReceivedBag, found: RecordingSurvey, ke
 
 
 def _refuse(platform: Platform, recording_id: str, error: StoneError) -> None:
-    """Write the refusal down, give the owner's bytes back, remove the files."""
+    """Write the refusal, release the owner's bytes, delete the files."""
     with platform.database.transaction() as session:
         recording = session.get(Recording, recording_id, with_for_update=True)
         if recording is None or recording.state != "received":

@@ -1,9 +1,9 @@
-"""The inspection of a recording in a sandboxed process, and the checks of what that process answers.
+"""The inspection of a recording in a sandboxed process, and the checks of that process's answer.
 
-    files → (what was cut off is recovered) → inspection → quality → previews → a parcel
+    files → (truncated files are recovered) → inspection → quality → previews → a parcel
 
-**Conventions.** The child writes the files that it recovers into its folder and answers with everything else. The
-parent takes records for what they are, JSON of a bounded size, and a recovered file only where it asked for one.
+**Conventions.** The child writes recovered files into its folder and returns everything else. The parent treats records
+as untrusted JSON of bounded size, and accepts a recovered file only at the path that it requested.
 """
 
 import json
@@ -53,14 +53,11 @@ from stone_recordings.sync.reference_check import reference_refusal
 from stone_recordings.sync.sweeps import SweepsOfOpenBag
 from stone_recordings.topics.profiles import TopicProfile
 
-# The outlook of a recording: what labelling would refuse or leave out, said by the code that will do so.
-#
-#     inspection → the same synchronisation that labels are made from → its findings beside those of the inspection
-#
-# **Conventions.** With a calibration everything is looked at that comes before labelling, and what labelling would
-# refuse is an error. Without one, a rig whose parts all sit in one place stands in for it, and what is found about
-# mounts is not said; a refusal is an error too, unless the platform looks, which may yet be given what averts it: a
-# calibration with the offset of a clock, a file of poses.
+# The outlook of a recording: the faults for which labelling would refuse or exclude data, found by the same code:
+# inspection → the synchronisation of labelling → its findings, added to those of the inspection. With a calibration,
+# everything before labelling is checked, and what labelling would refuse is an error. Without one, a rig with all
+# sensors at one place stands in for it, and findings about mounts are omitted. A refusal is then an error too, except
+# on the platform, where a later calibration with a clock offset, or a file of poses, may avert it.
 
 
 NAME = "outlook"
@@ -78,12 +75,11 @@ def inspected_in(
     scan: Scan | None = None,
     is_complete: bool = True,
 ) -> Inspection:
-    """The inspection with the outlook among its findings; the topics of `options` are those of the profile.
+    """Return the inspection with the outlook's findings; the topics of `options` are those of the profile.
 
-    `scan` spares another where the caller has one. A recording is read once for both. If the inspection is not
-    complete, more may be brought for the recording, and what is refused without a calibration is a warning.
-
-    Raises as `inspect_in` and `read_calibration` do.
+    `scan` avoids a second scan if the caller has one; the recording is read once for both. If `is_complete` is False,
+    more data may follow, and a refusal without a calibration is only a warning. Raises as `inspect_in` and
+    `read_calibration`.
     """
     asked = replace(options or SynchroniseOptions(), topics=profile.topics if profile else {}, is_hashed=False)
     scan = scan or scanned(bag, asked.asked_topics)
@@ -105,8 +101,7 @@ def inspected_in(
 
 
 def outlook(bag: Bag, calibration: Calibration, options: SynchroniseOptions) -> tuple[Finding, ...]:
-    """Return the findings of synchronisation; its refusal, and labelling's by the ground or for lack of a reference, is
-    an error."""
+    """Return the findings of synchronisation; a refusal, also of labelling's ground check, is an error."""
     try:
         sequence, sweeps = synchronise_in(bag, calibration, replace(options, is_hashed=False), NAME)
     except StoneError as error:
@@ -122,8 +117,10 @@ def outlook(bag: Bag, calibration: Calibration, options: SynchroniseOptions) -> 
 def stood_in(
     bag: Bag, options: SynchroniseOptions, severity: Severity = "error"
 ) -> tuple[tuple[Finding, ...], GroundFit | None]:
-    """As `outlook`, without a calibration, and the ground in the LiDAR's frame, by which a calibration can be judged
-    before anything is processed. A refusal is of the given severity, one of the poses themselves always an error."""
+    """Return the outlook without a calibration, and the ground in the LiDAR's frame, to judge a calibration early.
+
+    A refusal has the given severity; a refusal of the poses themselves is always an error.
+    """
     try:
         sequence, sweeps = unjoined_sequence(bag, STAND_IN, options, NAME)
         ground = measured_ground(sequence, SweepsOfOpenBag(sweeps, bag), None)
@@ -137,8 +134,7 @@ def _refused(refusal: StoneError, severity: Severity) -> Finding:
 
 
 def with_new(known: tuple[Finding, ...], said: tuple[Finding, ...]) -> tuple[Finding, ...]:
-    """Return both, without repetitions: the same code of the same topic, or of none in particular, and as grave; or one
-    reason of one topic."""
+    """Return both without repetitions: equal code, severity and topic (or none), or equal reason and topic."""
     codes, named = {finding.code for finding in known}, {(finding.code, finding.topic) for finding in known}
     refused = {finding.code for finding in known if finding.severity == "error"}
     reasons = [(finding.topic, finding.message) for finding in known if finding.topic]
@@ -157,7 +153,7 @@ def with_new(known: tuple[Finding, ...], said: tuple[Finding, ...]) -> tuple[Fin
 
 @dataclass(frozen=True)
 class ReceivedFile:
-    """What a row says of one file; `path` is where its bytes lie now."""
+    """A file's row and its current local `path`."""
 
     row_id: str
     upload_id: str
@@ -168,9 +164,10 @@ class ReceivedFile:
 
 @dataclass(frozen=True)
 class ReceivedBag:
-    """A recording as it was received; `folder` is where names of files are kept on this machine.
+    """A received recording; `folder` contains the named files on this machine.
 
-    `profile` is what its owner chose for the robot. Of a recording in place `here` is the bag, and there are no files.
+    `profile` is its owner's topic choice for the robot. For a recording in place, `here` is the bag, and there are no
+    files.
     """
 
     recording_id: str
@@ -183,13 +180,13 @@ class ReceivedBag:
 
     @property
     def reads(self) -> tuple[Path, ...]:
-        """The files that hold its bytes."""
+        """The files that contain its bytes."""
         return tuple(file.path for file in self.files) if self.here is None else bag_paths(self.here)
 
     def bag(self, instead: Mapping[str, Path] | None = None) -> Path:
-        """The bag as its owner named it: a file, or a folder with the files.
+        """Return the bag under its owner's name: a file, or a folder with the files.
 
-        `instead` says, by `row_id`, what is read in the place of a file.
+        `instead` maps a `row_id` to the file that replaces it.
         """
         if self.here is not None:
             return self.here
@@ -199,7 +196,7 @@ class ReceivedBag:
 
 @dataclass(frozen=True)
 class _StoredFile:
-    """Where rows say that the bytes of a file are: in a blob, or else in an upload."""
+    """The stored location of a file's bytes: a blob, or an upload."""
 
     row: RecordingFile
     blob: Blob | None
@@ -208,7 +205,7 @@ class _StoredFile:
 
 @contextmanager
 def received(platform: Platform, recording_id: str, here: Path | None = None) -> Iterator[ReceivedBag]:
-    """The recording with its files on this machine, or `here`; copies that were made for it go with the block.
+    """Yield the recording with its files on this machine, or `here`; temporary copies are deleted afterwards.
 
     Raises `JobCancelledError` (deleted), `recording_refused`, `recording_file_missing`, what the store raises.
     """
@@ -231,7 +228,7 @@ def _kept(session: Session, row: RecordingFile) -> _StoredFile:
 
 
 def _path(platform: Platform, kept: _StoredFile, copies: ExitStack) -> Path | None:
-    """Where the bytes are; nothing when they are gone."""
+    """Return the path of the bytes, or None if they do not exist."""
     with suppress(FileNotFoundError, ObjectMissingError):
         if kept.blob is not None:
             return platform.store.local(kept.blob.object_key)
@@ -243,29 +240,28 @@ def _path(platform: Platform, kept: _StoredFile, copies: ExitStack) -> Path | No
 def _file(recording: Recording, row: RecordingFile, path: Path | None) -> ReceivedFile:
     if path is not None:
         return ReceivedFile(row.id, row.upload_id or "", row.filename, row.sha256, path)
-    if recording.state == "refused":  # by an attempt that was killed before it could say so
+    if recording.state == "refused":  # by an attempt killed before it could report the refusal
         raise Refused("recording_refused", f"{recording.filename} was refused: {recording.findings[0]['message']}")
     raise recording_file_missing(row.filename, row.upload_id or "")
 
 
-# Recovery of truncated recording files: what is whole is written to a new file, the original stays as it is.
-#
-# **Conventions.** A recovery has the same bytes whenever it is made of the same file
-# (`stone_recordings/bags/recovery/recovery.py`), so an attempt that is repeated makes the same one.
+# Recovery of truncated recording files: the readable part is written to a new file, the original is unchanged.
+# Recovering the same file always gives the same bytes (`stone_recordings/bags/recovery/recovery.py`), so a repeated
+# attempt gives the same file.
 
 
 @dataclass(frozen=True)
 class RecoveredFile:
-    """An MCAP file that is read in the place of the one that was cut off, and what is said of that."""
+    """An MCAP file that replaces a truncated file, and the findings about it."""
 
     path: Path
     finding: Finding
 
 
 def recovered_files(received: ReceivedBag, folder: Path) -> dict[str, RecoveredFile]:
-    """By the `row_id` of each file that was cut off; written into `folder`.
+    """Return the recovered files by the `row_id` of the truncated files; they are written into `folder`.
 
-    Raises the refusal of a file of which nothing could be read.
+    Raises the refusal of a file from which nothing could be read.
     """
     folder.mkdir(parents=True, exist_ok=True)
     cut = [file for file in received.files if _is_cut(received, file)]
@@ -279,7 +275,7 @@ def _is_cut(received: ReceivedBag, file: ReceivedFile) -> bool:
         return True
     except PlatformFaultError:
         raise
-    except IngestError:  # alone it may be no bag: a metadata.yaml, a database without its log
+    except IngestError:  # not a bag on its own: a metadata.yaml, a database without its log
         return False
     return False
 
@@ -299,10 +295,10 @@ STEPS = 4
 
 @dataclass(frozen=True)
 class RecordingSurvey:
-    """The records of inspection and quality as they are kept in rows; `drawn` are the previews.
+    """The records of inspection and quality as stored in rows; `drawn` are the previews.
 
-    `recovered` are files, by the row of the file that was cut off and in whose place they are read. `content_sha256` is
-    of a recording in place, else empty.
+    `recovered` are the replacements of truncated files, by their row. `content_sha256` is empty unless the recording is
+    in place.
     """
 
     inspection: dict[str, Any]
@@ -315,13 +311,16 @@ class RecordingSurvey:
 
 
 def seen(brought: ReceivedBag, apart: JobSandbox) -> RecordingSurvey:
-    """Raises the `BAG-*` refusals, `SandboxCrashedError`, `ConfinedInterruptedError`, `JobCancelledError`."""
+    """Survey the recording in a child.
+
+    Raises the `BAG-*` refusals, `SandboxCrashedError`, `ConfinedInterruptedError`, `JobCancelledError`.
+    """
     answer = apart.run(partial(_look, brought), "inspect", STEPS)
     return _believed(unpacked(answer), brought, apart.folder)
 
 
 def _look(brought: ReceivedBag, folder: Path, progress: ProgressCallback) -> bytes:
-    """The child's part."""
+    """Survey the recording within the child."""
     ours = replace(brought, folder=folder / NAMES)
     with ExitStack() as files:
         bag, inspection, recovered = _inspected_in(files, ours, folder / RECOVERED)
@@ -335,7 +334,7 @@ def _look(brought: ReceivedBag, folder: Path, progress: ProgressCallback) -> byt
 def _inspected_in(
     files: ExitStack, ours: ReceivedBag, folder: Path
 ) -> tuple[Bag, Inspection, dict[str, RecoveredFile]]:
-    """The recording, open as long as `files` are, and its inspection; what was cut off of it is recovered first."""
+    """Return the bag, open as long as `files`, its inspection, and the recovered files."""
     try:
         bag = files.enter_context(open_bag(ours.bag()))
         if ours.here is not None:
@@ -383,7 +382,7 @@ def _believed(parcel: SandboxResult, brought: ReceivedBag, folder: Path) -> Reco
 
 
 def _plain(folder: Path, name: str) -> Path:
-    """A file of the folder itself, reached by no link."""
+    """Return a regular file directly in the folder, not reached through a link."""
     path = folder / name
     if path.resolve() != folder.resolve() / name or not path.is_file():
         raise SandboxCrashedError("recovered no file at the reported path")

@@ -1,10 +1,9 @@
 """Synchronisation in a sandboxed process: recordings and their calibration become a sequence.
 
-**Conventions.** The child joins recordings where they are several, and writes `joined.json`, which says how. It writes
-`sequence` and `sweeps` into its folder, which may be large, and answers with what is said of the run so far: what only
-pictures and registered sweeps tell is left to the late checks (below). The parent moves
-the files and never opens them, but for `joined.json`, which it checks: the labeler's reader does, which unpickles
-nothing.
+**Conventions.** The child joins several recordings and describes the result in `joined.json`. It writes `sequence` and
+`sweeps`, which may be large, into its folder, and returns the findings so far; findings of pictures and registered
+sweeps follow from the late checks (below). The parent moves the files without opening them, except `joined.json`, which
+it checks. The labeler's reader opens the other files and does not unpickle.
 """
 
 from collections.abc import Iterable, Mapping
@@ -44,7 +43,7 @@ MOST_FINDINGS = 100
 class StoredBags:
     """The recordings of a run: on this machine and in the store, in one order.
 
-    `sha256s` are known of each by its name; `offsets_ns` are of clocks that its owner knows.
+    `sha256s` are the known hashes by name; `offsets_ns` are clock offsets given by the owner.
     """
 
     paths: tuple[Path, ...]
@@ -59,13 +58,13 @@ class StoredBags:
 
     @property
     def is_in_place(self) -> bool:
-        """Whether one of them stays where it lies: chunks are then not read only to be checked."""
+        """Whether a recording is in place; chunks are then not read only for checking."""
         return any(one.place for one in self.kept)
 
 
 @dataclass(frozen=True)
 class SynchronisationRequest:
-    """What is to be made of what: the bags, the calibration on this machine, and what its row says of it."""
+    """The bags, the calibration on this machine, and the facts in its row."""
 
     bags: StoredBags
     calibration: Path
@@ -76,8 +75,10 @@ class SynchronisationRequest:
 
 @dataclass(frozen=True)
 class SynchronisationResult:
-    """`result` is the job's; `files` are to be moved to where their names say. `contents` are the hashes of what was
-    read of recordings in place, by name."""
+    """`result` is the job's; `files` are to be moved to the paths of their names.
+
+    `contents` are the content hashes of recordings in place, by name.
+    """
 
     result: dict[str, Any]
     files: Mapping[str, Path]
@@ -85,8 +86,11 @@ class SynchronisationResult:
 
 
 def synchronised(asked: SynchronisationRequest, apart: JobSandbox) -> SynchronisationResult:
-    """Raises what `join_recordings` and `open_sequence` raise, `SandboxCrashedError`, `ConfinedInterruptedError`,
-    `JobCancelledError`."""
+    """Synchronise in a child.
+
+    Raises what `join_recordings` and `open_sequence` raise, `SandboxCrashedError`, `ConfinedInterruptedError`,
+    `JobCancelledError`.
+    """
     answer = apart.run(partial(synchronise_bags, asked), SYNCHRONISED, 2)
     made = _believed(unpacked(answer), apart.folder)
     _refuse_other_content(made.contents, asked.bags)
@@ -94,7 +98,7 @@ def synchronised(asked: SynchronisationRequest, apart: JobSandbox) -> Synchronis
 
 
 def synchronise_bags(asked: SynchronisationRequest, folder: Path, progress: ProgressCallback) -> bytes:
-    """The child's part."""
+    """Synchronise within the child."""
     path, sha256 = _one_bag(asked, folder)
     options = replace(asked.options, progress=progress, recording_sha256=sha256, is_checked=False)
     with open_bag(path) as bag:
@@ -123,14 +127,14 @@ def _contents_in_place(bags: StoredBags) -> dict[str, str]:
 
 
 def _refuse_other_content(contents: Mapping[str, str], bags: StoredBags) -> None:
-    """Raises `recording_changed_in_place` for a recording whose files look as they did and hold something else."""
+    """Raise `recording_changed_in_place` if only the content of a recording's files changed."""
     for kept in bags.kept:
         if kept.place and sha256_in_place(kept.place, str(contents.get(kept.name))) != bags.sha256s[kept.name]:
             raise content_changed(kept.place)
 
 
 def _one_bag(asked: SynchronisationRequest, folder: Path) -> tuple[Path, str]:
-    """The recording with its hash; of several, the folder in which they are joined."""
+    """Return the recording with its hash; several recordings are joined in a folder."""
     bags = asked.bags
     if len(bags.paths) == 1:
         return bags.paths[0], bags.sha256s[bags.kept[0].name]
@@ -144,7 +148,7 @@ def _one_bag(asked: SynchronisationRequest, folder: Path) -> tuple[Path, str]:
 
 
 def with_description(made: SynchronisationResult, joint: Path, bags: StoredBags) -> SynchronisationResult:
-    """With `joined.json`, and in the result the offset of each clock. Raises `SandboxCrashedError` where it lies."""
+    """Add `joined.json`, and each clock's offset to the result. Raises `SandboxCrashedError` if they are wrong."""
     path = joint / JOINED
     if not path.is_file() or path.is_symlink() or joint.is_symlink():
         raise SandboxCrashedError("wrote no description of the joined recordings")
@@ -179,16 +183,15 @@ def _believed(parcel: SandboxResult, folder: Path) -> SynchronisationResult:
 
 
 def short_records(findings: Iterable[Finding]) -> list[dict[str, Any]]:
-    """The first of them, each short enough for a row."""
+    """Return the first findings, each short enough for a row."""
     short = (replace(finding, message=finding.message[:300], topic=finding.topic[:300]) for finding in findings)
     return [finding.as_record() for finding, _ in zip(short, range(MOST_FINDINGS), strict=False)]
 
 
-# The late checks in a sandboxed process: what pictures and registered sweeps tell of a synchronised sequence.
-#
-# **Conventions.** They change nothing but what is said of the sequence, so it is labelled meanwhile. The child reads
-# what synchronisation left, writes the sequence with all of its findings into its folder, and answers with these
-# findings and a picture per camera; the parent moves the file and never opens it.
+# The late checks in a sandboxed process: findings of a synchronised sequence's pictures and registered sweeps. They do
+# not change the sequence itself, so it is labelled meanwhile. The child reads the output of synchronisation, writes the
+# sequence with all of its findings into its folder, and returns these findings and a picture per camera; the parent
+# moves the file without opening it.
 
 
 CHECKED = "check"
@@ -196,8 +199,7 @@ CHECKED = "check"
 
 @dataclass(frozen=True)
 class CheckRequest:
-    """What is checked: the folder that holds what synchronisation left, the bag on this machine (of several recordings
-    the joined one), and when the calibration is valid."""
+    """The folder with synchronisation's output, the local (possibly joined) bag, the calibration's validity."""
 
     left: Path
     bag: Path
@@ -212,7 +214,7 @@ class CheckRequest:
 
 @dataclass(frozen=True)
 class CheckResult:
-    """`result` is the job's; `file` is to be moved to where its name says."""
+    """`result` is the job's; `file` is to be moved to the path of its name."""
 
     result: dict[str, Any]
     file: Path
@@ -220,13 +222,16 @@ class CheckResult:
 
 
 def checked(asked: CheckRequest, apart: JobSandbox) -> CheckResult:
-    """Raises what `late_findings` and `overlays_of` raise, `SandboxCrashedError`, `ConfinedInterruptedError`,
-    `JobCancelledError`."""
+    """Run the late checks in a child.
+
+    Raises what `late_findings` and `overlays_of` raise, `SandboxCrashedError`, `ConfinedInterruptedError`,
+    `JobCancelledError`.
+    """
     return _believed_check(unpacked(apart.run(partial(check_left, asked), CHECKED, 2)), apart.folder / CHECKED_FILE)
 
 
 def check_left(asked: CheckRequest, folder: Path, _progress: ProgressCallback) -> bytes:
-    """The child's part. What is said of the calibration's time stays last."""
+    """Run the late checks within the child. Findings about the calibration's validity stay last."""
     sequence, sweeps = (path.read_bytes() for path in asked.files)
     found, source = read_sequence(sequence), read_sweeps(sweeps, lambda _: asked.bag)
     with open_bag(asked.bag) as bag:

@@ -20,13 +20,13 @@ T = TypeVar("T")
 
 
 class FoundDamagedError(Exception):
-    """A recording that was believed is damaged where no sweep lies; `with_sequence` opens it again."""
+    """A recording assumed to be sound is damaged outside its sweeps; `with_sequence` opens it again."""
 
 
 def open_sequence(
     bag: Path, calibration: Path, name: str, options: SynchroniseOptions | None = None
 ) -> tuple[Sequence, BagSweeps]:
-    """The sequence `name`; it carries what was noticed about the calibration, and the hashes of both files.
+    """Return the sequence `name`, with the findings about the calibration and the hashes of both files.
 
     Raises what `read_calibration` and `synchronise` raise.
     """
@@ -35,7 +35,7 @@ def open_sequence(
 
 
 def sequence_in(bag: Bag, calibration: Path, name: str, options: SynchroniseOptions) -> tuple[Sequence, BagSweeps]:
-    """As `open_sequence`, of the recording that the caller has open; it may be the calibration too."""
+    """As `open_sequence`, for an open recording, which may also be the calibration."""
     rig, noticed = read_calibration(calibration, bag)
     sequence, sweeps = synchronise_in(bag, rig, options, name)
     inputs = {**sequence.inputs, calibration.name: calibration_sha256(calibration)}
@@ -44,8 +44,11 @@ def sequence_in(bag: Bag, calibration: Path, name: str, options: SynchroniseOpti
 
 @dataclass(frozen=True, eq=False)
 class OpenedSequence:
-    """A sequence whose recording is still being hashed and checked: `recording_inputs` waits for what its `inputs`
-    lack, `late_findings` for what is to follow its `findings`."""
+    """A sequence whose recording is still being hashed and checked.
+
+    `recording_inputs` waits for the inputs missing in its `inputs`, `late_findings` for those to append to its
+    `findings`.
+    """
 
     sequence: Sequence
     sweeps: BagSweeps
@@ -56,11 +59,11 @@ class OpenedSequence:
 def with_sequence(
     bag: Path, calibration: Path, name: str, options: SynchroniseOptions, use: Callable[[OpenedSequence], T]
 ) -> T:
-    """What `use` makes of the opened sequence; it reads every sweep and asks for the late findings.
+    """Return the result of `use` on the opened sequence; `use` reads every sweep and requests the late findings.
 
-    The recording is believed at first, so that its chunks are checked as its sweeps are read, and inflated once. Where
-    that fails and the recording is damaged, `use` is called again, with a sequence that leaves out what is damaged.
-    Raises what opening and `use` raise.
+    The recording is first assumed to be sound, so that its chunks are checked as its sweeps are read, and inflated
+    once. If that fails because of damage, `use` is called again with a sequence that excludes damaged data. Raises what
+    opening and `use` raise.
     """
     try:
         with opened_sequence(bag, calibration, name, options, is_believed=True) as opened:
@@ -76,10 +79,10 @@ def with_sequence(
 def opened_sequence(
     bag: Path, calibration: Path, name: str, options: SynchroniseOptions, *, is_believed: bool = False
 ) -> Iterator[OpenedSequence]:
-    """As `open_sequence`, but what is done inside goes on while the recording is hashed and checked.
+    """As `open_sequence`, but the recording is hashed and checked while the block runs.
 
-    A long recording is then read once by the disk: what comes after the hash finds it in memory. One that `is_believed`
-    is not looked at for damage before; then reading a sweep refuses it, or `late_findings` does (FoundDamagedError).
+    A long recording is thus read from disk once: later reads find it in memory. If `is_believed`, it is not checked for
+    damage beforehand; then reading a sweep refuses it, or `late_findings` does (FoundDamagedError).
     """
     late = replace(options, is_hashed=False, is_checked=False)
     with (
@@ -95,7 +98,7 @@ def opened_sequence(
 
 
 def _checked(bag: Bag, sequence: Sequence, sweeps: BagSweeps) -> tuple[Finding, ...]:
-    """The late findings; what was inflated for them is given back. Raises `FoundDamagedError`."""
+    """Return the late findings, and release inflated chunks. Raises `FoundDamagedError`."""
     found = late_findings(bag, sequence, sweeps)
     if bag.is_believed and bag.damaged_beside({sweeps.topic: sweeps.message_index}):
         raise FoundDamagedError

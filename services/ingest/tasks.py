@@ -1,7 +1,7 @@
-"""The Celery task of the queue `ingest`: each wake-up runs a job, or a row of short ones.
+"""The Celery task of the queue `ingest`: each wake-up runs a job, or several short jobs.
 
 **Conventions.** Loaded by the worker's parent before it forks, so the kernels are imported once; one thread for every
-library, said before any of them is loaded.
+library, set before any of them is loaded.
 """
 
 import services.runtime.one_thread  # noqa: F401
@@ -17,5 +17,5 @@ from services.runtime.platform import platform
 
 @shared_task(name="ingest.work", ignore_result=True)
 def work() -> int:
-    """Run the next job, and the short ones after it; how many attempts it were."""
+    """Run the next job, and the short jobs after it; return the number of attempts."""
     return run_row(platform(), "ingest", handlers(platform()), takes_jobs)

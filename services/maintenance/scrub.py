@@ -1,13 +1,13 @@
-"""The scrub: reads the whole store slowly, again and again, and compares every object with its blob's row.
+"""The scrub: reads the whole store slowly and repeatedly, and compares every object with its blob's row.
 
 **Conventions.** A turn reads for at most `TURN_S` and about `TURN_BYTES`. A pause after each object keeps the mean rate
 over a few objects at `STONE_STORE__SCRUB_BYTES_PER_S`. A large object is read over several turns without a pause;
-otherwise it would never be read between two restarts. A row holds the position of the pass: after kill −9 it continues
+otherwise it would never be read between two restarts. A row stores the position of the pass: after kill −9 it continues
 at the last turn's end. Two sweepers read the same objects independently, and only one of them advances the pass. Noted
 faults are checked first.
 
-A bucket is read only if `STONE_STORE__SCRUBS_BUCKET` is set: reading costs money, and an object store of several disks
-compares its own bytes.
+A bucket is read only if `STONE_STORE__SCRUBS_BUCKET` is set: reading costs money, and an object store with several
+disks compares its own bytes.
 """
 
 import time
@@ -46,7 +46,7 @@ log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True)
 class _Due:
-    """An object to be read; `is_noted` if it has a noted fault and is not part of the pass."""
+    """An object to read; `is_noted` if it has a noted fault and is not part of the pass."""
 
     sha256: str
     object_key: str

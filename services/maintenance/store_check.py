@@ -1,8 +1,8 @@
-"""Whether the store holds what the database names, `python -m services.maintenance.store_check`: see
+"""Checks whether the store contains the objects in the database, `python -m services.maintenance.store_check`: see
 docs/operations/lost-objects.md.
 
-**Conventions.** A line of JSON on stdout for each object that is not as it should be, sentences on stderr. Ends with 0
-when nothing is lost (any more), 1 when something is, or when the store does not answer.
+**Conventions.** Prints a line of JSON on stdout for each damaged or missing object, and messages on stderr. The exit
+code is 0 if nothing is lost (any more), 1 if an object is lost or the store is unavailable.
 """
 
 import argparse
@@ -27,12 +27,10 @@ from services.runtime.settings import Settings
 from services.runtime.store.faults import fault_of, forget, tables_naming
 from stone.errors import StoneError
 
-# Repair of the store: finds damaged or missing objects, restores them from files, or drops what named them.
-# what was made of them forgotten so that it is made again.
-#
-# **Conventions.** A row's word counts: `sha256` and `size_bytes` of a blob say what its object has to be. Finding
-# changes nothing and may run beside everything. What is put back is known by its content, never by a name. What is
-# made again of a recording is the same bit for bit, so versions and scores that name its content are repaired with it.
+# Repair of the store: finds damaged or missing objects, restores them from files, or deletes label sets and exports
+# that need them, so that they can be made again. `sha256` and `size_bytes` in a blob's row define its object. Finding
+# changes nothing and may run at any time. Restored files are recognised by content, never by name. Processing a
+# recording again gives the same bits, so versions and scores that refer to the content are repaired too.
 
 
 AT_A_TIME = 500
@@ -51,7 +49,7 @@ class DamagedBlob:
 
 
 def damaged_blobs(platform: Platform, *, is_read: bool = False) -> Iterator[DamagedBlob]:
-    """Every blob whose object is not as its row says; with `is_read` all bytes are read and compared."""
+    """Yield every blob whose object differs from its row; with `is_read` all bytes are read and compared."""
     after = ""
     with ThreadPoolExecutor(ASKED_AT_ONCE) as pool:
         while blobs := _blobs_after(platform, after):
@@ -63,7 +61,7 @@ def damaged_blobs(platform: Platform, *, is_read: bool = False) -> Iterator[Dama
 
 
 def restore_objects(platform: Platform, lost: Sequence[DamagedBlob], folder: Path) -> list[DamagedBlob]:
-    """Store again what a file below `folder` has the content of; what was put back. Raises `StoreFullError`."""
+    """Store files of the folder that match a lost object; return the restored blobs. Raises `StoreFullError`."""
     missing = {one.sha256: one for one in lost}
     back = []
     for path in _files(folder, {one.size_bytes for one in lost}):
@@ -78,9 +76,9 @@ def restore_objects(platform: Platform, lost: Sequence[DamagedBlob], folder: Pat
 
 
 def forget_derived(platform: Platform, lost: Sequence[DamagedBlob]) -> int:
-    """Forget label sets and exports that have lost something; how many. Asked for again, they are made again.
+    """Delete label sets and exports with lost objects; return their number. They are made again on request.
 
-    With a label set its exports go. Recordings stay, and what versions, phases and submissions hold by content.
+    The exports of a label set are deleted with it. Recordings, versions, phases and submissions stay.
     """
     gone = {one.sha256 for one in lost}
     forgotten = 0
@@ -109,7 +107,7 @@ def _labels_with(gone: set[str]) -> Select[str]:
 
 
 def _sequences_with(platform: Platform, gone: set[str]) -> list[str]:
-    """Sequences that have lost something that was made."""
+    """Return the sequences whose label sets or exports have lost objects."""
     with platform.database.reading() as session:
         labelled = select(LabelSet.sequence_id).where(LabelSet.id.in_(_labels_with(gone)))
         packed = select(ExportPack.export_id).where(ExportPack.blob_sha256.in_(gone))
@@ -124,7 +122,7 @@ def _blobs_after(platform: Platform, after: str) -> Sequence[Blob]:
 
 
 def _still_named(platform: Platform, blob: Blob, fault: str) -> Iterator[DamagedBlob]:
-    """Unless garbage collection took it meanwhile."""
+    """Yield the damaged blob, unless garbage collection deleted it meanwhile."""
     with platform.database.reading() as session:
         if session.scalar(select(Blob.object_key).where(Blob.sha256 == blob.sha256)) != blob.object_key:
             return
@@ -134,7 +132,7 @@ def _still_named(platform: Platform, blob: Blob, fault: str) -> Iterator[Damaged
 
 
 def _files(folder: Path, sizes: set[int]) -> Iterator[Path]:
-    """Regular files of one of these sizes, links not followed."""
+    """Yield regular files of one of these sizes; links are not followed."""
     for above, _, names in os.walk(folder):
         for name in sorted(names):
             path = Path(above) / name
@@ -158,7 +156,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _checked(platform: Platform, options: argparse.Namespace) -> list[DamagedBlob]:
-    """What is lost after everything that was asked for."""
+    """Check and repair as requested; return the objects that are still lost."""
     lost = []
     for one in damaged_blobs(platform, is_read=options.bytes):
         sys.stdout.write(json.dumps(asdict(one)) + "\n")

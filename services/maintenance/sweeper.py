@@ -1,9 +1,9 @@
 """The sweeper process: recovers jobs and submissions every second, cleans uploads and blobs every minute.
 
-**Conventions.** Any number of sweepers may run. Jobs are recovered in a thread of their own, which nothing else delays;
-submissions, recordings that are added later, cleaning, the scrub, notifications and records have threads of their own
-(`chore_loops`). Each turn of a chore is bounded, whatever users send; the next turn does the rest. SIGTERM ends each
-thread between two chores.
+**Conventions.** Any number of sweepers may run. Jobs are recovered in a separate thread, which nothing else delays.
+Submissions, later recordings, cleaning, the scrub, notifications and records have their own threads (`chore_loops`).
+Each turn of a chore is bounded, regardless of the users' load; the next turn continues. SIGTERM ends each thread
+between two chores.
 """
 
 import services.runtime.processes.seldom_collected
@@ -53,11 +53,9 @@ from services.runtime.uploads import expire
 from services.runtime.uploads.expiry import UploadCursor
 from stone.errors import PlatformFaultError
 
-# Chores that are done again and again, in loops that run side by side.
-#
-# **Conventions.** A loop is one thread, so that no chore waits for one of another loop, however long that takes or
-# hangs. An outage of the database or the broker is waited out: the next round finds everything that was missed. A
-# fault of the program in any loop ends them all, and the process with them: whoever watches it starts it again.
+# Chores that are repeated in parallel loops. A loop is one thread, so that a slow or blocked chore delays no other
+# loop. During an outage of the database or the broker the loops wait: the next round finds all missed work. A program
+# fault in any loop ends all loops and the process, which its supervisor restarts.
 
 
 LONGEST_PAUSE_S = 0.5
@@ -67,12 +65,12 @@ log = structlog.get_logger(__name__)
 
 
 def nobody(_name: str) -> None:
-    """Told to nobody."""
+    """Ignore the finished chore; the default callback."""
 
 
 @dataclass
 class Chore:
-    """Something done every `every_s`; `due_s` is on the monotonic clock. `told` hears its name when it was done."""
+    """A task repeated every `every_s`; `due_s` is on the monotonic clock. `told` is called with its name afterwards."""
 
     name: str
     every_s: float
@@ -81,7 +79,7 @@ class Chore:
     told: Callable[[str], None] = nobody
 
     def run_if_due(self, now_s: float) -> bool:
-        """Do it when its time has come; false when an outage kept it from being done."""
+        """Run the chore if it is due; return False if an outage prevented it."""
         if now_s < self.due_s:
             return True
         self.due_s = now_s + self.every_s
@@ -97,14 +95,14 @@ class Chore:
 
 @dataclass(frozen=True)
 class ChoreLoop:
-    """Chores that one thread does in turn."""
+    """Chores that one thread runs in turn."""
 
     name: str
     chores: tuple[Chore, ...]
 
 
 def sweep(chores: Sequence[Chore], is_stopped: Callable[[], bool]) -> None:
-    """Do each chore whenever it is due, until told to stop: between two of them."""
+    """Run each chore when it is due, until `is_stopped` returns True between two chores."""
     pause_s = min(min(chore.every_s for chore in chores) / 2, LONGEST_PAUSE_S)
     while not is_stopped():
         for chore in chores:
@@ -114,9 +112,9 @@ def sweep(chores: Sequence[Chore], is_stopped: Callable[[], bool]) -> None:
 
 
 def sweep_side_by_side(loops: Sequence[ChoreLoop], is_stopped: Callable[[], bool]) -> None:
-    """Each loop in a thread of its own until told to stop, when all are waited for.
+    """Run each loop in its own thread until stopped, then wait for all threads.
 
-    The first fault of the program is raised, without waiting for what the other loops are at.
+    The first program fault is raised without waiting for the other loops.
     """
     faults: list[Exception] = []
 
@@ -144,11 +142,11 @@ HEARTBEAT_S = 5.0
 LEDGER_S = 10.0
 SCRUB_S = 1.0
 SENDERS = ("senderone", "sendertwo")
-"""So many deliveries are under way at once: a receiver that is slow holds one of them up, for seconds."""
+"""Number of concurrent deliveries; a slow receiver blocks one of them for seconds."""
 
 
 def loops_of(platform: Platform) -> tuple[ChoreLoop, ...]:
-    """What the sweeper does on this platform."""
+    """Return the sweeper's loops on this platform."""
     settings = platform.settings
     sweeper = Sweeper(platform, wake_up_counter(settings), wake_up_sender(settings))
     uploads, turn, drafts, sequences = UploadCursor(), GcCursor(), DraftWalk(), SequenceWalk()
@@ -175,7 +173,7 @@ def loops_of(platform: Platform) -> tuple[ChoreLoop, ...]:
 
 
 def _notifying(platform: Platform) -> tuple[Chore, ...]:
-    """What happened becomes deliveries, and deliveries jobs; the senders run these."""
+    """Return the chores that turn events into deliveries and deliveries into jobs; the senders run the jobs."""
     often_s = platform.settings.jobs.sweep_s
     return (
         Chore("phases", often_s, lambda: record_phase_events(platform)),
@@ -187,7 +185,7 @@ def _notifying(platform: Platform) -> tuple[Chore, ...]:
 
 
 def recorded(platform: Platform, loops: Sequence[ChoreLoop]) -> tuple[ChoreLoop, ...]:
-    """These, each chore written down when it was done; and what is told of the platform by nobody else."""
+    """Return the loops with every finished chore recorded, and the chores of platform-wide metrics."""
     ledger, stored = ChoreLedger(platform), StoreSum(platform)
     records = ChoreLoop(
         "records",
@@ -205,12 +203,12 @@ def recorded(platform: Platform, loops: Sequence[ChoreLoop]) -> tuple[ChoreLoop,
 
 
 def beating(loop: ChoreLoop, pulse: HeartbeatFile) -> ChoreLoop:
-    """The loop, which shows by `pulse` that it goes round."""
+    """Return the loop with a heartbeat `pulse` in each round."""
     return replace(loop, chores=(Chore("pulse", HEARTBEAT_S, pulse.beat), *loop.chores))
 
 
 class StopSignal:
-    """Whether SIGTERM or SIGINT came. No `Event`: one set by a signal while it is waited for may deadlock."""
+    """Whether SIGTERM or SIGINT was received; an `Event` may deadlock if a signal sets it while it is waited for."""
 
     def __init__(self) -> None:
         self._came = False
@@ -225,7 +223,7 @@ class StopSignal:
 
 
 def main() -> None:
-    from services.runtime.processes.startup import await_schema  # Alembic is needed once
+    from services.runtime.processes.startup import await_schema  # Alembic is only needed once
 
     keep_private()
     speak_json()

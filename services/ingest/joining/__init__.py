@@ -1,1 +1,1 @@
-"""Several recordings of one run joined into one, the offsets of their clocks measured."""
+"""Several recordings of one run joined into one, with measured clock offsets."""

@@ -1,7 +1,7 @@
-"""The offset of every recording's clock: given, told by what recordings share, or measured by their sensors.
+"""The clock offset of every recording: given, derived from shared messages, or measured by sensors.
 
-**Conventions.** Recordings that share messages or go on with each other's topics are a group of one clock: what is
-known of one is known of all. `held[0]` is the reference.
+**Conventions.** Recordings that share messages or continue each other's topics are a group with one clock: an offset of
+one recording holds for all. `held[0]` is the reference.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -62,11 +62,10 @@ from stone_recordings.topics.roles import POSE_ROLES, Role
 from stone_recordings.topics.sources import KISS_ICP, candidate_of
 from stone_recordings.topics.unread_topics import not_read, unread_points
 
-# The offset of the recording that has the poses, where that is not the one with the LiDAR.
-#
-# **Conventions.** Turns between sweeps, registered, are compared with those of the poses until they agree
-# (`stone_recordings.sync.lag_check`). Poses that bear GPS time are on no recorder's clock, so that nothing needs to be
-# moved for them; the recording's own clock is then measured like any other's, against them.
+# The offset of the recording with the poses, if it is not the recording with the LiDAR. Rotations between registered
+# sweeps are compared with those of the poses until they agree (`stone_recordings.sync.lag_check`). Poses with GPS time
+# are on no recorder's clock and need no offset; the offset of the recording's own clock is then measured against them
+# like any other.
 
 
 ROUNDS = 4
@@ -74,25 +73,25 @@ OpenAt = Callable[[ClockOffset], AbstractContextManager[Bag]]
 
 
 def has_poses(held: Iterable[HeldMessages], options: SynchroniseOptions) -> bool:
-    """Whether these, or what is asked for, say where the robot was."""
+    """Return whether these recordings, or the options, have poses."""
     asked = options.odometry_topic or options.topics.get("pose")
     return options.poses is not None or asked == KISS_ICP or any(one.of_role(*POSE_ROLES) for one in held)
 
 
 def best_poses(held: Iterable[HeldMessages]) -> HeldMessages | None:
-    """The recording whose poses would be taken; None where none has any."""
+    """Return the recording whose poses are used, or None if no recording has poses."""
     ranked = {role: rank for rank, role in enumerate(POSE_ROLES)}
     found = [(min(ranked[topic.role] for topic in topics), one) for one in held if (topics := one.of_role(*POSE_ROLES))]
     return min(found, key=lambda ranks: ranks[0])[1] if found else None
 
 
 def bears_gps_time(held: HeldMessages) -> bool:
-    """Whether the poses that would be taken of it do."""
+    """Return whether the recording's selected poses have GPS time."""
     return bool(held.of_role("ins"))
 
 
 def pose_offset(name: str, open_at: OpenAt, calibration: Path, options: SynchroniseOptions) -> ClockOffset:
-    """Of the recording `name`; `open_at` opens the run with it at an offset.
+    """Return the offset of the recording `name`; `open_at` opens the run with the recording at an offset.
 
     Raises: `SYN-523`, and what synchronising raises.
     """
@@ -114,14 +113,12 @@ def _lag(bag: Bag, calibration: Path, options: SynchroniseOptions) -> SweepLag |
     return measured_lag(sequence, SweepsOfOpenBag(sweeps, bag))
 
 
-# The offset of a recording's clock, measured by what its sensors saw of the robot's motion.
-#
-#     cameras: turns of pictures, then the phase of their triggers   radars: Doppler   gyros: turns
-#     every kind against the track of the reference → one offset, weighed by the errors, where they agree
-#
-# **Conventions.** An offset is added to the recording's times. A camera that fires when the LiDAR looks its way tells
-# the offset within a sweep to a fraction of a millisecond, and its pictures which sweep that was. Kinds that
-# contradict each other by more than their errors explain are refused, not averaged.
+# A recording's clock offset, measured from the robot's motion as seen by its sensors. Cameras give rotations of
+# pictures, then the phase of their triggers; radars give Doppler; gyros give rotations. Each kind is compared with the
+# track of the reference, and consistent results are averaged with weights by their errors. An offset is added to the
+# recording's times. A camera that fires when the LiDAR faces its way gives the offset within a sweep to a fraction of a
+# millisecond, and its pictures identify the sweep. Kinds that contradict each other beyond their errors are refused,
+# not averaged.
 
 
 Read = Callable[[Bag, Candidate, RobotMotion], LagEvidence | None]
@@ -131,16 +128,16 @@ KINDS: tuple[tuple[str, Role, Read], ...] = (
     (GYRO, "imu", gyro_turns),
 )
 SEARCHED_S = 10.0
-# Of a standard error more is no measurement, and of a sweep's period too much to tell which sweep it was.
+# A larger standard error is not a measurement, and a larger share of a sweep's period does not identify the sweep.
 MOST_SIGMA_S, MOST_SIGMA_PERIODS = 0.02, 0.1
 SIGMAS, EXPOSURE_S = 5.0, 0.005
-# Mounts say where a camera looks to about a degree, which is what a LiDAR turns through in this part of its period.
+# Mounts give a camera's direction to about a degree, which a LiDAR rotates through in this share of its period.
 LEAST_TRIGGER_SIGMA_PERIODS = 1 / 360
 
 
 @dataclass(frozen=True, eq=False)
 class RunReference:
-    """What offsets are measured against: the run as the reference alone tells it, and where its LiDAR looks when."""
+    """The reference for offsets: the run from the reference recording alone, and its LiDAR's direction over time."""
 
     name: str
     sequence: RunSequence
@@ -149,7 +146,7 @@ class RunReference:
 
 
 def reference_of(bag: Bag, calibration: Path, options: SynchroniseOptions) -> RunReference:
-    """Raises: `SYN-523`, and what `read_calibration` and `unjoined_sequence` raise."""
+    """Return the reference. Raises: `SYN-523`, and what `read_calibration` and `unjoined_sequence` raise."""
     rig, _ = read_calibration(calibration, bag)
     sequence, sweeps = unjoined_sequence(bag, rig, options, sequence_name(bag.path))
     if sequence.track is None or len(sequence.frames) < 2:
@@ -159,7 +156,7 @@ def reference_of(bag: Bag, calibration: Path, options: SynchroniseOptions) -> Ru
 
 
 def measured_offset(bag: Bag, name: str, reference: RunReference) -> ClockOffset:
-    """Of the recording `name`, or of several of one clock with it.
+    """Return the offset of the recording `name`, or of a group with one clock.
 
     Raises: `SYN-523`, `SYN-524`, and what decoding raises.
     """
@@ -192,7 +189,7 @@ def _fit(bag: Bag, topics: Sequence[Candidate], how: tuple[Read, RobotMotion]) -
 
 
 def _weighed(name: str, found: dict[str, LagFit]) -> ClockOffset:
-    """The mean by inverse variance. Raises: `SYN-524`."""
+    """Return the mean weighted by inverse variance. Raises: `SYN-524`."""
     fits = list(found.values())
     offsets, sigmas = (np.array(column) for column in zip(*((fit.offset_s, fit.sigma_s) for fit in fits), strict=True))
     weights = 1 / sigmas**2
@@ -210,8 +207,10 @@ def _weighed(name: str, found: dict[str, LagFit]) -> ClockOffset:
 def _triggered(
     bag: Bag, cameras: Sequence[Candidate], reference: RunReference, offset: ClockOffset
 ) -> ClockOffset | None:
-    """By the phase of cameras that fire when the LiDAR looks their way; None where they do not, or where nothing tells
-    in which sweep they did."""
+    """Return the offset by the phase of cameras that fire when the LiDAR faces their way.
+
+    None if the cameras do not, or if the sweep cannot be identified.
+    """
     look, sigma_ns = reference.look, offset.sigma_ns or 0
     if look is None or sigma_ns > MOST_SIGMA_PERIODS * look.period_ns:
         return None
@@ -231,16 +230,17 @@ def _triggered(
     return ClockOffset(offset.offset_ns - triggers.shared_ns, sigma_ns, (*offset.known_by, TRIGGERS))
 
 
-# What is asked for when recordings are joined, and whether it can be.
+# The arguments of joining recordings, and their checks.
 
 
 @dataclass(frozen=True)
 class JoinRequest:
-    """The recordings of one run: files, or folders of split bags, each of another name.
+    """The recordings of one run: files, or folders of split bags, with different names.
 
-    `given_ns` are offsets by name of recording that are taken as they are. Without a calibration, file or folder, only
-    what needs no mounts is measured. `options` choose topics as for synchronising. With `is_in_place` the recordings
-    are read sparingly.
+    - `given_ns`: offsets by recording name, which are not measured
+    - the calibration, file or folder: without it, only offsets that need no mounts are measured
+    - `options`: choices of topics as for synchronising
+    - `is_in_place`: read as little as possible
     """
 
     paths: tuple[Path, ...]
@@ -250,7 +250,7 @@ class JoinRequest:
     is_in_place: bool = False
 
     def opened(self, path: Path) -> Bag:
-        """One of the recordings, or some of them joined. Raises as `open_bag`."""
+        """Return one of the recordings, or some of them joined. Raises as `open_bag`."""
         bag = open_bag(path)
         if self.is_in_place:
             bag.read_sparingly()
@@ -262,7 +262,7 @@ class JoinRequest:
 
 
 def checked_paths(asked: JoinRequest) -> tuple[Path, ...]:
-    """In order of their names, so that it does not matter in which they were named. Raises: `SYN-526`."""
+    """Return the paths sorted by name, independent of their given order. Raises: `SYN-526`."""
     names = sorted(path.name for path in asked.paths)
     if not 2 <= len(names) <= MOST_MEMBERS:
         raise not_joined(f"{len(names)} recordings were given, but 2 to {MOST_MEMBERS} can be joined")
@@ -277,7 +277,7 @@ def checked_paths(asked: JoinRequest) -> tuple[Path, ...]:
 
 
 def reference_first(held: Sequence[HeldMessages], lidar: str | None) -> tuple[HeldMessages, ...]:
-    """The recording with the LiDAR (or the topic that is named) in front, of several the one that begins first.
+    """Return the recordings, the one with the LiDAR (or with the topic `lidar`) first; of several, the earliest.
 
     Raises: `TOP-101`.
     """
@@ -295,7 +295,7 @@ def reference_first(held: Sequence[HeldMessages], lidar: str | None) -> tuple[He
 
 
 def check_given(asked: JoinRequest, held: Sequence[HeldMessages]) -> None:
-    """Raises: `SYN-526` for an offset of what has the LiDAR, whose points bear times of their own."""
+    """Raise `SYN-526` for an offset of the recording with the LiDAR, whose points have their own times."""
     lidars = {topic.name for topic in held[0].of_role("lidar")}
     for number, one in enumerate(held):
         has_lidar = not number or any(topic.name in lidars for topic in one.topics)
@@ -307,7 +307,7 @@ Held = Sequence[HeldMessages]
 
 
 def clock_offsets(asked: JoinRequest, held: Held) -> tuple[ClockOffset, ...]:
-    """In the order of `held`.
+    """Return the offsets in the order of `held`.
 
     Raises: `SYN-523`, `SYN-524`, `SYN-525`, and what synchronising raises.
     """
@@ -319,7 +319,7 @@ def clock_offsets(asked: JoinRequest, held: Held) -> tuple[ClockOffset, ...]:
 
 
 def members_of_run(held: Held, offsets: Sequence[ClockOffset]) -> tuple[JoinedMember, ...]:
-    """What `joined.json` says of recordings with these offsets."""
+    """Return the members for `joined.json`, with these offsets."""
     return tuple(
         JoinedMember(one.name, to.offset_ns, to.sigma_ns, to.known_by, to.kept_topics, left)
         for one, to, left in zip(held, offsets, left_out(held, offsets), strict=True)
@@ -327,7 +327,7 @@ def members_of_run(held: Held, offsets: Sequence[ClockOffset]) -> tuple[JoinedMe
 
 
 def _known(asked: JoinRequest, held: Held) -> dict[int, ClockOffset]:
-    """Of the recordings that messages or topics lead to from the reference, or from one whose offset is given."""
+    """Return the offsets of recordings linked by messages or topics to the reference, or to a given offset."""
     known = dict(linked(held, 0)) | {0: ClockOffset(0, None, (REFERENCE,))}
     for number, one in enumerate(held[1:], start=1):
         if one.name in asked.given_ns:
@@ -338,7 +338,7 @@ def _known(asked: JoinRequest, held: Held) -> dict[int, ClockOffset]:
 
 
 def _measured(asked: JoinRequest, held: Held, known: Mapping[int, ClockOffset]) -> Mapping[int, ClockOffset]:
-    """Of the others, those of one clock together."""
+    """Return the offsets of the other recordings, measured together for each clock."""
     waiting = [number for number in range(len(held)) if number not in known]
     if asked.calibration is None:
         names = [held[number].name for number in waiting]
@@ -357,8 +357,10 @@ def _measured(asked: JoinRequest, held: Held, known: Mapping[int, ClockOffset]) 
 
 
 def _with_poses(asked: JoinRequest, held: Held, known: Mapping[int, ClockOffset]) -> dict[int, ClockOffset]:
-    """The recording with the poses and those of its clock: measured by the sweeps, or by GPS time, which needs no
-    offset; {} where none has poses."""
+    """Return the offsets of the recording with the poses and of its group, by sweeps or by GPS time.
+
+    GPS time needs no offset; {} if no recording has poses.
+    """
     others = [held[number] for number in range(len(held)) if number not in known]
     posed = best_poses(others)
     if posed is None or asked.calibration is None:
@@ -377,7 +379,7 @@ def _with_poses(asked: JoinRequest, held: Held, known: Mapping[int, ClockOffset]
 
 @contextmanager
 def _on_one_clock(asked: JoinRequest, held: Held, offsets: Mapping[int, ClockOffset]) -> Iterator[Bag]:
-    """Some of the recordings, open as one."""
+    """Yield some of the recordings, opened as one."""
     numbers = sorted(offsets)
     if len(numbers) == 1:
         with asked.opened(asked.path_of[held[numbers[0]].name]) as bag:
@@ -394,7 +396,7 @@ def _on_one_clock(asked: JoinRequest, held: Held, offsets: Mapping[int, ClockOff
 
 
 def _check_common_time(held: Held, offsets: Mapping[int, ClockOffset]) -> None:
-    """Raises: `SYN-525` for what lies wholly outside the run."""
+    """Raise `SYN-525` for a recording entirely outside the run's time."""
     run = set(linked(held, 0))
     first_ns, last_ns = min(held[number].start_ns for number in run), max(held[number].end_ns for number in run)
     for number in sorted(set(offsets) - run):
@@ -406,18 +408,17 @@ def _check_common_time(held: Held, offsets: Mapping[int, ClockOffset]) -> None:
             raise no_common_time(held[number].name, apart_ns / 1e9, held[0].name)
 
 
-# Joins several recordings of one run: whose clock is off by how much, and which messages two of them hold.
-#
-#     recordings → who has the LiDAR → shared messages, topics that go on → offsets measured by sensors → joined.json
-#
-# **Conventions.** The reference is the recording with the LiDAR, of a run that was cut its first part; its clock is
-# the run's. An offset is added to a recording's times. What was asked for is taken, what can be measured is measured,
-# and nothing is guessed. Equal recordings give equal descriptions, in whatever order they are named.
+# Joins several recordings of one run: recordings → the recording with the LiDAR → shared messages, continued topics →
+# offsets measured by sensors → joined.json. The reference is the recording with the LiDAR, or the first part of a run
+# split into several; its clock is the run's. An offset is added to a recording's times. Given offsets are used, others
+# are measured, none is guessed. Equal recordings give equal descriptions, in any order.
 
 
 def join_recordings(asked: JoinRequest) -> JoinedRecording:
-    """Raises: `SYN-526`, `TOP-101`, `BAG-041`, `SYN-523`,
-    `SYN-524`, `SYN-525`, and what opening and decoding raise."""
+    """Join the recordings.
+
+    Raises: `SYN-526`, `TOP-101`, `BAG-041`, `SYN-523`, `SYN-524`, `SYN-525`, and what opening and decoding raise.
+    """
     asked = replace(asked, paths=checked_paths(asked))
     with ExitStack() as opened:
         held = held_by({path.name: opened.enter_context(asked.opened(path)) for path in asked.paths})

@@ -1,6 +1,6 @@
-"""Sends notifications: the sweeper's own queue `notify`, whose jobs each try one delivery once.
+"""Sends notifications: the sweeper's own queue `notify`, in which each job tries one delivery once.
 
-Read `delivery` (a job), then `webhook` and `email_message` (the two channels), `checked_connection` (where a webhook's
-requests go, and nowhere else). At least once: a process that dies after its receiver answered sends again, with the
-same id, by which the receiver drops the second.
+Start with `delivery` (a job), then `webhook` and `email_message` (the two channels), `checked_connection` (the only
+path of a webhook's requests). Delivery is at least once: if the process dies after the receiver answered, the delivery
+is sent again with the same id, by which the receiver drops the duplicate.
 """

@@ -1,11 +1,11 @@
-"""A delivery by webhook: JSON, signed as Standard Webhooks 1.0 says, in the form that chat servers show.
+"""A delivery by webhook: JSON, signed as in Standard Webhooks 1.0, in a form that chat servers display.
 
     {"type": "run.failed", "timestamp": "2026-05-03T09:12:44Z", "data": {…}, "text": "Processing of … <https://…>"}
 
 **Conventions.** `webhook-id` is the delivery's, equal in every try; `webhook-timestamp` is that of the try;
-`webhook-signature` is `v1,` and the base64 of HMAC-SHA256, by the secret behind `whsec_`, of `id.timestamp.body`. Any
-2xx is success; 410 Gone asks for no more; a redirect is not followed, so it is none. Of the answer `READ_BYTES` are
-read and nothing is kept but its status. `text` is what Slack and Mattermost show.
+`webhook-signature` is `v1,` and the base64 of HMAC-SHA256, with the secret behind `whsec_`, of `id.timestamp.body`. Any
+2xx is success; 410 Gone disables the webhook; a redirect is not followed and is a failure. At most `READ_BYTES` of the
+answer are read, and only its status is kept. Slack and Mattermost display `text`.
 """
 
 import hmac
@@ -32,13 +32,11 @@ from services.runtime.notification_settings import NotificationSettings
 from services.runtime.notifications.events import EMAIL_VERIFICATION
 from stone.errors import StoneError
 
-# An HTTP connection to a host whose address was judged first, bounded in time whatever the other side does.
-#
-# **Conventions.** A name is resolved once, every address of it is judged, and one of those judged is connected to; if
-# any may not be sent to, none is: a name that resolves to a public and a private address is an attack or a mistake.
-# TLS is of the name, not of the address. After `WITHIN_S` the socket is shut down under whoever reads or writes it. No
-# proxy of the environment is asked: it would resolve the name anew. The owner of a webhook does not learn
-# whether a name resolved, nor its addresses: they may be known inside only.
+# An HTTP connection, bounded in time, to a host whose addresses were checked. A name is resolved once, and every
+# address is checked. If any of them is forbidden, no connection is made: a name with a public and a private address is
+# an attack or a mistake. TLS verifies the name, not the address. After `WITHIN_S` the socket is shut down under its
+# reader or writer. Proxies of the environment are ignored, since they would resolve the name again. The owner of a
+# webhook does not learn whether a name resolved, nor its addresses, which may be internal.
 
 
 ANSWER_WITHIN_S = 10.0
@@ -46,7 +44,7 @@ Resolve = Callable[[str, int], list[str]]
 
 
 def resolved(host: str, port: int) -> list[str]:
-    """The addresses of a host, in the order the system prefers. Raises `OSError`."""
+    """Return the addresses of a host, in the order the system prefers. Raises `OSError`."""
     found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     return list(dict.fromkeys(str(entry[4][0]) for entry in found))
 
@@ -70,7 +68,7 @@ def judged_addresses(host: str, port: int, settings: NotificationSettings, resol
 def connection_to(
     host: str, port: int, addresses: list[str], context: ssl.SSLContext | None
 ) -> Iterator[http.client.HTTPConnection]:
-    """A connection to the first of `addresses` that answers, by TLS where there is a `context`. Raises `OSError`."""
+    """Yield a connection to the first of `addresses` that answers, with TLS if `context` is given. Raises `OSError`."""
     open_socket = _connected(addresses, port)
     timer = Timer(ANSWER_WITHIN_S, _shut, (open_socket,))
     timer.daemon = True
@@ -101,13 +99,16 @@ def _shut(open_socket: socket.socket) -> None:
         open_socket.shutdown(socket.SHUT_RDWR)
 
 
-# A delivery in the words that its reader gets, whatever the channel.
+# The text of a delivery, independent of its channel.
 
 
 @dataclass(frozen=True)
 class Letter:
-    """`message_id` is equal in every try of one delivery, `event_id` in every delivery of one event; `url` is the page
-    that says more, `settings_url` that on which one chooses otherwise."""
+    """The content of a message.
+
+    - `message_id`: equal in every try of one delivery; `event_id`: equal in every delivery of one event
+    - `url`: the page with details; `settings_url`: the page of the notification settings
+    """
 
     message_id: str
     event_id: str
@@ -126,14 +127,14 @@ TAKEN = range(200, 300)
 
 @dataclass(frozen=True)
 class WebhookTarget:
-    """Where a user's webhook is, and by what it is signed."""
+    """The URL of a user's webhook, and its signing secret."""
 
     url: str
     secret: str
 
 
 def body_of(letter: Letter) -> bytes:
-    """The body of the request."""
+    """Return the body of the request."""
     record = {
         "type": letter.kind,
         "timestamp": letter.happened_at,
@@ -144,19 +145,19 @@ def body_of(letter: Letter) -> bytes:
 
 
 def signature_of(secret: str, message_id: str, timestamp: int, body: bytes) -> str:
-    """The value of `webhook-signature`."""
+    """Return the value of `webhook-signature`."""
     key = b64decode(secret.removeprefix(PREFIX))
     signed = f"{message_id}.{timestamp}.".encode() + body
     return f"v1,{b64encode(hmac.new(key, signed, sha256).digest()).decode('ascii')}"
 
 
 def send_webhook(target: WebhookTarget, letter: Letter, settings: NotificationSettings) -> str:
-    """Send it; how the receiver answered. Raises `NotTakenError`."""
+    """Send the message; return the receiver's status. Raises `NotTakenError`."""
     try:
         status = _answer(target, letter, settings)
-    except BadWebhookUrlError as error:  # allowed when it was set
+    except BadWebhookUrlError as error:  # was allowed when it was set
         raise NotTakenError(str(error)) from None
-    except (OSError, http.client.HTTPException) as error:  # TLS and names that resolve to nothing are OSError
+    except (OSError, http.client.HTTPException) as error:  # TLS failures and unresolved names are OSError
         raise NotTakenError(f"{type(error).__name__}: {error}") from None
     if status in TAKEN:
         return f"answered {status}"
@@ -178,7 +179,7 @@ def _answer(target: WebhookTarget, letter: Letter, settings: NotificationSetting
         "Connection": "close",
     }
     path = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
-    # of the machine's own certificate authorities; SSL_CERT_FILE names others
+    # uses the machine's certificate authorities; SSL_CERT_FILE replaces them
     with connection_to(host, port, addresses, ssl.create_default_context() if is_tls else None) as connection:
         connection.request("POST", path, body, headers)
         answer = connection.getresponse()
@@ -186,13 +187,11 @@ def _answer(target: WebhookTarget, letter: Letter, settings: NotificationSetting
         return answer.status
 
 
-# A delivery by e-mail: plain text, by the administrator's SMTP server (RFC 5321, RFC 8314).
-#
-# **Conventions.** Headers are made of checked parts alone: an address that `EMAIL` matches, a subject that is one
-# line; `email.policy.SMTP` refuses line ends in headers besides. `Message-ID` is of the delivery, equal in every try,
-# so that mail programs show a second one once. With `starttls` or `tls` the server's certificate is checked, and
-# nothing is sent to one that does not offer it. What a server refuses for good (5xx to the recipient) is not tried
-# again.
+# A delivery by e-mail: plain text, through the administrator's SMTP server (RFC 5321, RFC 8314). Headers consist of
+# checked parts: an address that matches `EMAIL`, a one-line subject; `email.policy.SMTP` also refuses line ends in
+# headers. `Message-ID` is the delivery's, equal in every try, so that mail programs drop duplicates. With `starttls` or
+# `tls` the server's certificate is verified, and nothing is sent to a server without TLS. Permanent refusals (5xx for
+# the recipient) are not retried.
 
 
 EMAIL_WITHIN_S = 15.0
@@ -201,7 +200,7 @@ REFUSED_FOR_GOOD = 500
 
 
 def email_of(letter: Letter, address: str, sender: str) -> EmailMessage:
-    """The message."""
+    """Return the message."""
     message = EmailMessage(policy=SMTP)
     message["From"], message["To"] = sender, address
     message["Subject"] = f"[STONE] {letter.text}"[:LONGEST_SUBJECT]
@@ -212,7 +211,7 @@ def email_of(letter: Letter, address: str, sender: str) -> EmailMessage:
 
 
 def send_email(letter: Letter, address: str, settings: NotificationSettings) -> str:
-    """Send it; how the server answered. Raises `NotTakenError`."""
+    """Send the message; return the server's answer. Raises `NotTakenError`."""
     if not settings.smtp_host:
         raise NotTakenError("this platform sends no e-mail: STONE_NOTIFICATIONS__SMTP_HOST is not set")
     message = email_of(letter, address, settings.sender)
@@ -231,7 +230,7 @@ def send_email(letter: Letter, address: str, settings: NotificationSettings) -> 
 
 
 def _server(settings: NotificationSettings) -> smtplib.SMTP:
-    """The server, by TLS where that is set. Raises `OSError`, `SMTPException`."""
+    """Return a connection to the server, with TLS if configured. Raises `OSError`, `SMTPException`."""
     place = (settings.smtp_host, settings.smtp_port)
     if settings.smtp_security == "tls":
         return smtplib.SMTP_SSL(*place, timeout=EMAIL_WITHIN_S, context=ssl.create_default_context())
@@ -251,11 +250,8 @@ def _hint(letter: Letter) -> str:
     return f"You enabled this notification. To disable it: {letter.settings_url}"
 
 
-# Why a delivery did not get through.
-
-
 class NotTakenError(StoneError):
-    """The receiver did not take it, this time; `is_final`: nor will it later."""
+    """The receiver did not accept the message; if `is_final`, a retry is useless."""
 
     code = "not_taken"
 

@@ -1,9 +1,9 @@
-"""The job of one try at one delivery.
+"""The job of one try of one delivery.
 
-**Conventions.** First whether it may still be told, and in which words, is asked of the database as it is now; then it
-is sent, outside of any transaction; what came of it is written with the job's own end. A try that did not get through
-is a job that succeeded in saying so, and the delivery waits for the next one; only a delivery that is given up is a
-failed job, the dashboard's dead letter. Its retry is one more try.
+**Conventions.** The job first reads from the current database whether the event may still be sent, and its text. It
+sends the message outside of any transaction, and writes the result with its own end. A job whose try failed has
+succeeded in recording it, and the delivery waits for the next try. Only a delivery that is given up is a failed job,
+the dashboard's dead letter; retrying the job is one more try.
 """
 
 from collections.abc import Callable
@@ -29,9 +29,8 @@ from services.runtime.platform import Platform
 from services.runtime.settings import Settings
 from stone.errors import Refused
 
-# A delivery made ready to be sent: judged and worded by the database as it is now.
-#
-# **Conventions.** Part of the caller's transaction; what is sent is sent after it.
+# A delivery prepared for sending: checked and worded from the current database, in the caller's transaction, after
+# which it is sent.
 
 
 SETTINGS_PATH = "/account#notifications"
@@ -39,14 +38,14 @@ SETTINGS_PATH = "/account#notifications"
 
 @dataclass(frozen=True)
 class PreparedDelivery:
-    """`send` sends it and says how it was answered, or raises `NotTakenError`; `webhook_url` is empty for e-mail."""
+    """`send` sends the message and returns the answer, or raises `NotTakenError`; `webhook_url` is empty for e-mail."""
 
     send: Callable[[], str]
     webhook_url: str = ""
 
 
 def prepared(session: Session, row: NotificationDelivery, settings: Settings) -> PreparedDelivery | str:
-    """The delivery ready to be sent, or why it is not to be sent at all."""
+    """Return the delivery prepared for sending, or the reason for not sending it."""
     event = session.get_one(NotificationEvent, row.event_id)
     if not is_in_audience(session, event, row.user_id, row.channel):
         return "not sent: preferences changed, account deactivated, or no longer in the team"
@@ -102,7 +101,7 @@ AT_A_TIME = 50
 
 
 def deliver_queued(platform: Platform) -> int:
-    """Run the jobs of the queue `notify` that are ready, some a turn; how many."""
+    """Run the ready jobs of the queue `notify`, a limited number per turn; return their number."""
     known = handlers(platform)
     done = 0
     while done < AT_A_TIME and _is_any_ready(platform) and run_next(platform, QUEUE, known):
@@ -111,12 +110,12 @@ def deliver_queued(platform: Platform) -> int:
 
 
 def handlers(platform: Platform) -> Handlers:
-    """The one kind of job there is in this queue."""
+    """Return the only kind of job in this queue."""
     return {DELIVER: lambda attempt: deliver(platform, attempt)}
 
 
 def deliver(platform: Platform, attempt: Attempt) -> Outcome:
-    """One try. Raises `delivery_failed` where it was the last, `unknown_delivery`."""
+    """Try the delivery once. Raises `delivery_failed` after the last try, `unknown_delivery`."""
     delivery_id = str(attempt.arguments["delivery_id"])
     with platform.database.transaction() as session:
         row = session.get(NotificationDelivery, delivery_id)
@@ -135,7 +134,7 @@ def deliver(platform: Platform, attempt: Attempt) -> Outcome:
 
 
 def _is_any_ready(platform: Platform) -> bool:
-    """Asked first, by reading: a claim takes the write lock of SQLite, every second of an idle platform."""
+    """Return whether a job is ready; read first, since a claim takes SQLite's write lock every second."""
     with platform.database.reading() as session:
         return wake_ups_wanted(session, QUEUE) > 0
 
@@ -143,7 +142,7 @@ def _is_any_ready(platform: Platform) -> bool:
 def _missed(platform: Platform, attempt: Attempt, ready: PreparedDelivery, error: NotTakenError) -> Outcome:
     """Wait for the next try. Raises `delivery_failed` after the last.
 
-    Written at once, not with the job's end: a job that fails commits nothing. Done twice it counts one try too many.
+    The try is written immediately, because a failed job commits nothing. A repeated job counts one try too many.
     """
     settings, delivery_id = platform.settings.notifications, str(attempt.arguments["delivery_id"])
     with platform.database.transaction() as session:
@@ -182,7 +181,7 @@ def _taken(delivery_id: str, ready: PreparedDelivery, answer: str, session: Sess
 
 def _end(session: Session, delivery_id: str, state: str, answer: str) -> NotificationDelivery | None:
     row = session.get(NotificationDelivery, delivery_id, with_for_update=True)
-    if row is not None:  # else its user was erased meanwhile
+    if row is not None:  # otherwise its user was deleted meanwhile
         row.state, row.answer, row.ended_ns = state, answer[:300], now_ns()
     return row
 
