@@ -124,8 +124,8 @@ def count_range(
                 counts[...] = 0
         return problem
 
-    found = in_threads(one, len(tokens), threads, progress=progress, stage="score")
-    return replace(counted, problems=tuple(problem for problem in found if problem is not None))
+    problems = in_threads(one, len(tokens), threads, progress=progress, stage="score")
+    return replace(counted, problems=tuple(problem for problem in problems if problem is not None))
 
 
 def count_frame(
@@ -211,14 +211,14 @@ def examined(
 def joined(ranges: Iterable[ExaminedRange]) -> ExaminedRange:
     """Join consecutive ranges; the result has counts if each range has."""
     given = list(ranges)
-    counts = [one.counts for one in given if one.counts is not None]
-    validation = merged(one.validation for one in given)
+    counts = [part.counts for part in given if part.counts is not None]
+    validation = merged(part.validation for part in given)
     return ExaminedRange(validation, _concatenated(counts) if counts and len(counts) == len(given) else None)
 
 
 def _concatenated(counts: Sequence[Counts]) -> Counts:
-    arrays = [one.arrays() for one in counts]
-    return counts_in({name: np.concatenate([one[name] for one in arrays]) for name in arrays[0]})
+    arrays = [part.arrays() for part in counts]
+    return counts_in({name: np.concatenate([part[name] for part in arrays]) for name in arrays[0]})
 
 
 def counts_in(arrays: Mapping[str, NDArray[np.int32]]) -> Counts:
@@ -365,8 +365,8 @@ def counts_of(raw: bytes, frames: int) -> Counts:
         raise ValueError(f"{len(raw)} bytes are not the counts of {frames} frames")
     arrays, start = dict[str, NDArray[np.int32]](), 0
     for name, shape in ARRAYS.items():
-        found = np.frombuffer(raw, "<i4", frames * prod(shape), start)
-        arrays[name], start = found.reshape(frames, *shape).astype(np.int32), start + found.nbytes
+        numbers = np.frombuffer(raw, "<i4", frames * prod(shape), start)
+        arrays[name], start = numbers.reshape(frames, *shape).astype(np.int32), start + numbers.nbytes
     return counts_in(arrays)
 
 

@@ -138,11 +138,11 @@ def sequences_of(truth: ReadyTruth) -> tuple[SequenceFacts, ...]:
     """Return the sequences of a ground truth in the order of its frames."""
     return tuple(
         SequenceFacts(
-            *(one["name"], one["frames"], one["environment"] or None, one["illumination"] or None),
-            *(one.get("drive") or None, one.get("first_stamp_ns")),  # an earlier version had no drives
-            tuple(one.get("places", ())),
+            *(sequence["name"], sequence["frames"], sequence["environment"] or None, sequence["illumination"] or None),
+            *(sequence.get("drive") or None, sequence.get("first_stamp_ns")),  # an earlier version had no drives
+            tuple(sequence.get("places", ())),
         )
-        for one in truth.facts["sequences"]
+        for sequence in truth.facts["sequences"]
     )
 
 
@@ -176,17 +176,17 @@ def settling(stage: Stage, context: EvalStageContext) -> Outcome:
         return Outcome({"refused": error.code}, commit=partial(_fail, context.submission_id, error))
 
 
-def refuse(context: EvalStageContext, case: Case, found: Validation) -> Outcome:
+def refuse(context: EvalStageContext, case: Case, validation: Validation) -> Outcome:
     """Return the outcome of an invalid submission; a submission with a score by another version stays scored."""
     if not case.is_under_way:
         return Outcome({"state": "unscorable"}, commit=partial(_give_up, case))
-    context.attempt.log("not valid", errors=found.errors_total, first=found.errors[0].code)
-    return Outcome({"state": "invalid"}, commit=partial(write_verdict, case, "invalid", found))
+    context.attempt.log("not valid", errors=validation.errors_total, first=validation.errors[0].code)
+    return Outcome({"state": "invalid"}, commit=partial(write_verdict, case, "invalid", validation))
 
 
-def write_verdict(case: Case, state: str, found: Validation | None, session: Session) -> None:
+def write_verdict(case: Case, state: str, validation: Validation | None, session: Session) -> None:
     """End a submission without a score. Raises `JobCancelledError` if it ended in another state meanwhile."""
-    settle(session, case.submission_id, state, problems=found.as_record() if found else None)
+    settle(session, case.submission_id, state, problems=validation.as_record() if validation else None)
 
 
 def write(context: EvalStageContext, case: Case, new: NewScore, session: Session) -> None:

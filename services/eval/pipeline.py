@@ -51,16 +51,16 @@ def score(
     `no_confidence`, `unknown_grid`, and what `order` raises.
     """
     truth = find_ground_truth(ground_truth_dir, mask, order, grid)
-    found = truth.manifest.grid
+    label_grid = truth.manifest.grid
     paths, hashes, left_out = truth.paths(), dict[str, bytes](), dict[str, int]()
 
     def truth_of(token: str) -> TruthPlanes:
-        labels = read_labels(paths[token], mask, found, least_confidence)
-        planes, left_out[token] = planes_of_labels(labels, paths[token], found), labels.left_out
+        labels = read_labels(paths[token], mask, label_grid, least_confidence)
+        planes, left_out[token] = planes_of_labels(labels, paths[token], label_grid), labels.left_out
         hashes[token] = truth_hash(planes)
         return planes
 
-    with open_submission(zip_path, truth.manifest.tokens, found) as submission:
+    with open_submission(zip_path, truth.manifest.tokens, label_grid) as submission:
         counted = count(submission, truth.manifest.tokens, truth_of, threads=threads, progress=progress)
     counts_of_frames = SubmissionCounts(
         counted.confusions,
@@ -71,7 +71,7 @@ def score(
     )
     limit = ConfidenceLimit(least_confidence, sum(left_out.values())) if least_confidence > 0 else None
     evaluated = truth.mask if limit is None else f"{truth.mask},confidence>={least_confidence:g}"
-    signature = Signature(whole_hash(hashes), evaluated, grid=found)
+    signature = Signature(whole_hash(hashes), evaluated, grid=label_grid)
     return Scores(counts_of_frames, signature, truth.timed is not None, code_version("scores"), limit)
 
 
@@ -89,10 +89,10 @@ def count(
     """
     if submission.problems:
         raise SubmissionRefusedError(verdict(submission.problems))
-    found = _examined(submission, tokens, truth_of, _Onward(threads, progress, len(tokens)))
-    if found.counts is None:
-        raise SubmissionRefusedError(found.validation)
-    return found.counts
+    examination = _examined(submission, tokens, truth_of, _Onward(threads, progress, len(tokens)))
+    if examination.counts is None:
+        raise SubmissionRefusedError(examination.validation)
+    return examination.counts
 
 
 @dataclass

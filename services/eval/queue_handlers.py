@@ -64,11 +64,11 @@ def open_submission(context: EvalStageContext) -> Outcome:
         return Outcome({"state": case.state})
     following = scoring_specs(case.submission_id, evaluation_version, case.truth.frames)
     is_small = len(following) == 1  # only the join, which would count all frames
-    found = context.examined(case, (0, case.truth.frames if is_small else 0))
+    examined = context.examined(case, (0, case.truth.frames if is_small else 0))
     if is_small:
-        return concluded(context, case, evaluation_version, found)
-    if not found.validation.ok:
-        return refuse(context, case, found.validation)
+        return concluded(context, case, evaluation_version, examined)
+    if not examined.validation.ok:
+        return refuse(context, case, examined.validation)
     return Outcome({"state": case.state}, then=following)
 
 
@@ -78,10 +78,10 @@ def count_part(context: EvalStageContext) -> Outcome:
     case = context.case(truth_id)
     if case.is_over or case.kept is not None:
         return Outcome({"state": case.state})
-    found = context.examined(case, (start, stop))
-    counts = found.counts.packed() if found.counts else b""
+    examined = context.examined(case, (start, stop))
+    counts = examined.counts.packed() if examined.counts else b""
     part = CountedPart(
-        case.submission_id, truth_id, start, stop, counts, found.validation.as_record(), code_version("scores")
+        case.submission_id, truth_id, start, stop, counts, examined.validation.as_record(), code_version("scores")
     )
 
     def write(session: Session) -> None:
@@ -140,8 +140,8 @@ def _write(session: Session, submission_id: str, prepared: PreparedBlob) -> None
     session.execute(unkept.values(blob_sha256=blob.sha256), execution_options={"synchronize_session": False})
 
 
-def upload_damaged(found: str, declared: str) -> Refused:
-    what = f"a file with sha256 {found}" if found else "no file"
+def upload_damaged(actual: str, declared: str) -> Refused:
+    what = f"a file with sha256 {actual}" if actual else "no file"
     return Refused(
         "upload_damaged",
         f"the upload contains {what} instead of the declared {declared}; was the file changed after sending? Send it "

@@ -89,10 +89,10 @@ class Case:
 
 def live_submission(session: Session, submission_id: str) -> SubmissionRow:
     """Return the current row. Raises `JobCancelledError` if it was deleted."""
-    found = session.get(SubmissionRow, submission_id, populate_existing=True)
-    if found is None:
+    submission = session.get(SubmissionRow, submission_id, populate_existing=True)
+    if submission is None:
         raise JobCancelledError("its submission was deleted")
-    return found
+    return submission
 
 
 def case_of(session: Session, submission_id: str, truth_id: str) -> Case:
@@ -125,5 +125,5 @@ def _kept_counts(session: Session, submission_id: str, truth_id: str, *, is_file
     counted = select(Blob.object_key, Score.record).join(Score, Score.confusions_sha256 == Blob.sha256).where(*of_both)
     rows = session.execute(counted.order_by(Score.id)).all()
     kept = [KeptCounts(key, str(record.get("code_version", ""))) for key, record in rows]
-    ours = [one for one in kept if one.code_version == code_version("scores")]
+    ours = [score for score in kept if score.code_version == code_version("scores")]
     return next(iter(ours if is_file_kept else ours + kept), None)

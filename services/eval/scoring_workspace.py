@@ -55,9 +55,9 @@ class EvalStageContext:
         examination = Examination(store.local(case.kept_key()), manifest.tokens, span, pack, manifest.grid)
         blamed = (store, self.platform.database, [case.zip_key, case.truth.pack_key], "the file of this submission")
         with comparing(*blamed):
-            found = examine(examination, watch)
-        if not found.validation.ok:
+            result = examine(examination, watch)
+        if not result.validation.ok:
             refuse_damaged(*blamed)
-        if found.counts is not None:
+        if result.counts is not None:
             process_counters().add(FRAMES, ("scored",), span[1] - span[0])
-        return found
+        return result

@@ -47,7 +47,7 @@ class TruthSource:
     mask: Mask
     grid: LabelGrid
     located: ExportLocation
-    said: Mapping[str, Mapping[str, Any]]
+    facts: Mapping[str, Mapping[str, Any]]
     unordered: UnorderedFrames | None
 
 
@@ -91,7 +91,7 @@ def _source(session: Session, truth: GroundTruthRow) -> TruthSource:
     members = select(DatasetMember).where(
         DatasetMember.dataset_id == truth.dataset_id, DatasetMember.part == truth.part
     )
-    said = {
+    facts = {
         row.name: {
             "name": row.name,
             "frames": row.frames,
@@ -106,7 +106,7 @@ def _source(session: Session, truth: GroundTruthRow) -> TruthSource:
     mask: Mask = truth.mask  # type: ignore[assignment]  # a phase has no other
     grid = recorded_grid(session.get_one(Dataset, truth.dataset_id).grid)
     phase = session.get_one(Phase, truth.phase_id)
-    return TruthSource(mask, grid, located, said, unordered_frames(phase.every_nth, phase.token_key))
+    return TruthSource(mask, grid, located, facts, unordered_frames(phase.every_nth, phase.token_key))
 
 
 def _built(context: EvalStageContext, source: TruthSource) -> BuiltTruth:
@@ -120,7 +120,7 @@ def _built(context: EvalStageContext, source: TruthSource) -> BuiltTruth:
         raise SandboxCrashedError("built something other than requested")
     write_manifest(folder / MANIFEST, inputs.manifest)
     pack, listed = (prepare(store, context.platform.database, folder / name, adopt=True) for name in (PACK, MANIFEST))
-    facts: dict[str, Any] = {"sequences": [dict(source.said[name]) for name in inputs.manifest.sequences]}
+    facts: dict[str, Any] = {"sequences": [dict(source.facts[name]) for name in inputs.manifest.sequences]}
     for of_sequence in facts["sequences"] if places else ():
         of_sequence |= {"frames": len(places[of_sequence["name"]]), "places": places[of_sequence["name"]]}
     if source.grid != PAPER:
@@ -133,12 +133,14 @@ def _inputs(store: Store, stored: StoredFiles, source: TruthSource) -> tuple[Tru
 
     The places are only given if frames are not in time order. Raises `labels_unfit`.
     """
-    ordinals, manifest = _frames(stored, source.said)
+    ordinals, manifest = _frames(stored, source.facts)
     places = dict[str, list[int]]()
     if source.unordered is not None:
         ordinals, manifest, places = _unordered(ordinals, manifest, source.unordered)
     files = {token: _packed_file(stored.files, ordinal) for token, ordinal in ordinals.items()}
-    packs = {number: store.local(stored.object_keys[number]) for number in sorted({one.pack for one in files.values()})}
+    packs = {
+        number: store.local(stored.object_keys[number]) for number in sorted({file.pack for file in files.values()})
+    }
     return TruthInputs(packs, files, replace(manifest, grid=source.grid), source.mask), places
 
 
@@ -147,7 +149,7 @@ def _packed_file(files: PackedFiles, ordinal: int) -> PackedLabelFile:
     return PackedLabelFile(files.names[ordinal], number, offset, size, files.digest(ordinal))
 
 
-def _frames(stored: StoredFiles, said: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, int], Manifest]:
+def _frames(stored: StoredFiles, facts_by_name: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, int], Manifest]:
     """Return the index position of each frame's label file, by token, and the manifest. Raises `labels_unfit`."""
     ordinals: dict[str, int] = {}
     sequences: dict[str, list[str]] = {}
@@ -160,7 +162,10 @@ def _frames(stored: StoredFiles, said: Mapping[str, Mapping[str, Any]]) -> tuple
         ordinals[token] = ordinal
         sequences.setdefault(sequence, []).append(token)
     counted = {name: len(tokens) for name, tokens in sequences.items()}
-    if counted != {name: facts["frames"] for name, facts in said.items()} or not 0 < len(ordinals) <= MAX_FRAMES:
+    if (
+        counted != {name: facts["frames"] for name, facts in facts_by_name.items()}
+        or not 0 < len(ordinals) <= MAX_FRAMES
+    ):
         raise labels_unfit("the sequences", f"their {len(ordinals)} frames differ from the frames in the database")
     return ordinals, Manifest({name: tuple(tokens) for name, tokens in sequences.items()})
 

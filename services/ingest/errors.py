@@ -8,9 +8,9 @@ class RecordingChangedError(StoneError):
 
     code = "recording_changed"
 
-    def __init__(self, filename: str, found: str, expected: str) -> None:
+    def __init__(self, filename: str, actual: str, expected: str) -> None:
         super().__init__(
-            f"{filename} has sha256 {found}, but was received with {expected}; upload it again (is the disk failing?)"
+            f"{filename} has sha256 {actual}, but was received with {expected}; upload it again (is the disk failing?)"
         )
 
 

@@ -68,8 +68,8 @@ class ExcerptMaker:
         here = lacks = first_ranges(self.place.size_bytes)
         for _round in range(ROUNDS):
             source.fetch(lacks, whole)
-            asked = partial(_plan, whole.name, tuple(here), self.place.with_pictures)
-            plan = json.loads(self._ask(whole.parent, asked))
+            task = partial(_plan, whole.name, tuple(here), self.place.with_pictures)
+            plan = json.loads(self._ask(whole.parent, task))
             lacks, chunks = self._believed(plan)
             if not lacks:
                 return chunks
@@ -84,12 +84,12 @@ class ExcerptMaker:
         """Return the ranges in the plan. Raises `SandboxCrashedError` for anything but ranges of the object."""
         match plan:
             case {"lacks": list(lacks), "chunks": list(chunks)}:
-                found = [_Chunks((int(number), int(number) + 1), self._ranges(ranges)) for number, ranges in chunks]
-                return list(self._ranges(lacks)), found
+                parts = [_Chunks((int(number), int(number) + 1), self._ranges(ranges)) for number, ranges in chunks]
+                return list(self._ranges(lacks)), parts
         raise SandboxCrashedError("returned something other than ranges")
 
-    def _ranges(self, told: Any) -> tuple[Range, ...]:
-        ranges = tuple((int(start), int(stop)) for start, stop in told)
+    def _ranges(self, pairs: Any) -> tuple[Range, ...]:
+        ranges = tuple((int(start), int(stop)) for start, stop in pairs)
         if any(not 0 <= start < stop <= self.place.size_bytes for start, stop in ranges):
             raise SandboxCrashedError("requested bytes beyond the object's end")
         return ranges
@@ -97,15 +97,15 @@ class ExcerptMaker:
 
 def _batches(chunks: Sequence[_Chunks]) -> list[_Chunks]:
     """Return groups of consecutive chunks, of `BATCH_BYTES` each, or larger to limit them to `MOST_PARTS`."""
-    total_bytes = sum(stop - start for one in chunks for start, stop in one.ranges)
+    total_bytes = sum(stop - start for chunk in chunks for start, stop in chunk.ranges)
     return list(_grouped(chunks, max(BATCH_BYTES, total_bytes // MOST_PARTS)))
 
 
 def _grouped(chunks: Sequence[_Chunks], most_bytes: int) -> Iterator[_Chunks]:
     group, size_bytes = list[_Chunks](), 0
-    for one in chunks:
-        group.append(one)
-        size_bytes += sum(stop - start for start, stop in one.ranges)
+    for chunk in chunks:
+        group.append(chunk)
+        size_bytes += sum(stop - start for start, stop in chunk.ranges)
         if size_bytes >= most_bytes:
             yield _as_one(group)
             group, size_bytes = [], 0
@@ -115,7 +115,7 @@ def _grouped(chunks: Sequence[_Chunks], most_bytes: int) -> Iterator[_Chunks]:
 
 def _as_one(group: Sequence[_Chunks]) -> _Chunks:
     numbers = (group[0].numbers[0], group[-1].numbers[1])
-    return _Chunks(numbers, tuple(one for chunks in group for one in chunks.ranges))
+    return _Chunks(numbers, tuple(range_ for chunks in group for range_ in chunks.ranges))
 
 
 def _plan(name: str, here: Sequence[Range], with_pictures: bool, folder: Path, _progress: ProgressCallback) -> bytes:

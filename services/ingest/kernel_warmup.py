@@ -52,9 +52,9 @@ def _use_kernels() -> None:
     still = Trajectory(np.array([0, 10**9]), SE3.identity((2,)))
     mount = SweepMount(still, SE3.identity(), 10**9)
     for layout in (HESAI, NEBULA, OUSTER):
-        found = resolve_points(_points(layout), 0)
-        if found.offset_ns is not None:
-            deskew(found.points_lidar, found.offset_ns, mount, 10**8)
+        points = resolve_points(_points(layout), 0)
+        if points.offset_ns is not None:
+            deskew(points.points_lidar, points.offset_ns, mount, 10**8)
 
 
 def _use_libraries() -> None:

@@ -196,7 +196,11 @@ def unjoined_sequence(
     rig = replace(rig, posed_frame=options.poses_frame, base_from_lidar=options.base_from_lidar)
     rig = replace(rig, is_course=sources.is_course)
     channel_of = {topic: channel for channel, topic in options.topics.items()}
-    radars = [RecordedRadar(one.name, recorded.frame_id(one.name)) for one, role in sources.associated if role == RADAR]
+    radars = [
+        RecordedRadar(source.name, recorded.frame_id(source.name))
+        for source, role in sources.associated
+        if role == RADAR
+    ]
     calibration, placed = with_radars(calibration, rig.tree, radars, channel_of)
     track = ego_track(PoseInputs(bag, recorded, sources, clock, options.poses), rig, options.progress)
     moved = motion_findings(track, SweepTopic(bag, clock), calibration)
@@ -204,8 +208,8 @@ def unjoined_sequence(
     check_attitude(track, AttitudeInputs(bag, clock, turns), rig)
     swept = RecordedStamps(clock.ordered.stamps_ns, bag.log_times_ns(clock.topic))
     posed_ns = track.trajectory.stamps_ns
-    told = RecordedStamps(posed_ns, bag.log_times_ns(track.topic) if track.topic in recorded.topics else posed_ns[:0])
-    posed = frames_with_pose(name, clock, track, options.max_pose_gap_ns, lambda: way_out(swept, told, clocks))
+    stamps = RecordedStamps(posed_ns, bag.log_times_ns(track.topic) if track.topic in recorded.topics else posed_ns[:0])
+    posed = frames_with_pose(name, clock, track, options.max_pose_gap_ns, lambda: way_out(swept, stamps, clocks))
     check_extent(track.source, posed.frames.map_from_ego.translation_m)
     frames, unmatched = associate(SensorTopics(recorded, sources, calibration, channel_of), posed)
     doubts = quality_findings(track.topic, frames.quality, track.solution, posed.path)

@@ -92,11 +92,11 @@ def synchronise_recording(platform: Platform, attempt: Attempt) -> Outcome:
     paths, calibration = _located(platform, inputs.recordings), locate_file(platform, inputs.calibration)
     offsets_ns = attempt.arguments.get("clock_offsets_ns", {})
     bags = StoredBags(paths, inputs.recordings, inputs.sha256s, offsets_ns)
-    asked = SynchronisationRequest(bags, calibration, inputs.name, inputs.valid_ns, options)
+    request = SynchronisationRequest(bags, calibration, inputs.name, inputs.valid_ns, options)
     workspace = Workspace(platform.store, platform.settings, attempt.root_id)
     with private_folder_in(workspace.folder) as folder, unchanged(platform, inputs.recordings):
-        reads = (*(one for path in paths for one in bag_paths(path)), calibration)
-        made = synchronised(asked, JobSandbox(folder, reads, attempt, platform.settings, warm, makes_links=True))
+        reads = (*(bag_path for path in paths for bag_path in bag_paths(path)), calibration)
+        made = synchronised(request, JobSandbox(folder, reads, attempt, platform.settings, warm, makes_links=True))
         attempt.progress(SYNCHRONISED, 1, 2)
         for name, made_file in made.files.items():
             flush(made_file)
@@ -121,12 +121,12 @@ def check_sequence(platform: Platform, attempt: Attempt) -> Outcome:
     require_left(workspace.folder, (SEQUENCE_FILE, SWEEPS_FILE))
     bag, is_in_place = (
         locate_run(platform, inputs.recordings, workspace.folder),
-        any(one.place for one in inputs.recordings),
+        any(recording.place for recording in inputs.recordings),
     )
-    asked = CheckRequest(workspace.folder, bag, inputs.valid_ns, is_in_place)
+    request = CheckRequest(workspace.folder, bag, inputs.valid_ns, is_in_place)
     with private_folder_in(workspace.folder) as folder, unchanged(platform, inputs.recordings):
-        reads = (*bag_paths(asked.bag), *asked.files)
-        made = checked(asked, JobSandbox(folder, reads, attempt, platform.settings, warm))
+        reads = (*bag_paths(request.bag), *request.files)
+        made = checked(request, JobSandbox(folder, reads, attempt, platform.settings, warm))
         attempt.progress(CHECKED, 1, 2)
         overlays = prepared_previews(platform, workspace.folder, made.overlays)
         flush(made.file)
@@ -154,12 +154,12 @@ def _show(
 def _inputs(platform: Platform, attempt: Attempt, arguments: Mapping[str, Any]) -> _Inputs:
     with platform.database.reading() as session:
         sequence = require_sequence(session, attempt)
-        recordings = [session.get(Recording, one) for one in recording_ids_of(arguments)]
-        found = [recording for recording in recordings if recording is not None]
-        if len(found) < len(recordings):
+        recordings = [session.get(Recording, recording_id) for recording_id in recording_ids_of(arguments)]
+        existing = [recording for recording in recordings if recording is not None]
+        if len(existing) < len(recordings):
             raise JobCancelledError("its recording was deleted")
-        kept = tuple(kept_recording(session, recording) for recording in found)
-        sha256s = {recording.filename: recording.sha256 for recording in found}
+        kept = tuple(kept_recording(session, recording) for recording in existing)
+        sha256s = {recording.filename: recording.sha256 for recording in existing}
         calibration = session.get_one(CalibrationRow, arguments["calibration_id"])
         rig = session.get_one(Blob, calibration.blob_sha256)
         valid_ns = (calibration.valid_from_ns, calibration.valid_to_ns)
@@ -195,13 +195,13 @@ def _noted(platform: Platform, attempt: Attempt, place: RecordingPlace) -> int:
     if place.files:
         refuse_changed_dataset(settings, place)
         return place.size_bytes
-    found = found_dataset(settings, place)
+    noted = found_dataset(settings, place)
     with platform.database.transaction() as session:
         row = kept_import(session, attempt)
-        row.place, row.size_bytes = found.as_record(), found.size_bytes
-        row.sha256 = sha256_in_place(found, str(found))
-    attempt.log("noted", place=str(found), size_bytes=found.size_bytes)
-    return found.size_bytes
+        row.place, row.size_bytes = noted.as_record(), noted.size_bytes
+        row.sha256 = sha256_in_place(noted, str(noted))
+    attempt.log("noted", place=str(noted), size_bytes=noted.size_bytes)
+    return noted.size_bytes
 
 
 def _keep(platform: Platform, attempt: Attempt, imported: DatasetImport) -> None:

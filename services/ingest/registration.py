@@ -72,17 +72,17 @@ def _place_of(platform: Platform, recording_id: str) -> RecordingPlace | None:
         return None if recording is None else recording_place(recording)
 
 
-def _read_in_place(platform: Platform, attempt: Attempt, asked: RecordingPlace) -> Outcome:
+def _read_in_place(platform: Platform, attempt: Attempt, requested: RecordingPlace) -> Outcome:
     """Inspect a recording in place. Only previews are stored, and an excerpt of an object."""
     recording_id = str(attempt.arguments["recording_id"])
     work = Workspace(platform.store, platform.settings, attempt.root_id).folder
     attempt.progress("inspect", 0, STEPS)
     try:
-        place = found_place(platform.settings.in_place, asked)
+        place = found_place(platform.settings.in_place, requested)
         with unchanged(platform, [StoredRecording(place.name, (), place)]):
             bag, parts = _at_hand(platform, attempt, place, work)
             with received(platform, recording_id, bag) as brought:
-                found = _seen(platform, attempt, brought, work)
+                survey = _seen(platform, attempt, brought, work)
     except PlatformFaultError:
         raise
     except (IngestError, Refused) as error:
@@ -90,15 +90,15 @@ def _read_in_place(platform: Platform, attempt: Attempt, asked: RecordingPlace) 
         raise
     excerpt = list(prepare_all(platform.store, platform.database, parts, adopt=True))
     originals = {blob.sha256: blob for blob in excerpt}
-    kept = _StoredBytes(originals, {}, prepared_previews(platform, work, found.drawn))
+    kept = _StoredBytes(originals, {}, prepared_previews(platform, work, survey.drawn))
     attempt.progress("keep", STEPS, STEPS)
-    attempt.log("inspected", topics=found.topics, findings=found.findings, score=found.quality["score"], recovered=0)
-    result = {"recording_id": recording_id, "topics": found.topics, "score": found.quality["score"]}
+    attempt.log("inspected", topics=survey.topics, findings=survey.findings, score=survey.quality["score"], recovered=0)
+    result = {"recording_id": recording_id, "topics": survey.topics, "score": survey.quality["score"]}
 
     def commit(session: Session) -> None:
-        recording = _register(session, brought, found, kept)
+        recording = _register(session, brought, survey, kept)
         recording.place, recording.size_bytes = place.as_record(), place.size_bytes
-        recording.sha256 = sha256_in_place(place, found.content_sha256)
+        recording.sha256 = sha256_in_place(place, survey.content_sha256)
         keep_excerpt(session, platform.settings, recording, excerpt)
 
     return Outcome(result, commit=commit)
@@ -126,7 +126,7 @@ def _read_and_kept(platform: Platform, attempt: Attempt, brought: ReceivedBag) -
     try:
         with hashed_beside(platform.store, [file.path for file in brought.files], adopt=True) as hashed:
             try:
-                found = _seen(platform, attempt, brought, work)
+                survey = _seen(platform, attempt, brought, work)
             except IngestError:  # a file damaged during transfer must not be reported as corrupt
                 _refuse_changed(brought, hashed())
                 raise
@@ -139,16 +139,17 @@ def _read_and_kept(platform: Platform, attempt: Attempt, brought: ReceivedBag) -
         raise
     attempt.progress("keep", 3, STEPS)
     recovered = {
-        row_id: prepare(platform.store, platform.database, path, adopt=True) for row_id, path in found.recovered.items()
+        row_id: prepare(platform.store, platform.database, path, adopt=True)
+        for row_id, path in survey.recovered.items()
     }
-    kept = _StoredBytes(originals, recovered, prepared_previews(platform, work, found.drawn))
+    kept = _StoredBytes(originals, recovered, prepared_previews(platform, work, survey.drawn))
     attempt.progress("keep", STEPS, STEPS)
-    score = found.quality["score"]
-    attempt.log("inspected", topics=found.topics, findings=found.findings, score=score, recovered=len(recovered))
-    result = {"recording_id": brought.recording_id, "topics": found.topics, "score": score}
+    score = survey.quality["score"]
+    attempt.log("inspected", topics=survey.topics, findings=survey.findings, score=score, recovered=len(recovered))
+    result = {"recording_id": brought.recording_id, "topics": survey.topics, "score": score}
 
     def commit(session: Session) -> None:
-        _register(session, brought, found, kept)
+        _register(session, brought, survey, kept)
 
     return Outcome(result, commit=commit)
 
@@ -157,8 +158,8 @@ def _seen(platform: Platform, attempt: Attempt, brought: ReceivedBag, work: Path
     """Survey the recording; recovered files are then in `work` until the run is collected."""
     with private_folder_in(work) as folder:
         apart = JobSandbox(folder, brought.reads, attempt, platform.settings, warm, makes_links=True)
-        found = seen(brought, apart)
-        return replace(found, recovered={row_id: _moved(path, work) for row_id, path in found.recovered.items()})
+        survey = seen(brought, apart)
+        return replace(survey, recovered={row_id: _moved(path, work) for row_id, path in survey.recovered.items()})
 
 
 def _moved(path: Path, work: Path) -> Path:
@@ -176,12 +177,12 @@ def _originals(platform: Platform, brought: ReceivedBag, hashed: Sequence[Prepar
 
 def _refuse_changed(brought: ReceivedBag, hashed: Sequence[PreparedBlob]) -> None:
     """Raise `RecordingChangedError` if a hash differs from the uploaded file's."""
-    for file, found in zip(brought.files, hashed, strict=True):
-        if found.sha256 != file.sha256:
-            raise RecordingChangedError(file.filename, found.sha256, file.sha256)
+    for file, blob in zip(brought.files, hashed, strict=True):
+        if blob.sha256 != file.sha256:
+            raise RecordingChangedError(file.filename, blob.sha256, file.sha256)
 
 
-def _register(session: Session, brought: ReceivedBag, found: RecordingSurvey, kept: _StoredBytes) -> Recording:
+def _register(session: Session, brought: ReceivedBag, survey: RecordingSurvey, kept: _StoredBytes) -> Recording:
     recording = session.get(Recording, brought.recording_id, with_for_update=True)
     if recording is None:
         raise JobCancelledError("its recording was deleted")
@@ -189,10 +190,10 @@ def _register(session: Session, brought: ReceivedBag, found: RecordingSurvey, ke
     for file in recording.files:
         file.blob_sha256 = kept.originals[file.id].sha256
         file.recovered_blob_sha256 = kept.recovered[file.id].sha256 if file.id in kept.recovered else None
-    inspection = dict(found.inspection)
+    inspection = dict(survey.inspection)
     recording.state = "registered"
     recording.findings = inspection.pop("findings")
-    recording.inspection, recording.quality = inspection, found.quality
+    recording.inspection, recording.quality = inspection, survey.quality
     replace_previews(session, PreviewSubject(recording.sequence_id, recording.id), kept.previews)
     record_unusable(session, recording.sequence_id, recording.findings)
     return recording

@@ -81,23 +81,23 @@ def inspected_in(
     more data may follow, and a refusal without a calibration is only a warning. Raises as `inspect_in` and
     `read_calibration`.
     """
-    asked = replace(options or SynchroniseOptions(), topics=profile.topics if profile else {}, is_hashed=False)
-    scan = scan or scanned(bag, asked.asked_topics)
+    requested = replace(options or SynchroniseOptions(), topics=profile.topics if profile else {}, is_hashed=False)
+    scan = scan or scanned(bag, requested.asked_topics)
     inspection = inspect_in(bag, profile, scan)
-    if asked.poses is not None:
-        told = tuple(finding for finding in inspection.findings if finding.code != "TOP-103")
-        inspection = replace(inspection, findings=told)
-    options = replace(asked, recorded=scan.recorded)
+    if requested.poses is not None:
+        kept = tuple(finding for finding in inspection.findings if finding.code != "TOP-103")
+        inspection = replace(inspection, findings=kept)
+    options = replace(requested, recorded=scan.recorded)
     if calibration is None:
-        said, ground = stood_in(bag, options, "error" if is_complete else "warning")
+        added, ground = stood_in(bag, options, "error" if is_complete else "warning")
         inspection = replace(inspection, lidar_ground=ground)
         if ground is not None and scan.recorded is not None and scan.recorded.sources is not None:
             mounts = recorded_rig(scan.recorded, scan.recorded.sources, STAND_IN, ClockOffsets())
-            said += recorded_ground_finding(ground, mounts.tree, mounts.lidar_frame)
+            added += recorded_ground_finding(ground, mounts.tree, mounts.lidar_frame)
     else:
         rig, noticed = read_calibration(calibration, bag)
-        said = (*noticed, *outlook(bag, rig, options))
-    return replace(inspection, findings=with_new(inspection.findings, said))
+        added = (*noticed, *outlook(bag, rig, options))
+    return replace(inspection, findings=with_new(inspection.findings, added))
 
 
 def outlook(bag: Bag, calibration: Calibration, options: SynchroniseOptions) -> tuple[Finding, ...]:
@@ -133,19 +133,19 @@ def _refused(refusal: StoneError, severity: Severity) -> Finding:
     return Finding(refusal.code, severity, "", str(refusal))
 
 
-def with_new(known: tuple[Finding, ...], said: tuple[Finding, ...]) -> tuple[Finding, ...]:
+def with_new(known: tuple[Finding, ...], added: tuple[Finding, ...]) -> tuple[Finding, ...]:
     """Return both without repetitions: equal code, severity and topic (or none), or equal reason and topic."""
     codes, named = {finding.code for finding in known}, {(finding.code, finding.topic) for finding in known}
     refused = {finding.code for finding in known if finding.severity == "error"}
     reasons = [(finding.topic, finding.message) for finding in known if finding.topic]
 
-    def is_new(one: Finding) -> bool:
-        if one.severity == "error":
-            return one.code not in refused
-        is_named = (one.code, one.topic) in named or (not one.topic and one.code in codes)
-        return not is_named and not any(one.topic == at and why in one.message for at, why in reasons)
+    def is_new(finding: Finding) -> bool:
+        if finding.severity == "error":
+            return finding.code not in refused
+        is_named = (finding.code, finding.topic) in named or (not finding.topic and finding.code in codes)
+        return not is_named and not any(finding.topic == at and why in finding.message for at, why in reasons)
 
-    return (*known, *filter(is_new, said))
+    return (*known, *filter(is_new, added))
 
 
 # The files of an uploaded recording on this machine, opened as one bag.
@@ -324,8 +324,8 @@ def _look(brought: ReceivedBag, folder: Path, progress: ProgressCallback) -> byt
     ours = replace(brought, folder=folder / NAMES)
     with ExitStack() as files:
         bag, inspection, recovered = _inspected_in(files, ours, folder / RECOVERED)
-        said = tuple(file.finding for file in recovered.values())
-        inspection = replace(inspection, findings=(*said, *inspection.findings))
+        recoveries = tuple(file.finding for file in recovered.values())
+        inspection = replace(inspection, findings=(*recoveries, *inspection.findings))
         progress("measure", 1, STEPS)
         facts = {"recovered": list(recovered), "content_sha256": content_sha256(bag) if ours.here else ""}
         return _measured(ours.name, inspection, SampledMessages(bag, is_sparing=ours.here is not None), facts)
@@ -355,7 +355,7 @@ def _measured(name: str, inspection: Inspection, sampled: SampledMessages, facts
     pictures = tuple(previews_of(bag, inspection, sampled))
     page = quality_page(name, inspection, quality, pictures)
     record = json.dumps(quality.as_record(), indent=1, allow_nan=False).encode()
-    told = {
+    content = {
         "inspection": inspection_record(inspection),
         "quality": quality.as_record(),
         "topics": len(inspection.topics),
@@ -363,7 +363,7 @@ def _measured(name: str, inspection: Inspection, sampled: SampledMessages, facts
         **facts,
     }
     own = ((QUALITY_RECORD, "application/json", record), (QUALITY_PAGE, "text/html", page))
-    return packed(told, (*own, *pictures))
+    return packed(content, (*own, *pictures))
 
 
 def _believed(parcel: SandboxResult, brought: ReceivedBag, folder: Path) -> RecordingSurvey:

@@ -54,12 +54,12 @@ class StoredBags:
     @property
     def files(self) -> StoredRecording:
         """All of their files, as one recording."""
-        return StoredRecording(self.kept[0].name, tuple(file for one in self.kept for file in one.files))
+        return StoredRecording(self.kept[0].name, tuple(file for recording in self.kept for file in recording.files))
 
     @property
     def is_in_place(self) -> bool:
         """Whether a recording is in place; chunks are then not read only for checking."""
-        return any(one.place for one in self.kept)
+        return any(recording.place for recording in self.kept)
 
 
 @dataclass(frozen=True)
@@ -85,36 +85,36 @@ class SynchronisationResult:
     contents: Mapping[str, str]
 
 
-def synchronised(asked: SynchronisationRequest, apart: JobSandbox) -> SynchronisationResult:
+def synchronised(request: SynchronisationRequest, apart: JobSandbox) -> SynchronisationResult:
     """Synchronise in a child.
 
     Raises what `join_recordings` and `open_sequence` raise, `SandboxCrashedError`, `ConfinedInterruptedError`,
     `JobCancelledError`.
     """
-    answer = apart.run(partial(synchronise_bags, asked), SYNCHRONISED, 2)
+    answer = apart.run(partial(synchronise_bags, request), SYNCHRONISED, 2)
     made = _believed(unpacked(answer), apart.folder)
-    _refuse_other_content(made.contents, asked.bags)
-    return with_description(made, apart.folder / JOINT, asked.bags) if len(asked.bags.paths) > 1 else made
+    _refuse_other_content(made.contents, request.bags)
+    return with_description(made, apart.folder / JOINT, request.bags) if len(request.bags.paths) > 1 else made
 
 
-def synchronise_bags(asked: SynchronisationRequest, folder: Path, progress: ProgressCallback) -> bytes:
+def synchronise_bags(request: SynchronisationRequest, folder: Path, progress: ProgressCallback) -> bytes:
     """Synchronise within the child."""
-    path, sha256 = _one_bag(asked, folder)
-    options = replace(asked.options, progress=progress, recording_sha256=sha256, is_checked=False)
+    path, sha256 = _one_bag(request, folder)
+    options = replace(request.options, progress=progress, recording_sha256=sha256, is_checked=False)
     with open_bag(path) as bag:
-        if asked.bags.is_in_place:
+        if request.bags.is_in_place:
             bag.read_sparingly()
-        sequence, sweeps = sequence_in(bag, asked.calibration, asked.name, options)
+        sequence, sweeps = sequence_in(bag, request.calibration, request.name, options)
     (folder / SEQUENCE_FILE).write_bytes(sequence_bytes(sequence))
-    (folder / SWEEPS_FILE).write_bytes(sweeps_bytes(sweeps, asked.bags.files))
+    (folder / SWEEPS_FILE).write_bytes(sweeps_bytes(sweeps, request.bags.files))
     result = {
         "frames": len(sequence.frames),
         "excluded": len(sequence.excluded),
         "pose_source": sequence.pose_source,
-        "findings": short_records((*sequence.findings, *validity_findings(sequence, *asked.valid_ns))),
+        "findings": short_records((*sequence.findings, *validity_findings(sequence, *request.valid_ns))),
         "is_checked": False,
     }
-    return packed({"result": result, "contents": _contents_in_place(asked.bags)})
+    return packed({"result": result, "contents": _contents_in_place(request.bags)})
 
 
 def _contents_in_place(bags: StoredBags) -> dict[str, str]:
@@ -133,13 +133,15 @@ def _refuse_other_content(contents: Mapping[str, str], bags: StoredBags) -> None
             raise content_changed(kept.place)
 
 
-def _one_bag(asked: SynchronisationRequest, folder: Path) -> tuple[Path, str]:
+def _one_bag(synchronisation: SynchronisationRequest, folder: Path) -> tuple[Path, str]:
     """Return the recording with its hash; several recordings are joined in a folder."""
-    bags = asked.bags
+    bags = synchronisation.bags
     if len(bags.paths) == 1:
         return bags.paths[0], bags.sha256s[bags.kept[0].name]
     joint = folder / JOINT
-    request = JoinRequest(bags.paths, asked.calibration, bags.offsets_ns, asked.options, bags.is_in_place)
+    request = JoinRequest(
+        bags.paths, synchronisation.calibration, bags.offsets_ns, synchronisation.options, bags.is_in_place
+    )
     joined = join_recordings(request)
     joint.mkdir()
     write_joined(joined, joint, bags.sha256s)
@@ -159,8 +161,13 @@ def with_description(made: SynchronisationResult, joint: Path, bags: StoredBags)
     if {member.name: member.sha256 for member in members} != dict(bags.sha256s):
         raise SandboxCrashedError("joined other recordings than the given ones")
     clocks = [
-        {"recording": one.name, "offset_ns": one.offset_ns, "sigma_ns": one.sigma_ns, "known_by": list(one.known_by)}
-        for one in members
+        {
+            "recording": entry.name,
+            "offset_ns": entry.offset_ns,
+            "sigma_ns": entry.sigma_ns,
+            "known_by": list(entry.known_by),
+        }
+        for entry in members
     ]
     return replace(made, result={**made.result, "clocks": clocks}, files={**made.files, JOINED: path})
 
@@ -221,26 +228,26 @@ class CheckResult:
     overlays: tuple[File, ...]
 
 
-def checked(asked: CheckRequest, apart: JobSandbox) -> CheckResult:
+def checked(request: CheckRequest, apart: JobSandbox) -> CheckResult:
     """Run the late checks in a child.
 
     Raises what `late_findings` and `overlays_of` raise, `SandboxCrashedError`, `ConfinedInterruptedError`,
     `JobCancelledError`.
     """
-    return _believed_check(unpacked(apart.run(partial(check_left, asked), CHECKED, 2)), apart.folder / CHECKED_FILE)
+    return _believed_check(unpacked(apart.run(partial(check_left, request), CHECKED, 2)), apart.folder / CHECKED_FILE)
 
 
-def check_left(asked: CheckRequest, folder: Path, _progress: ProgressCallback) -> bytes:
+def check_left(request: CheckRequest, folder: Path, _progress: ProgressCallback) -> bytes:
     """Run the late checks within the child. Findings about the calibration's validity stay last."""
-    sequence, sweeps = (path.read_bytes() for path in asked.files)
-    found, source = read_sequence(sequence), read_sweeps(sweeps, lambda _: asked.bag)
-    with open_bag(asked.bag) as bag:
-        if asked.is_in_place:
+    sequence, sweeps = (path.read_bytes() for path in request.files)
+    sequence_read, source = read_sequence(sequence), read_sweeps(sweeps, lambda _: request.bag)
+    with open_bag(request.bag) as bag:
+        if request.is_in_place:
             bag.read_sparingly()
-        late = late_findings(bag, found, source)
-        overlays = list(overlays_of(bag, found, source))
-    findings = (*found.findings, *late, *validity_findings(found, *asked.valid_ns))
-    (folder / CHECKED_FILE).write_bytes(sequence_bytes(replace(found, findings=findings)))
+        late = late_findings(bag, sequence_read, source)
+        overlays = list(overlays_of(bag, sequence_read, source))
+    findings = (*sequence_read.findings, *late, *validity_findings(sequence_read, *request.valid_ns))
+    (folder / CHECKED_FILE).write_bytes(sequence_bytes(replace(sequence_read, findings=findings)))
     return packed({"findings": short_records(findings), "is_checked": True}, overlays)
 
 

@@ -99,11 +99,11 @@ def opened_sequence(
 
 def _checked(bag: Bag, sequence: Sequence, sweeps: BagSweeps) -> tuple[Finding, ...]:
     """Return the late findings, and release inflated chunks. Raises `FoundDamagedError`."""
-    found = late_findings(bag, sequence, sweeps)
+    findings = late_findings(bag, sequence, sweeps)
     if bag.is_believed and bag.damaged_beside({sweeps.topic: sweeps.message_index}):
         raise FoundDamagedError
     bag.release()
-    return found
+    return findings
 
 
 def _is_damaged(path: Path) -> bool:

@@ -147,7 +147,7 @@ class Scrub:
         if max(self._paid_s, self._pass_s) > self._now_s():
             return None
         if not self._ahead:
-            last = next((one.due.sha256 for one in reversed(done) if not one.due.is_noted), after)
+            last = next((read.due.sha256 for read in reversed(done) if not read.due.is_noted), after)
             with self._platform.database.reading() as session:
                 blobs = session.scalars(select(Blob).where(Blob.sha256 > last).order_by(Blob.sha256).limit(AHEAD))
                 self._ahead.extend(_due(blob, is_noted=False) for blob in blobs)
@@ -162,7 +162,7 @@ class Scrub:
         wanted = [sha256 for sha256, fault in faults.items() if fault == SERVED or self._again_s[sha256] <= now_s]
         due = session.scalars(select(Blob).where(Blob.sha256.in_(wanted))).all() if wanted else ()
         self._again_s |= dict.fromkeys(wanted, now_s + AGAIN_S)
-        waiting = {one.sha256 for one in self._noted} | ({self._reading.due.sha256} if self._reading else set())
+        waiting = {noted.sha256 for noted in self._noted} | ({self._reading.due.sha256} if self._reading else set())
         self._noted.extend(_due(blob, is_noted=True) for blob in due if blob.sha256 not in waiting)
 
     def _write(self, after: str, done: list[_Reading]) -> None:
@@ -211,7 +211,7 @@ def _move_on(session: Session, after: str, read: list[_Due]) -> bool:
     values = {
         "after_sha256": read[-1].sha256,
         "objects": StoreScrub.objects + len(read),
-        "size_bytes": StoreScrub.size_bytes + sum(one.size_bytes for one in read),
+        "size_bytes": StoreScrub.size_bytes + sum(reading.size_bytes for reading in read),
     }
     return bool(rows_changed(session, update(StoreScrub).where(StoreScrub.after_sha256 == after).values(**values)))
 

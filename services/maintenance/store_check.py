@@ -62,16 +62,16 @@ def damaged_blobs(platform: Platform, *, is_read: bool = False) -> Iterator[Dama
 
 def restore_objects(platform: Platform, lost: Sequence[DamagedBlob], folder: Path) -> list[DamagedBlob]:
     """Store files of the folder that match a lost object; return the restored blobs. Raises `StoreFullError`."""
-    missing = {one.sha256: one for one in lost}
+    missing = {blob.sha256: blob for blob in lost}
     back = []
-    for path in _files(folder, {one.size_bytes for one in lost}):
+    for path in _files(folder, {blob.size_bytes for blob in lost}):
         with path.open("rb") as file:
-            one = missing.pop(hashlib.file_digest(file, "sha256").hexdigest(), None)
-        if one is not None:
-            platform.store.write(one.object_key, path)
-            back.append(one)
+            blob = missing.pop(hashlib.file_digest(file, "sha256").hexdigest(), None)
+        if blob is not None:
+            platform.store.write(blob.object_key, path)
+            back.append(blob)
     with platform.database.transaction() as session:
-        forget(session, [one.sha256 for one in back])
+        forget(session, [blob.sha256 for blob in back])
     return back
 
 
@@ -80,7 +80,7 @@ def forget_derived(platform: Platform, lost: Sequence[DamagedBlob]) -> int:
 
     The exports of a label set are deleted with it. Recordings, versions, phases and submissions stay.
     """
-    gone = {one.sha256 for one in lost}
+    gone = {blob.sha256 for blob in lost}
     forgotten = 0
     for sequence_id in _sequences_with(platform, gone):
         with platform.database.transaction() as session:
@@ -158,13 +158,13 @@ def main(arguments: list[str] | None = None) -> int:
 def _checked(platform: Platform, options: argparse.Namespace) -> list[DamagedBlob]:
     """Check and repair as requested; return the objects that are still lost."""
     lost = []
-    for one in damaged_blobs(platform, is_read=options.bytes):
-        sys.stdout.write(json.dumps(asdict(one)) + "\n")
-        lost.append(one)
+    for blob in damaged_blobs(platform, is_read=options.bytes):
+        sys.stdout.write(json.dumps(asdict(blob)) + "\n")
+        lost.append(blob)
     _say(f"{len(lost)} objects are lost")
     for folder in options.sources:
         back = restore_objects(platform, lost, folder)
-        lost = [one for one in lost if one not in back]
+        lost = [blob for blob in lost if blob not in back]
         _say(f"{len(back)} objects were restored from {folder}; {len(lost)} are lost")
     if options.forget and lost:
         _say(f"{forget_derived(platform, lost)} label sets and exports were deleted; request them again")

@@ -64,19 +64,19 @@ WATCHED_S = 0.1
 log = structlog.get_logger(__name__)
 
 
-def nobody(_name: str) -> None:
+def ignore(_name: str) -> None:
     """Ignore the finished chore; the default callback."""
 
 
 @dataclass
 class Chore:
-    """A task repeated every `every_s`; `due_s` is on the monotonic clock. `told` is called with its name afterwards."""
+    """A task repeated every `every_s`; `due_s` is on the monotonic clock. `on_done` is then called with its name."""
 
     name: str
     every_s: float
     work: Callable[[], object]
     due_s: float = 0.0
-    told: Callable[[str], None] = nobody
+    on_done: Callable[[str], None] = ignore
 
     def run_if_due(self, now_s: float) -> bool:
         """Run the chore if it is due; return False if an outage prevented it."""
@@ -89,7 +89,7 @@ class Chore:
             log.warning("chore failed", chore=self.name, reason=f"{type(error).__name__}: {error}"[:500])
             process_counters().add(CHORE_FAILURES, (self.name,))
             return False
-        self.told(self.name)
+        self.on_done(self.name)
         return True
 
 
@@ -194,12 +194,12 @@ def recorded(platform: Platform, loops: Sequence[ChoreLoop]) -> tuple[ChoreLoop,
             Chore("counts", MINUTE_S, lambda: fold(platform)),
         ),
     )
-    told = [
-        replace(loop, chores=tuple(replace(chore, told=ledger.note) for chore in loop.chores))
+    observed = [
+        replace(loop, chores=tuple(replace(chore, on_done=ledger.note) for chore in loop.chores))
         for loop in (*loops, records)
     ]
-    told[-1] = replace(told[-1], chores=(*told[-1].chores, Chore("books", LEDGER_S, ledger.write)))
-    return tuple(told)
+    observed[-1] = replace(observed[-1], chores=(*observed[-1].chores, Chore("books", LEDGER_S, ledger.write)))
+    return tuple(observed)
 
 
 def beating(loop: ChoreLoop, pulse: HeartbeatFile) -> ChoreLoop:

@@ -40,9 +40,9 @@ def open_folders(a: Path, b: Path) -> LabelFolders:
 
     Raises `UnreadableInputError`, `GroundTruthError`, `unknown_grid`, `grids_differ`, `nothing_in_common`.
     """
-    found = [find_ground_truth(folder) for folder in (a, b)]
-    of_a, of_b = (truth.paths() for truth in found)
-    grid, other = (truth.manifest.grid for truth in found)
+    truths = [find_ground_truth(folder) for folder in (a, b)]
+    of_a, of_b = (truth.paths() for truth in truths)
+    grid, other = (truth.manifest.grid for truth in truths)
     require_one_geometry(grid, other)
     shared = [token for token in of_a if token in of_b]
     if not shared:

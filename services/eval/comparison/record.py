@@ -47,7 +47,9 @@ def comparison_record(frames: ComparedFrames, counts: LabelSetCounts) -> dict[st
 
 
 def _block(by_ring: Counted) -> dict[str, Any]:
-    rings = [{"from_m": low, "to_m": high, **_figures(one)} for (low, high), one in zip(RINGS_M, by_ring, strict=True)]
+    rings = [
+        {"from_m": low, "to_m": high, **_figures(counts)} for (low, high), counts in zip(RINGS_M, by_ring, strict=True)
+    ]
     return {**_figures(by_ring.sum(axis=0)), "rings": rings}
 
 

@@ -67,14 +67,14 @@ class CountsAnswer(SandboxAnswer):
             confusion=counts.confusion.ravel().tolist(),
             seen_confusion=None if seen is None else seen.confusion.ravel().tolist(),
             seen_voxels=(0, 0, 0) if seen is None else seen.voxels,
-            agreements=[None if np.isnan(one) else float(one) for one in counts.agreements],
+            agreements=[None if np.isnan(ratio) else float(ratio) for ratio in counts.agreements],
         )
 
     def counts(self, frames: int, grid: LabelGrid) -> LabelSetCounts:
         """Return the counts. Raises `SandboxCrashedError` if they do not fit this number of frames of the grid."""
         if len(self.agreements) != frames or sum(self.confusion) != frames * grid.voxels:
             raise SandboxCrashedError(f"counted other than {frames} frames")
-        agreements = np.array([nan if one is None else one for one in self.agreements])
+        agreements = np.array([nan if ratio is None else ratio for ratio in self.agreements])
         if self.seen_confusion is None:
             return LabelSetCounts(_by_ring(self.confusion), None, agreements)
         seen = SeenCounts(_by_ring(self.seen_confusion), self.seen_voxels)
@@ -143,8 +143,8 @@ def _packed(context: EvalStageContext, pairs: list[StoredPair], grid: LabelGrid)
     numbers = {key: number for number, key in enumerate(keys)}
 
     def packed(file: StoredLabelFile) -> PackedLabelFile:
-        place = (numbers[file.object_key], file.offset_bytes, file.length_bytes)
-        return PackedLabelFile(f"{file.token}/labels.npz", *place, file.sha256)
+        position = (numbers[file.object_key], file.offset_bytes, file.length_bytes)
+        return PackedLabelFile(f"{file.token}/labels.npz", *position, file.sha256)
 
     store = context.platform.store
     packs = {number: store.local(key) for key, number in numbers.items()}

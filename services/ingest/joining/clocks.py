@@ -74,15 +74,19 @@ OpenAt = Callable[[ClockOffset], AbstractContextManager[Bag]]
 
 def has_poses(held: Iterable[HeldMessages], options: SynchroniseOptions) -> bool:
     """Return whether these recordings, or the options, have poses."""
-    asked = options.odometry_topic or options.topics.get("pose")
-    return options.poses is not None or asked == KISS_ICP or any(one.of_role(*POSE_ROLES) for one in held)
+    topic = options.odometry_topic or options.topics.get("pose")
+    return options.poses is not None or topic == KISS_ICP or any(recording.of_role(*POSE_ROLES) for recording in held)
 
 
 def best_poses(held: Iterable[HeldMessages]) -> HeldMessages | None:
     """Return the recording whose poses are used, or None if no recording has poses."""
     ranked = {role: rank for rank, role in enumerate(POSE_ROLES)}
-    found = [(min(ranked[topic.role] for topic in topics), one) for one in held if (topics := one.of_role(*POSE_ROLES))]
-    return min(found, key=lambda ranks: ranks[0])[1] if found else None
+    candidates = [
+        (min(ranked[topic.role] for topic in topics), recording)
+        for recording in held
+        if (topics := recording.of_role(*POSE_ROLES))
+    ]
+    return min(candidates, key=lambda ranks: ranks[0])[1] if candidates else None
 
 
 def bears_gps_time(held: HeldMessages) -> bool:
@@ -161,19 +165,19 @@ def measured_offset(bag: Bag, name: str, reference: RunReference) -> ClockOffset
     Raises: `SYN-523`, `SYN-524`, and what decoding raises.
     """
     topics = [candidate_of(bag, topic) for topic in bag.topics if topic.count and topic.encoding == "cdr"]
-    found, reasons = dict[str, LagFit](), list[str]()
+    fits, reasons = dict[str, LagFit](), list[str]()
     for kind, role, read in KINDS:
         own = [topic for topic in topics if topic.role == role]
         fit = _fit(bag, own, (read, reference.robot))
         if fit is not None:
-            found[kind] = fit
+            fits[kind] = fit
         elif own:
             reasons.append(
                 f"{len(own)} topics of its {role}s give no clock offset: the robot rotated and accelerated too little"
             )
-    if not found:
+    if not fits:
         raise unmeasured_offset([name], reasons)
-    offset = _weighed(name, found)
+    offset = _weighed(name, fits)
     return _triggered(bag, [topic for topic in topics if topic.role == "camera"], reference, offset) or offset
 
 
@@ -182,26 +186,26 @@ def _fit(bag: Bag, topics: Sequence[Candidate], how: tuple[Read, RobotMotion]) -
     evidence = list[LagEvidence]()
     for topic in topics:
         with suppress(MessageLayoutError, ByteOrderError, CloudLayoutError, DefinitionMissingError):
-            if (one := read(bag, topic, robot)) is not None:
-                evidence.append(one)
+            if (lag := read(bag, topic, robot)) is not None:
+                evidence.append(lag)
     fit = fitted_lag(evidence, (-SEARCHED_S, SEARCHED_S)) if evidence else None
     return fit if fit is not None and fit.sigma_s <= MOST_SIGMA_S else None
 
 
-def _weighed(name: str, found: dict[str, LagFit]) -> ClockOffset:
+def _weighed(name: str, fits_by_kind: dict[str, LagFit]) -> ClockOffset:
     """Return the mean weighted by inverse variance. Raises: `SYN-524`."""
-    fits = list(found.values())
+    fits = list(fits_by_kind.values())
     offsets, sigmas = (np.array(column) for column in zip(*((fit.offset_s, fit.sigma_s) for fit in fits), strict=True))
     weights = 1 / sigmas**2
     mean_s = float(np.sum(weights * offsets) / weights.sum())
     if (np.abs(offsets - mean_s) > SIGMAS * sigmas + EXPOSURE_S).any():
-        told = [f"{fit.offset_s:+.4f} ± {fit.sigma_s:.4f} s by {kind}" for kind, fit in found.items()]
+        measured = [f"{fit.offset_s:+.4f} ± {fit.sigma_s:.4f} s by {kind}" for kind, fit in fits_by_kind.items()]
         raise IngestError(
             "SYN-524",
-            f"the sensors in {name} give different clock offsets: {', '.join(told)}; is a mount in the calibration "
-            f"wrong, or does a sensor use another clock? Set the offset with {OPTION.format(name=name)}",
+            f"the sensors in {name} give different clock offsets: {', '.join(measured)}; is a mount in the "
+            f"calibration wrong, or does a sensor use another clock? Set the offset with {OPTION.format(name=name)}",
         )
-    return ClockOffset(round(mean_s * 1e9), round(float(weights.sum()) ** -0.5 * 1e9), tuple(found))
+    return ClockOffset(round(mean_s * 1e9), round(float(weights.sum()) ** -0.5 * 1e9), tuple(fits_by_kind))
 
 
 def _triggered(
@@ -216,7 +220,7 @@ def _triggered(
         return None
     fired, looks = list[int](), list[int]()
     for topic in cameras:
-        recorded = next(one for one in bag.topics if one.name == topic.name)
+        recorded = next(candidate for candidate in bag.topics if candidate.name == topic.name)
         mount = mount_of(topic.name, frame_id_of(bag, recorded), "camera", reference.robot.calibration)
         if mount is not None:
             stamps_ns = stamps_of(bag, topic) + offset.offset_ns
@@ -261,19 +265,19 @@ class JoinRequest:
         return {path.name: path for path in self.paths}
 
 
-def checked_paths(asked: JoinRequest) -> tuple[Path, ...]:
+def checked_paths(request: JoinRequest) -> tuple[Path, ...]:
     """Return the paths sorted by name, independent of their given order. Raises: `SYN-526`."""
-    names = sorted(path.name for path in asked.paths)
+    names = sorted(path.name for path in request.paths)
     if not 2 <= len(names) <= MOST_MEMBERS:
         raise not_joined(f"{len(names)} recordings were given, but 2 to {MOST_MEMBERS} can be joined")
     if len({name.casefold() for name in names}) < len(names):
         raise not_joined(f"two of the recordings have the same name: {', '.join(names)}")
-    for path in asked.paths:
+    for path in request.paths:
         if not is_member_name(path.name) or is_joined(path):
             raise not_joined(f"{path.name!r} is already a joined recording, or its name is not a valid file name")
-    if unknown := sorted(set(asked.given_ns) - set(names)):
+    if unknown := sorted(set(request.given_ns) - set(names)):
         raise not_joined(f"an offset is given for {unknown[0]!r}, which is not one of {', '.join(names)}")
-    return tuple(sorted(asked.paths, key=lambda path: path.name))
+    return tuple(sorted(request.paths, key=lambda path: path.name))
 
 
 def reference_first(held: Sequence[HeldMessages], lidar: str | None) -> tuple[HeldMessages, ...]:
@@ -285,35 +289,35 @@ def reference_first(held: Sequence[HeldMessages], lidar: str | None) -> tuple[He
     for recording in held:
         for topic in recording.of_role("lidar"):
             counts[topic.name] = counts.get(topic.name, 0) + topic.count
-    name = lidar or max(counts, key=lambda one: (counts[one], one), default="")
-    having = [one for one in held if any(topic.name == name for topic in one.topics)]
+    name = lidar or max(counts, key=lambda candidate: (counts[candidate], candidate), default="")
+    having = [candidate for candidate in held if any(topic.name == name for topic in candidate.topics)]
     if not having:
-        unread = unread_points(topic for one in held for topic in one.topics)
+        unread = unread_points(topic for candidate in held for topic in candidate.topics)
         raise no_lidar(not_read(unread) if unread else "")
-    reference = min(having, key=lambda one: (one.start_ns, one.name))
-    return (reference, *(one for one in held if one is not reference))
+    reference = min(having, key=lambda candidate: (candidate.start_ns, candidate.name))
+    return (reference, *(candidate for candidate in held if candidate is not reference))
 
 
-def check_given(asked: JoinRequest, held: Sequence[HeldMessages]) -> None:
+def check_given(request: JoinRequest, held: Sequence[HeldMessages]) -> None:
     """Raise `SYN-526` for an offset of the recording with the LiDAR, whose points have their own times."""
     lidars = {topic.name for topic in held[0].of_role("lidar")}
-    for number, one in enumerate(held):
-        has_lidar = not number or any(topic.name in lidars for topic in one.topics)
-        if has_lidar and asked.given_ns.get(one.name):
-            raise not_joined(f"{one.name} contains the LiDAR, whose clock is the run's, so its offset is 0")
+    for number, recording in enumerate(held):
+        has_lidar = not number or any(topic.name in lidars for topic in recording.topics)
+        if has_lidar and request.given_ns.get(recording.name):
+            raise not_joined(f"{recording.name} contains the LiDAR, whose clock is the run's, so its offset is 0")
 
 
 Held = Sequence[HeldMessages]
 
 
-def clock_offsets(asked: JoinRequest, held: Held) -> tuple[ClockOffset, ...]:
+def clock_offsets(request: JoinRequest, held: Held) -> tuple[ClockOffset, ...]:
     """Return the offsets in the order of `held`.
 
     Raises: `SYN-523`, `SYN-524`, `SYN-525`, and what synchronising raises.
     """
-    known = _known(asked, held)
+    known = _known(request, held)
     if len(known) < len(held):
-        known |= _measured(asked, held, known)
+        known |= _measured(request, held, known)
     _check_common_time(held, known)
     return tuple(known[number] for number in range(len(held)))
 
@@ -321,75 +325,75 @@ def clock_offsets(asked: JoinRequest, held: Held) -> tuple[ClockOffset, ...]:
 def members_of_run(held: Held, offsets: Sequence[ClockOffset]) -> tuple[JoinedMember, ...]:
     """Return the members for `joined.json`, with these offsets."""
     return tuple(
-        JoinedMember(one.name, to.offset_ns, to.sigma_ns, to.known_by, to.kept_topics, left)
-        for one, to, left in zip(held, offsets, left_out(held, offsets), strict=True)
+        JoinedMember(recording.name, to.offset_ns, to.sigma_ns, to.known_by, to.kept_topics, left)
+        for recording, to, left in zip(held, offsets, left_out(held, offsets), strict=True)
     )
 
 
-def _known(asked: JoinRequest, held: Held) -> dict[int, ClockOffset]:
+def _known(request: JoinRequest, held: Held) -> dict[int, ClockOffset]:
     """Return the offsets of recordings linked by messages or topics to the reference, or to a given offset."""
     known = dict(linked(held, 0)) | {0: ClockOffset(0, None, (REFERENCE,))}
-    for number, one in enumerate(held[1:], start=1):
-        if one.name in asked.given_ns:
-            known[number] = ClockOffset(asked.given_ns[one.name], None, (GIVEN,))
+    for number, recording in enumerate(held[1:], start=1):
+        if recording.name in request.given_ns:
+            known[number] = ClockOffset(request.given_ns[recording.name], None, (GIVEN,))
             for other, link in linked(held, number).items():
                 known.setdefault(other, link.after(known[number]))
     return known
 
 
-def _measured(asked: JoinRequest, held: Held, known: Mapping[int, ClockOffset]) -> Mapping[int, ClockOffset]:
+def _measured(request: JoinRequest, held: Held, known: Mapping[int, ClockOffset]) -> Mapping[int, ClockOffset]:
     """Return the offsets of the other recordings, measured together for each clock."""
     waiting = [number for number in range(len(held)) if number not in known]
-    if asked.calibration is None:
+    if request.calibration is None:
         names = [held[number].name for number in waiting]
         raise unmeasured_offset(names, ["no calibration gives the mounts of its sensors"])
-    posed = {} if has_poses((held[number] for number in known), asked.options) else _with_poses(asked, held, known)
-    found = {number: offset for number, offset in posed.items() if SWEEPS in offset.known_by}
-    with _on_one_clock(asked, held, {**posed, **known}) as run:
-        reference = reference_of(run, asked.calibration, asked.options)
+    posed = {} if has_poses((held[number] for number in known), request.options) else _with_poses(request, held, known)
+    offsets = {number: offset for number, offset in posed.items() if SWEEPS in offset.known_by}
+    with _on_one_clock(request, held, {**posed, **known}) as run:
+        reference = reference_of(run, request.calibration, request.options)
         for number in waiting:
-            if number not in found:
+            if number not in offsets:
                 group = linked(held, number)
-                with _on_one_clock(asked, held, group) as bag:
+                with _on_one_clock(request, held, group) as bag:
                     offset = measured_offset(bag, held[number].name, reference)
-                found |= {other: link.after(offset) for other, link in group.items()}
-    return found
+                offsets |= {other: link.after(offset) for other, link in group.items()}
+    return offsets
 
 
-def _with_poses(asked: JoinRequest, held: Held, known: Mapping[int, ClockOffset]) -> dict[int, ClockOffset]:
+def _with_poses(request: JoinRequest, held: Held, known: Mapping[int, ClockOffset]) -> dict[int, ClockOffset]:
     """Return the offsets of the recording with the poses and of its group, by sweeps or by GPS time.
 
     GPS time needs no offset; {} if no recording has poses.
     """
     others = [held[number] for number in range(len(held)) if number not in known]
     posed = best_poses(others)
-    if posed is None or asked.calibration is None:
+    if posed is None or request.calibration is None:
         return {}
-    group = linked(held, next(number for number, one in enumerate(held) if one is posed))
+    group = linked(held, next(number for number, recording in enumerate(held) if recording is posed))
     if bears_gps_time(posed):
         return {number: link.after(ClockOffset(0, None, ())) for number, link in group.items()}
 
     def open_at(offset: ClockOffset) -> AbstractContextManager[Bag]:
         moved = {number: link.after(offset) for number, link in group.items()}
-        return _on_one_clock(asked, held, {**moved, **known})
+        return _on_one_clock(request, held, {**moved, **known})
 
-    offset = pose_offset(posed.name, open_at, asked.calibration, asked.options)
+    offset = pose_offset(posed.name, open_at, request.calibration, request.options)
     return {number: link.after(offset) for number, link in group.items()}
 
 
 @contextmanager
-def _on_one_clock(asked: JoinRequest, held: Held, offsets: Mapping[int, ClockOffset]) -> Iterator[Bag]:
+def _on_one_clock(request: JoinRequest, held: Held, offsets: Mapping[int, ClockOffset]) -> Iterator[Bag]:
     """Yield some of the recordings, opened as one."""
     numbers = sorted(offsets)
     if len(numbers) == 1:
-        with asked.opened(asked.path_of[held[numbers[0]].name]) as bag:
+        with request.opened(request.path_of[held[numbers[0]].name]) as bag:
             yield bag
         return
     members = members_of_run([held[number] for number in numbers], [offsets[number] for number in numbers])
     folder = PrivateFolder()
     try:
-        write_joined(JoinedRecording(tuple(asked.path_of[member.name] for member in members), members), folder.path)
-        with asked.opened(folder.path) as bag:
+        write_joined(JoinedRecording(tuple(request.path_of[member.name] for member in members), members), folder.path)
+        with request.opened(folder.path) as bag:
             yield bag
     finally:
         folder.close()
@@ -414,19 +418,19 @@ def _check_common_time(held: Held, offsets: Mapping[int, ClockOffset]) -> None:
 # are measured, none is guessed. Equal recordings give equal descriptions, in any order.
 
 
-def join_recordings(asked: JoinRequest) -> JoinedRecording:
+def join_recordings(request: JoinRequest) -> JoinedRecording:
     """Join the recordings.
 
     Raises: `SYN-526`, `TOP-101`, `BAG-041`, `SYN-523`, `SYN-524`, `SYN-525`, and what opening and decoding raise.
     """
-    asked = replace(asked, paths=checked_paths(asked))
+    request = replace(request, paths=checked_paths(request))
     with ExitStack() as opened:
-        held = held_by({path.name: opened.enter_context(asked.opened(path)) for path in asked.paths})
-    check_types((topic.name, topic.type) for one in held for topic in one.topics)
-    held = reference_first(held, asked.options.lidar_topic or asked.options.topics.get("lidar"))
-    check_given(asked, held)
-    members = members_of_run(held, clock_offsets(asked, held))
-    return JoinedRecording(tuple(asked.path_of[member.name] for member in members), members)
+        held = held_by({path.name: opened.enter_context(request.opened(path)) for path in request.paths})
+    check_types((topic.name, topic.type) for recording in held for topic in recording.topics)
+    held = reference_first(held, request.options.lidar_topic or request.options.topics.get("lidar"))
+    check_given(request, held)
+    members = members_of_run(held, clock_offsets(request, held))
+    return JoinedRecording(tuple(request.path_of[member.name] for member in members), members)
 
 
 def not_joined(problem: str) -> IngestError:

@@ -45,8 +45,8 @@ Resolve = Callable[[str, int], list[str]]
 
 def resolved(host: str, port: int) -> list[str]:
     """Return the addresses of a host, in the order the system prefers. Raises `OSError`."""
-    found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-    return list(dict.fromkeys(str(entry[4][0]) for entry in found))
+    entries = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    return list(dict.fromkeys(str(entry[4][0]) for entry in entries))
 
 
 def judged_addresses(host: str, port: int, settings: NotificationSettings, resolve: Resolve = resolved) -> list[str]:
@@ -221,8 +221,8 @@ def send_email(letter: Letter, address: str, settings: NotificationSettings) -> 
                 server.login(settings.smtp_user, settings.smtp_password.get_secret_value())
             server.send_message(message)
     except smtplib.SMTPRecipientsRefused as error:
-        code, said = error.recipients[address]
-        words = said.decode(errors="replace")
+        code, reply = error.recipients[address]
+        words = reply.decode(errors="replace")
         raise NotTakenError(f"answered {code} {words}", is_final=code >= REFUSED_FOR_GOOD) from None
     except (OSError, smtplib.SMTPException) as error:
         raise NotTakenError(f"{type(error).__name__}: {error}") from None
@@ -231,10 +231,10 @@ def send_email(letter: Letter, address: str, settings: NotificationSettings) -> 
 
 def _server(settings: NotificationSettings) -> smtplib.SMTP:
     """Return a connection to the server, with TLS if configured. Raises `OSError`, `SMTPException`."""
-    place = (settings.smtp_host, settings.smtp_port)
+    address = (settings.smtp_host, settings.smtp_port)
     if settings.smtp_security == "tls":
-        return smtplib.SMTP_SSL(*place, timeout=EMAIL_WITHIN_S, context=ssl.create_default_context())
-    server = smtplib.SMTP(*place, timeout=EMAIL_WITHIN_S)
+        return smtplib.SMTP_SSL(*address, timeout=EMAIL_WITHIN_S, context=ssl.create_default_context())
+    server = smtplib.SMTP(*address, timeout=EMAIL_WITHIN_S)
     if settings.smtp_security == "starttls":
         try:
             server.starttls(context=ssl.create_default_context())
