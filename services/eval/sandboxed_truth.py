@@ -54,7 +54,7 @@ class PackedLabelFile:
 class TruthAnswer(SandboxAnswer):
     """The child's answer: the sha256 of all evaluated voxels, and the number of frames."""
 
-    asked: ClassVar[str] = "the summary of the built pack"
+    expected: ClassVar[str] = "the summary of the built pack"
     sha256: Hex256
     frames: Annotated[int, Field(gt=0, le=MAX_FRAMES)]
 

@@ -1,10 +1,11 @@
 """A whole ground truth in one file: its bit planes frame by frame, so that any frame can be read alone.
 
-**Conventions.** Magic, the packed planes of each frame in the order of the manifest, an index (an npz of `tokens`,
-`offsets`, `counts`, `crc32`, `other_supports`; `grid`, JSON, if it is not the paper's; `late` if late voxels are
-known), then the start of the index and the magic again; little-endian. Packs of earlier versions have no
-`other_supports`. A frame consists of the `changes` and `columns` of `stone.scoring.plane_runs`: on real labels it
-unpacks in a quarter of LZ4's time and an eighth of zstd's, for 1.6 and 3 times the bytes. In the frames that
+**Conventions.** The file consists of the magic, the packed planes of each frame in the order of the manifest, an index,
+the start of the index and the magic again; little-endian. The index is an npz of `tokens`, `offsets`, `counts`, `crc32`
+and `other_supports`. It has `grid` (JSON) if it is not the paper's, and `late` if late voxels are known. Packs of
+earlier versions have no `other_supports`. A frame consists of the `changes` and `columns` of
+`stone.scoring.plane_runs`. On real labels it unpacks in a quarter of LZ4's time and an eighth of zstd's, for 1.6 and 3
+times the bytes. In the frames that
 `stone.scoring.columns` counts, the deflated plane of late voxels follows; `late` (n,) is its length in bytes. Equal
 ground truths give equal bytes. The platform writes every pack, so its checks only detect damage.
 """

@@ -41,7 +41,7 @@ class ExcerptMaker:
 
     platform: Platform
     attempt: Attempt
-    place: RecordingPlace
+    source: RecordingPlace
     folder: Path
 
     def made(self) -> tuple[tuple[Path, ...], int]:
@@ -49,26 +49,26 @@ class ExcerptMaker:
 
         Raises what reading the object and the bag raise, `SandboxCrashedError`, `JobCancelledError`.
         """
-        source = PlacedObject(self.platform.settings.in_place, self.place)
+        source = PlacedObject(self.platform.settings.in_place, self.source)
         with private_folder_in(self.folder) as work:
-            whole, parts = work / self.place.name, list[Path]()
-            sparse_file(whole, self.place.size_bytes)
+            whole, parts = work / self.source.name, list[Path]()
+            sparse_file(whole, self.source.size_bytes)
             batches = _batches(self._planned(source, whole))
             for number, batch in enumerate(batches):
                 self.attempt.progress("fetch", number, len(batches))
                 source.fetch(batch.ranges, whole)
                 part = work / f"{whole.stem}_{number}.part"
-                self._ask(work, partial(_write, whole.name, batch.numbers, part.name, self.place.with_pictures))
+                self._ask(work, partial(_write, whole.name, batch.numbers, part.name, self.source.with_pictures))
                 _refuse_link(part)
                 parts.append(part.replace(self.folder / f"{whole.stem}_{number}{whole.suffix}"))
                 punch(whole, batch.ranges)
         return tuple(parts), source.read_bytes
 
     def _planned(self, source: PlacedObject, whole: Path) -> list[_Chunks]:
-        here = lacks = first_ranges(self.place.size_bytes)
+        here = lacks = first_ranges(self.source.size_bytes)
         for _round in range(ROUNDS):
             source.fetch(lacks, whole)
-            task = partial(_plan, whole.name, tuple(here), self.place.with_pictures)
+            task = partial(_plan, whole.name, tuple(here), self.source.with_pictures)
             plan = json.loads(self._ask(whole.parent, task))
             lacks, chunks = self._believed(plan)
             if not lacks:
@@ -77,7 +77,7 @@ class ExcerptMaker:
         raise SandboxCrashedError("requested more of a file than its index")
 
     def _ask(self, work: Path, task: Any) -> bytes:
-        sandbox = JobSandbox(work, (work / self.place.name,), self.attempt, self.platform.settings, warm)
+        sandbox = JobSandbox(work, (work / self.source.name,), self.attempt, self.platform.settings, warm)
         return sandbox.run(task, "fetch", 1)
 
     def _believed(self, plan: Any) -> tuple[list[Range], list[_Chunks]]:
@@ -90,7 +90,7 @@ class ExcerptMaker:
 
     def _ranges(self, pairs: Any) -> tuple[Range, ...]:
         ranges = tuple((int(start), int(stop)) for start, stop in pairs)
-        if any(not 0 <= start < stop <= self.place.size_bytes for start, stop in ranges):
+        if any(not 0 <= start < stop <= self.source.size_bytes for start, stop in ranges):
             raise SandboxCrashedError("requested bytes beyond the object's end")
         return ranges
 

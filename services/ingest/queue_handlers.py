@@ -179,8 +179,8 @@ def keep_dataset(platform: Platform, attempt: Attempt) -> Outcome:
     in place what `refuse_changed_dataset` raises.
     """
     imported = import_of_attempt(platform, attempt)
-    if place := place_of(imported):
-        size_bytes = _noted(platform, attempt, place)
+    if archive_place := place_of(imported):
+        size_bytes = _noted(platform, attempt, archive_place)
         return Outcome({"size_bytes": size_bytes}, then=(JobSpec(INDEX),))
     if imported.blob_sha256 is None:
         attempt.progress("keep", 0, 1)
@@ -189,13 +189,13 @@ def keep_dataset(platform: Platform, attempt: Attempt) -> Outcome:
     return Outcome({"size_bytes": imported.size_bytes}, then=(JobSpec(INDEX),))
 
 
-def _noted(platform: Platform, attempt: Attempt, place: RecordingPlace) -> int:
+def _noted(platform: Platform, attempt: Attempt, archive_place: RecordingPlace) -> int:
     """Return the size of the archive at the place, comparing it with the recorded size or recording it."""
     settings = platform.settings.in_place
-    if place.files:
-        refuse_changed_dataset(settings, place)
-        return place.size_bytes
-    noted = found_dataset(settings, place)
+    if archive_place.files:
+        refuse_changed_dataset(settings, archive_place)
+        return archive_place.size_bytes
+    noted = found_dataset(settings, archive_place)
     with platform.database.transaction() as session:
         row = kept_import(session, attempt)
         row.place, row.size_bytes = noted.as_record(), noted.size_bytes

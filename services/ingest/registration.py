@@ -45,7 +45,7 @@ EXCERPT = "excerpt"
 
 @dataclass(frozen=True)
 class _StoredBytes:
-    """The stored bytes: of each file and its recovered version, by the file's row, and of the previews."""
+    """Blobs of each file and of its recovered version, by the file's row, and the previews."""
 
     originals: Mapping[str, PreparedBlob]
     recovered: Mapping[str, PreparedBlob]
@@ -60,8 +60,8 @@ def register(platform: Platform, attempt: Attempt) -> Outcome:
 
     Raises the `BAG-*` refusals, `RecordingChangedError`, what `seen` raises.
     """
-    if place := _place_of(platform, str(attempt.arguments["recording_id"])):
-        return _read_in_place(platform, attempt, place)
+    if source_place := _place_of(platform, str(attempt.arguments["recording_id"])):
+        return _read_in_place(platform, attempt, source_place)
     with received(platform, str(attempt.arguments["recording_id"])) as brought:
         return _read_and_kept(platform, attempt, brought)
 
@@ -78,9 +78,9 @@ def _read_in_place(platform: Platform, attempt: Attempt, requested: RecordingPla
     work = Workspace(platform.store, platform.settings, attempt.root_id).folder
     attempt.progress("inspect", 0, STEPS)
     try:
-        place = found_place(platform.settings.in_place, requested)
-        with unchanged(platform, [StoredRecording(place.name, (), place)]):
-            bag, parts = _at_hand(platform, attempt, place, work)
+        source_place = found_place(platform.settings.in_place, requested)
+        with unchanged(platform, [StoredRecording(source_place.name, (), source_place)]):
+            bag, parts = _at_hand(platform, attempt, source_place, work)
             with received(platform, recording_id, bag) as brought:
                 survey = _seen(platform, attempt, brought, work)
     except PlatformFaultError:
@@ -97,24 +97,26 @@ def _read_in_place(platform: Platform, attempt: Attempt, requested: RecordingPla
 
     def commit(session: Session) -> None:
         recording = _register(session, brought, survey, kept)
-        recording.place, recording.size_bytes = place.as_record(), place.size_bytes
-        recording.sha256 = sha256_in_place(place, survey.content_sha256)
+        recording.place, recording.size_bytes = source_place.as_record(), source_place.size_bytes
+        recording.sha256 = sha256_in_place(source_place, survey.content_sha256)
         keep_excerpt(session, platform.settings, recording, excerpt)
 
     return Outcome(result, commit=commit)
 
 
-def _at_hand(platform: Platform, attempt: Attempt, place: RecordingPlace, work: Path) -> tuple[Path, tuple[Path, ...]]:
+def _at_hand(
+    platform: Platform, attempt: Attempt, source_place: RecordingPlace, work: Path
+) -> tuple[Path, tuple[Path, ...]]:
     """Return the local bag, and its files: the recording in place (no files), or an excerpt."""
-    if not is_by_ranges(platform.settings.in_place, place):
-        return located_in_place(platform.settings, place), ()
-    folder = work / EXCERPT / place.name
+    if not is_by_ranges(platform.settings.in_place, source_place):
+        return located_in_place(platform.settings, source_place), ()
+    folder = work / EXCERPT / source_place.name
     shutil.rmtree(folder, ignore_errors=True)  # from an interrupted attempt
     folder.mkdir(parents=True)
-    parts, read_bytes = ExcerptMaker(platform, attempt, place, folder).made()
-    attempt.log("fetched", read_bytes=read_bytes, size_bytes=place.size_bytes, files=len(parts))
+    parts, read_bytes = ExcerptMaker(platform, attempt, source_place, folder).made()
+    attempt.log("fetched", read_bytes=read_bytes, size_bytes=source_place.size_bytes, files=len(parts))
     if len(parts) == 1:
-        named = folder / place.name
+        named = folder / source_place.name
         parts[0].replace(named)
         return named, (named,)
     return folder, parts

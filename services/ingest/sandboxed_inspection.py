@@ -53,11 +53,11 @@ from stone_recordings.sync.reference_check import reference_refusal
 from stone_recordings.sync.sweeps import SweepsOfOpenBag
 from stone_recordings.topics.profiles import TopicProfile
 
-# The outlook of a recording: the faults for which labelling would refuse or exclude data, found by the same code:
-# inspection → the synchronisation of labelling → its findings, added to those of the inspection. With a calibration,
-# everything before labelling is checked, and what labelling would refuse is an error. Without one, a rig with all
-# sensors at one place stands in for it, and findings about mounts are omitted. A refusal is then an error too, except
-# on the platform, where a later calibration with a clock offset, or a file of poses, may avert it.
+# The outlook of a recording: faults for which labelling would refuse or exclude data. The same synchronisation as in
+# labelling finds them, and they are added to the findings of the inspection. With a calibration, everything before
+# labelling is checked, and what labelling would refuse is an error. Without one, a rig with all sensors at one place
+# stands in for it, and findings about mounts are omitted. A refusal is then an error too, except on the platform, where
+# a later calibration with a clock offset, or a file of poses, may avert it.
 
 
 NAME = "outlook"

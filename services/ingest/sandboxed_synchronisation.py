@@ -196,8 +196,8 @@ def short_records(findings: Iterable[Finding]) -> list[dict[str, Any]]:
 
 
 # The late checks in a sandboxed process: findings of a synchronised sequence's pictures and registered sweeps. They do
-# not change the sequence itself, so it is labelled meanwhile. The child reads the output of synchronisation, writes the
-# sequence with all of its findings into its folder, and returns these findings and a picture per camera; the parent
+# not change the sequence itself, so it is labelled meanwhile. The child reads the output of synchronisation and writes
+# the sequence with all of its findings into its folder. It returns these findings and a picture per camera. The parent
 # moves the file without opening it.
 
 

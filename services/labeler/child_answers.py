@@ -33,7 +33,7 @@ Range = tuple[Count, Count, Hex256]
 class JobAnswer(SandboxAnswer):
     """A job of the run, as `JobSpec`: its arguments are whole numbers."""
 
-    asked: ClassVar[str] = "a job"
+    expected: ClassVar[str] = "a job"
     kind: str
     arguments: dict[Literal["part", "tile"], Place | tuple[Place, Place] | tuple[Place, Place, Place]]
     key: Annotated[str, StringConstraints(max_length=100)]
@@ -53,7 +53,7 @@ class JobAnswer(SandboxAnswer):
 class GraphAnswer(SandboxAnswer):
     """All the jobs of a run; each needs only earlier jobs."""
 
-    asked: ClassVar[str] = "the jobs of a run"
+    expected: ClassVar[str] = "the jobs of a run"
     jobs: Annotated[list[JobAnswer], Field(max_length=MOST_JOBS)]
     parts: Count
     tiles: Count
@@ -71,14 +71,14 @@ class GraphAnswer(SandboxAnswer):
 class FilesAnswer(SandboxAnswer):
     """Names of files that a job reads."""
 
-    asked: ClassVar[str] = "names of files"
+    expected: ClassVar[str] = "names of files"
     names: tuple[Name, ...]
 
 
 class WorkAnswer(SandboxAnswer):
     """The result for a job's row, the facts for its log, and the files that the job wrote."""
 
-    asked: ClassVar[str] = "the result of a job"
+    expected: ClassVar[str] = "the result of a job"
     written: tuple[Name, ...]
     result: dict[str, Count]
     facts: dict[str, Fact]
@@ -94,7 +94,7 @@ class WorkAnswer(SandboxAnswer):
 class TrackAnswer(SandboxAnswer):
     """The time and place of a sequence's drive, as `stone.splits.drives.DrivenTrack`."""
 
-    asked: ClassVar[str] = "a track"
+    expected: ClassVar[str] = "a track"
     log: Annotated[str, StringConstraints(max_length=LONGEST_WORD)]
     vehicle: Annotated[str, StringConstraints(max_length=LONGEST_WORD)]
     map: Annotated[str, StringConstraints(max_length=LONGEST_WORD + 20)]
@@ -108,7 +108,7 @@ class TrackAnswer(SandboxAnswer):
 class TotalsAnswer(SandboxAnswer):
     """Totals and quality of a label set, by the names of its row's columns."""
 
-    asked: ClassVar[str] = "totals"
+    expected: ClassVar[str] = "totals"
     duration_ns: Count
     distance_m: Annotated[float, Field(ge=0.0)]
     free_voxels: Count
@@ -132,7 +132,7 @@ class TotalsAnswer(SandboxAnswer):
 class PackAnswer(SandboxAnswer):
     """A pack of labels: its file, the ordinal of its first frame, and (offset, length, sha256) of each."""
 
-    asked: ClassVar[str] = "a pack"
+    expected: ClassVar[str] = "a pack"
     name: Annotated[str, StringConstraints(pattern=r"\Apacks/[0-9]{6,}\.pack\z")]
     first: Count
     ranges: list[Range]
@@ -149,7 +149,7 @@ class PublicationAnswer(SandboxAnswer):
     `grid` is the record of the grid of imported labels, None for the paper's grid.
     """
 
-    asked: ClassVar[str] = "the rows to publish"
+    expected: ClassVar[str] = "the rows to publish"
     tokens: Annotated[list[Token], Field(max_length=MOST_FRAMES)]
     stamps_ns: list[Stamp]
     packs: list[PackAnswer]

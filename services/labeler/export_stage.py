@@ -147,8 +147,8 @@ def with_samples(sandbox: ExportSandbox, inputs: ExportInputs, of: ExportedLabel
     if located.placed is None:
         yield replace(inputs, source=source)
         return
-    placed_key, place = located.placed
-    with opened_dataset(platform.settings.in_place, place, sandbox.folder, sandbox.fetched) as archive:
+    placed_key, archive_place = located.placed
+    with opened_dataset(platform.settings.in_place, archive_place, sandbox.folder, sandbox.fetched) as archive:
         placed = PlacedSource(platform.store.local(placed_key), archive)
         yield replace(inputs, source=replace(source, placed=placed))
 

@@ -40,7 +40,7 @@ from services.runtime.jobs.specs import JobSpec
 
 
 def fuse_part(run: LabelRun, arguments: Arguments, step: Step) -> StageResult:
-    """Sweeps → point map, observed bricks and range images, per tile."""
+    """Make point map, observed bricks and range images of each tile from the sweeps."""
     part = part_of(arguments)
     points = fuse(run, part, step)
     tiles = sum(1 for _ in run.scratch.glob(f"fused/*_*/{part[0]:06d}.npz"))
@@ -48,7 +48,7 @@ def fuse_part(run: LabelRun, arguments: Arguments, step: Step) -> StageResult:
 
 
 def surface_tile(run: LabelRun, arguments: Arguments, step: Step) -> StageResult:
-    """Points of a tile and its neighbours → mesh, features, sums over driven voxels; nothing without points."""
+    """Make mesh, features and sums over driven voxels from points around a tile; nothing without points."""
     summary = surface_where_reached(run, tile_of(arguments), step)
     if summary is None:
         return StageResult({"voxels": 0})
@@ -70,14 +70,14 @@ def list_fused_around(run: LabelRun, arguments: Arguments) -> tuple[str, ...]:
 
 
 def refer(run: LabelRun, _arguments: Arguments, _step: Step) -> StageResult:
-    """Sums of all tiles → the reference of driven ground. Raises `no_reference`."""
+    """Make the reference of driven ground from the sums of all tiles. Raises `no_reference`."""
     reference = reference_from(run, load_summaries(run))
     save_reference(run, reference)
     return StageResult({"voxels": reference.voxels}, {"voxels": reference.voxels, "is_floored": reference.is_floored})
 
 
 def label_part(run: LabelRun, arguments: Arguments, step: Step) -> StageResult:
-    """The labelled map → the labels of the frames of a part."""
+    """Make the labels of a part's frames from the labelled map."""
     part = part_of(arguments)
     index = write_labels(run, part, labelled_frames(run, part, load_reference(run)), step)
     frames = part[1] - part[0]

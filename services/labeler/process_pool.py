@@ -1,7 +1,7 @@
 """Runs tasks in other processes, each after the tasks that it needs.
 
 **Conventions.** Workers come from a fork server that has loaded the common modules
-(`services/labeler/kernel_warmup.py`), each with one thread for every library: the parallelism is over tasks, and the
+(`services/labeler/kernel_warmup.py`). Each has one thread for every library: the parallelism is over tasks, and the
 caller's own process stays small. Processes are used instead of threads because half of a stage is numpy and Python
 under the interpreter's lock. `ProcessPoolExecutor` is used because `multiprocessing.Pool` once wrote all its results
 and never returned.

@@ -3,11 +3,12 @@
 **Conventions.**
 
 - `class_share_of_occupied`: over all occupied voxels of all frames
-- `profiles`: over the voxels of the map, each once: the classes in the run's profile and in the other, the share with
-  another class, and whether the track spans the relief that profile `paper` requires
+- `profiles`: the classes of the map's voxels in the run's profile and in the other, with the changed share, and whether
+  the track spans the relief that profile `paper` requires
 - `held_out`: labels from one half of the track, judged by the other (`stone.labels.held_out`)
-- `reference.outliers`: of the driven voxels, null if these are few, with the share of the map that has another class by
-  the alternative estimate; `left_out`: driven voxels excluded from the reference, which stay T
+- `reference.outliers`: outliers among the driven voxels, null if these are few, and the share of the map that has
+  another class by the alternative estimate
+- `reference.left_out`: driven voxels excluded from the reference, which stay T
 - `track`: the share of the footprint's track that is T, with pinholes closed, and the share of poses without any T
 - `height_drift`: the drift of the poses in z
 - `map.far_points`: points excluded because they are beyond any LiDAR's range

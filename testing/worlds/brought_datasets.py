@@ -81,7 +81,7 @@ def bring_dataset(platform: Platform, tar: Path, owner_id: str, **asked: Any) ->
 def place_dataset(platform: Platform, place: RecordingPlace, owner_id: str, **asked: Any) -> BroughtDataset:
     """The import of an archive in place, begun; `asked` as in `NewImport`."""
     with platform.database.transaction() as session:
-        owner, new = session.get_one(User, owner_id), NewImport(place=place, **asked)
+        owner, new = session.get_one(User, owner_id), NewImport(archive_place=place, **asked)
         imported, _ = start_import(session, owner, new, platform.settings.in_place)
         return BroughtDataset(platform, owner_id, imported.id)
 

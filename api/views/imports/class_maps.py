@@ -29,7 +29,7 @@ _turns = BoundedSemaphore(AT_ONCE)
 class ClassMapAnswer(SandboxAnswer):
     """What the child read: the map's name, and what each number means."""
 
-    asked: ClassVar[str] = "a class map"
+    expected: ClassVar[str] = "a class map"
     name: Annotated[str, Field(max_length=100)]
     meanings: dict[Annotated[int, Field(ge=0, le=255)], Meaning]
 

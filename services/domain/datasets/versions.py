@@ -152,7 +152,7 @@ class PreparedPart:
 class PreparedDataset:
     """A version that is complete except for its rows."""
 
-    asked: NewDataset
+    new: NewDataset
     revision: int
     created_ns: int
     members: Members
@@ -200,13 +200,13 @@ def write_dataset(session: Session, prepared: PreparedDataset) -> Dataset:
     link_all(session, (prepared.manifest, *own))
     dataset = Dataset(
         id=new_id(),
-        name=prepared.asked.name,
-        licence=prepared.asked.licence,
+        name=prepared.new.name,
+        licence=prepared.new.licence,
         code_version=code_version("labels"),
         manifest_sha256=prepared.manifest.sha256,
         manifest_bytes=prepared.manifest.size_bytes,
         grid=record_unless_paper(grid_of_members(prepared.members)),
-        created_by=prepared.asked.user_id,
+        created_by=prepared.new.user_id,
         created_ns=prepared.created_ns,
     )
     session.add(dataset)

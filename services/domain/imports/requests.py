@@ -69,7 +69,8 @@ class ImportedFacts:
 
 @dataclass(frozen=True)
 class NewImport:
-    """The import of a dataset in a complete upload (tar or zip) or at a `place`; `name` defaults to the file's name.
+    """The import of a dataset in a complete upload (tar or zip) or at an `archive_place`; `name` defaults to the file's
+    name.
 
     - `classes`: numbering of the labels (default: the platform's)
     - `stated`: layout and grid, if they are not to be detected
@@ -84,7 +85,7 @@ class NewImport:
     existing: Existing = "refuse"
     sets_splits: bool = False
     facts: ImportedFacts = ImportedFacts()
-    place: RecordingPlace | None = None
+    archive_place: RecordingPlace | None = None
     stated: StatedLayout = UNSTATED
 
 
@@ -98,13 +99,13 @@ def start_import(
     """
     if new.sets_splits and not allows(owner.role, ("administrator",)):
         raise splits_forbidden()
-    archive = _uploaded(session, new, owner) if new.place is None else _placed(in_place, new.place)
+    archive = _uploaded(session, new, owner) if new.archive_place is None else _placed(in_place, new.archive_place)
     imported = DatasetImport(
         id=new_id(),
         owner_id=owner.id,
         name=(new.name or archive.filename.removesuffix(".tar").removesuffix(".zip"))[:LONGEST_NAME],
         upload_id=archive.upload_id,
-        place=archive.place,
+        place=archive.place_record,
         sha256=archive.sha256,
         size_bytes=archive.size_bytes,
         classes=new.classes.as_record() if new.classes else None,
@@ -127,7 +128,7 @@ class _Archive:
     sha256: str
     size_bytes: int
     upload_id: str | None = None
-    place: dict[str, Any] | None = None
+    place_record: dict[str, Any] | None = None
 
 
 def _uploaded(session: Session, new: NewImport, owner: User) -> _Archive:
@@ -138,8 +139,8 @@ def _uploaded(session: Session, new: NewImport, owner: User) -> _Archive:
 
 def _placed(in_place: InPlaceSettings, requested: RecordingPlace) -> _Archive:
     """Return the archive at a place; its file is not read yet, so the hash is that of the place."""
-    place = requested_dataset(in_place, requested)
-    return _Archive(place.name, sha256(str(place).encode()).hexdigest(), 0, place=place.as_record())
+    resolved = requested_dataset(in_place, requested)
+    return _Archive(resolved.name, sha256(str(resolved).encode()).hexdigest(), 0, place_record=resolved.as_record())
 
 
 def begin_import_again(session: Session, imported: DatasetImport, reason: str, restarts: int = 0) -> Job:
@@ -271,7 +272,7 @@ def import_of_attempt(platform: Platform, attempt: Attempt) -> DatasetImport:
 def begin_run_again(platform: Platform, attempt: Attempt, reason: str) -> None:
     """Replace the attempt's run, unless it has ended, is being cancelled, or its import was deleted.
 
-    Of several concurrent jobs only one starts a run. Raises `QueueDrainingError`, `RestartedTooOftenError`.
+    If several jobs call it concurrently, only one starts a run. Raises `QueueDrainingError`, `RestartedTooOftenError`.
     """
     with platform.database.transaction() as session:
         old = lock_run(session, attempt.root_id)

@@ -3,7 +3,8 @@
 **Conventions.** One transaction claims an event, spreads it and queues the jobs of its deliveries, so each event is
 spread once. While a delivery is `queued` it belongs to its job; a failed job leaves it `waiting` until `due_ns`. A job
 that ended without a result (its process was lost too often, or it was cancelled) is detected here. Pauses grow as
-Standard Webhooks recommends: with `retry_s` of 5 s they are 5 s, 5 min, 30 min, 2 h, 5 h, 10 h, 14 h, 20 h, 24 h.
+Standard
+Webhooks recommends: `retry_s` (5 s), 5 min, 30 min, 2 h, 5 h, 10 h, 14 h, 20 h, 24 h.
 """
 
 from collections.abc import Collection, Iterator, Mapping

@@ -1,8 +1,8 @@
 """Recordings added to a labelled sequence: it is automatically processed again, with its last request.
 
-**Conventions.** Due sequences are computed from the rows each time, so no state is lost with a process. A sequence is
-due if it has labels, its last run has ended and used all recordings, a registered recording was not in that run, and no
-recording is still being read. Recordings added together thus cause one run, a refused recording causes none, and a
+**Conventions.** Due sequences are computed from the rows each time, so no state is lost with a process. A sequence with
+labels is due if its last run has ended and used all recordings, and a registered recording was not in that run. No
+recording may still be being read. Recordings added together thus cause one run, a refused recording causes none, and a
 failed run is not retried.
 """
 

@@ -83,11 +83,11 @@ def add_in_place(
     The job checks whether the recording exists, on a machine that has the root. Raises `unknown_root`, `bad_place`,
     `not_by_ranges`, `SequenceDeletedError`, `QueueDrainingError`.
     """
-    place = requested_place(settings, requested)
+    resolved = requested_place(settings, requested)
     sequence = lock_sequence(session, sequence.id)
-    named = sha256(str(place).encode()).hexdigest()
-    recording = Recording(sequence_id=sequence.id, filename=place.name, size_bytes=0, sha256=named, files=[])
-    recording.place = place.as_record()
+    named = sha256(str(resolved).encode()).hexdigest()
+    recording = Recording(sequence_id=sequence.id, filename=resolved.name, size_bytes=0, sha256=named, files=[])
+    recording.place = resolved.as_record()
     session.add(recording)
     session.flush()
     return recording, register(session, recording)
@@ -197,8 +197,8 @@ def unchanged(platform: Platform, kept: Sequence[StoredRecording]) -> Iterator[N
     """
 
     def check() -> None:
-        for place in (recording.place for recording in kept if recording.place is not None):
-            refuse_changed(platform.settings.in_place, place)
+        for kept_place in (recording.place for recording in kept if recording.place is not None):
+            refuse_changed(platform.settings.in_place, kept_place)
 
     stored = [file.object_key for recording in kept for file in recording.files]
     with checked_after(check), comparing(platform.store, platform.database, stored, "the recording"):

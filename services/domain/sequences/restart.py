@@ -82,8 +82,8 @@ def arguments_of_run(platform: Platform, attempt: Attempt) -> dict[str, Any]:
 def begin_again(session: Session, root_id: str) -> Job | None:
     """Cancel this run and return the run that replaces it.
 
-    None if nothing needs a restart: the run has ended or is being cancelled, or its sequence was deleted. Of several
-    concurrent jobs only one starts a run. Raises `RestartedTooOftenError`, and what `start_processing` raises.
+    None if nothing needs a restart: the run has ended or is being cancelled, or its sequence was deleted. If jobs call
+    it concurrently, only one starts a run. Raises `RestartedTooOftenError`, and what `start_processing` raises.
     """
     try:
         sequence = lock_sequence(session, session.get_one(Job, root_id).sequence_id or "")

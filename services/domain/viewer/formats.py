@@ -24,8 +24,8 @@ along the radar's ray, positive if the distance grows.
 - a byte for each frame of each camera, 1 if there is a picture
 - for each camera rows × columns unit vectors x y z in its optical frame, through points spread evenly from edge to edge
   of the image, NaN outside the lens's view
-- for each frame of each camera `ego_from_camera` as tx ty tz qw qx qy qz, from the camera's pose at exposure to the ego
-  frame of the labels, NaN if unknown
+- for each frame of each camera `ego_from_camera` as tx ty tz qw qx qy qz: its pose at exposure in the ego frame of the
+  labels, NaN if unknown
 """
 
 from dataclasses import dataclass

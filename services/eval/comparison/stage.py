@@ -54,7 +54,7 @@ Agreement = Annotated[float, Field(ge=0, le=1)] | None
 class CountsAnswer(SandboxAnswer):
     """The counts: confusions flat, [ring, A, B]; `seen_voxels` in both, in A only, in B only."""
 
-    asked: ClassVar[str] = "the counts of two label sets"
+    expected: ClassVar[str] = "the counts of two label sets"
     confusion: Cells
     seen_confusion: Cells | None
     seen_voxels: tuple[Voxels, Voxels, Voxels]

@@ -281,7 +281,7 @@ def checked_paths(request: JoinRequest) -> tuple[Path, ...]:
 
 
 def reference_first(held: Sequence[HeldMessages], lidar: str | None) -> tuple[HeldMessages, ...]:
-    """Return the recordings, the one with the LiDAR (or with the topic `lidar`) first; of several, the earliest.
+    """Return the recordings, starting with the earliest that has the LiDAR (or the topic `lidar`).
 
     Raises: `TOP-101`.
     """

@@ -206,10 +206,10 @@ def _link(old: Path, new: Path) -> None:
         shutil.copy2(old, new)
 
 
-# Shared files of an export folder, merged from its sequences. nuScenes, with or without labels: each sequence's tables
-# are in `tables/<sequence>/`; the tables in `v1.0-trainval/` concatenate them, with common rows (a sensor, a class)
-# once. SemanticKITTI: a sequence is a number. Other formats share nothing. The result does not depend on the order in
-# which nuScenes sequences were added.
+# Shared files of an export folder, merged from its sequences. In nuScenes folders, with or without labels, each
+# sequence's tables are in `tables/<sequence>/`. The tables in `v1.0-trainval/` concatenate them, with common rows (a
+# sensor, a class) once. In SemanticKITTI, a sequence is a number. Other formats share nothing. The result does not
+# depend on the order in which nuScenes sequences were added.
 
 
 OWN_TABLES = "tables"

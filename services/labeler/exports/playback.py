@@ -4,8 +4,8 @@
     radars/<frame_token>.bin
 
 **Conventions.** Pictures are at most `WIDTH_PX` wide and keep the lens's distortion. A sweep keeps at most
-`MOST_POINTS` points in the ego frame, selected evenly by the golden ratio, so that every ring and section is
-represented and equal sweeps give equal points. Missing, damaged and oversized pictures are left out. `cameras.bin`
+`MOST_POINTS` points in the ego frame. They are selected evenly by the golden ratio, so every ring and section is
+represented, and equal sweeps give equal points. Missing, damaged and oversized pictures are left out. `cameras.bin`
 relates the pictures to the labels (below); it is absent if there is no picture. The exporter holds one frame in memory.
 """
 
@@ -135,12 +135,12 @@ def drawn(total: int, most: int) -> NDArray[np.int64]:
     return rows if total <= most else rows[(rows * GOLDEN) % 1.0 < most / total][:most]
 
 
-# The cameras of a playback: the rays of their lenses, and their pose at each picture: ego_from_camera =
-# map_from_ego(frame)⁻¹ @ map_from_ego(shutter) @ ego_from_lidar @ lidar_from_camera. Labels are in the frame's ego, but
-# pictures are taken up to a revolution later, so the pose includes the robot's motion in between. The rays of a lens
-# are a grid over its image from edge to edge (`COLUMNS` × `ROWS`); a viewer's interpolation between its nodes errs by
-# less than a tenth of a pixel of 640. A camera without intrinsics has NaN rays, a picture without its own pose a NaN
-# pose.
+# The cameras of a playback, with the rays of their lenses, and their pose at each picture.
+# `ego_from_camera = map_from_ego(frame)⁻¹ @ map_from_ego(shutter) @ ego_from_lidar @ lidar_from_camera`.
+# Labels are in the frame's ego, but pictures are taken up to a revolution later, so the pose includes the robot's
+# motion in between. The rays of a lens are a grid over its image from edge to edge (`COLUMNS` × `ROWS`). If a viewer
+# interpolates between nodes, it errs by less than a tenth of a pixel of 640. A camera without intrinsics has NaN rays,
+# a picture without its own pose a NaN pose.
 
 
 Array = NDArray[np.float64]

@@ -22,15 +22,15 @@ Write = Callable[[LabelledSequence, Path, Step], None]
 class Exporter:
     """An exporter that is imported when called, and its inputs besides the sequence and its map.
 
-    `place` is its `module:function`.
+    `entry_point` is its `module:function`.
     """
 
-    place: str
+    entry_point: str
     reads_labels: bool = True
     reads_samples: bool = True
 
     def __call__(self, source: LabelledSequence, out: Path, step: Step) -> None:
-        module, _, function = self.place.partition(":")
+        module, _, function = self.entry_point.partition(":")
         cast("Write", getattr(import_module(module), function))(source, out, step)
 
 

@@ -53,7 +53,7 @@ UNASKED = "a format that declares no samples reads a sample"
 class SourceAnswer(SandboxAnswer):
     """The hashes of a sequence's inputs."""
 
-    asked: ClassVar[str] = "the inputs of a sequence"
+    expected: ClassVar[str] = "the inputs of a sequence"
     sha256s: Annotated[list[Hex256], Field(max_length=MOST_INPUTS)]
 
 
@@ -153,8 +153,8 @@ def write_phase_input(
 
 # Exports for participants: the sensor data of a sequence without anything derived from its labels. They have the
 # release layout (`services/labeler/exports/nuscenes/samples.py`), so readers of train also read test. They are made
-# only from the synchronised sequence and its recording, so no number can come from a label: the map is shifted by the
-# robot's track, and the mask, which the devkit requires, is black.
+# only from the synchronised sequence and its recording, so no number can come from a label. The map is shifted by the
+# robot's track. The mask, which the devkit requires, is black.
 
 
 def write_inputs(source: LabelledSequence, out: Path, step: Step) -> None:

@@ -33,7 +33,7 @@ def without_order(
         np.arange(len(places), dtype=np.int64) * STEP_NS,
         tuple(token for token, _ in chosen),
         SE3(np.tile(SE3.identity().wxyz_xyz, (len(places), 1))),
-        {name: associated(one) for name, one in own.associations.items()},
+        {name: associated(link) for name, link in own.associations.items()},
         sweeps=None if own.sweeps is None else associated(own.sweeps),
     )
     kept = Sequence(sequence.name, frames, (), sequence.calibration, "none")

@@ -27,7 +27,7 @@ class IndexedSceneAnswer(SandboxAnswer):
     `region` is the recorded region, "" if unspecified.
     """
 
-    asked: ClassVar[str] = "a scene"
+    expected: ClassVar[str] = "a scene"
     ordinal: Count
     name: SceneName
     frames: Count
@@ -39,7 +39,7 @@ class IndexedSceneAnswer(SandboxAnswer):
 class ExtraFileAnswer(SandboxAnswer):
     """A file outside the tables, by its name relative to the dataset's root."""
 
-    asked: ClassVar[str] = "a file outside the tables"
+    expected: ClassVar[str] = "a file outside the tables"
     name: ExtraName
     size_bytes: Count
 
@@ -47,7 +47,7 @@ class ExtraFileAnswer(SandboxAnswer):
 class DatasetIndexAnswer(SandboxAnswer):
     """The scenes of a dataset in order, the files outside the tables, and the oversized ones."""
 
-    asked: ClassVar[str] = "the scenes of a dataset"
+    expected: ClassVar[str] = "the scenes of a dataset"
     scenes: Annotated[list[IndexedSceneAnswer], Field(min_length=1, max_length=MOST_SCENES)]
     extra: Annotated[list[ExtraFileAnswer], Field(max_length=MOST_FILES)] = Field(default_factory=list)
     left_out: Annotated[list[ExtraFileAnswer], Field(max_length=MOST_SHOWN)] = Field(default_factory=list)

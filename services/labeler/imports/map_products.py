@@ -64,8 +64,8 @@ def write_map_products(fused: FusedLabels, sequence: Sequence, folders: tuple[Pa
     view, scene = TopView({}), SceneWriter(SceneDescription(sequence, PROFILE, None, fused.bricks.grid), out)
     made = [_tile(tile, (view, scene), scratch) for tile in fused.tiles()]
     if not made:
-        place = DatasetPlace(label_folder(sequence.name))
-        raise DatasetFaultError("DST-071", place, f"no voxel of {len(sequence.frames)} frames is T, P or N")
+        labels_place = DatasetPlace(label_folder(sequence.name))
+        raise DatasetFaultError("DST-071", labels_place, f"no voxel of {len(sequence.frames)} frames is T, P or N")
     scene.finish()
     step(1, 4)
     poses = sequence.frames.map_from_ego

@@ -1,8 +1,8 @@
 """A scene of a published dataset as a synchronised sequence, in the form of sequences from recordings.
 
 **Conventions.** The map is the dataset's `global`, bit by bit; tokens are the dataset's. A channel's association counts
-its key-frame data by stamp. The track follows the ego poses of all data; of data at one stamp the LiDAR's is used, else
-the first.
+its key-frame data by stamp. The track follows the ego poses of all data; if several data have one stamp, the
+LiDAR's is used, else the first.
 """
 
 from collections.abc import Mapping

@@ -1,6 +1,6 @@
 """Comparison of the two label profiles on the voxels of one map.
 
-**Conventions.** The comparison counts each voxel of the map once, not the voxels of frames: frames are crops of the
+**Conventions.** The comparison counts each voxel of the map once, not the voxels of frames. Frames are crops of the
 map, and a voxel in a hundred frames is still one place.
 """
 
@@ -98,7 +98,7 @@ class ProfileComparison:
         return self.reestimated / max(int(self.counts.sum()), 1)
 
     def as_record(self, parameters: LabelParameters) -> dict[str, Any]:
-        """Return shares of the map's voxels: of each class in each profile, and of voxels with another class."""
+        """Return the shares of each class in each profile, and of voxels with another class, in the map's voxels."""
         voxels = max(int(self.counts.sum()), 1)
         own, other = self.counts.sum(axis=1), self.counts.sum(axis=0)
         return {

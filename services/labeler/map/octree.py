@@ -4,7 +4,7 @@ Its iso-value, its screening weight and its coarse levels follow from all points
 from an untiled run. The solver `lattice` (`stone.surface.screened_poisson`) has no such dependence and is the default.
 This solver is the widely used one, with which the other is compared.
 
-**Conventions.** The octree's root is the cube [low, low + cells · width): two corner points without a normal set the
+**Conventions.** The octree's root is the cube [low, low + cells · width). Two corner points without a normal set the
 solver's bounding box and are then dropped by it, so cells lie on one lattice whatever the points. Cell corners are the
 centres of label voxels, hence a vertex lies on a line between voxel centres, never on a voxel border.
 
@@ -25,7 +25,7 @@ from stone.surface.neighbours import cells_of, plane_fits
 
 # The solver rounds the extent up to a power of two of cells; the slack keeps an exact power from doubling.
 SLACK_M = 1e-6
-NEIGHBOURS = 20  # of a point, for its normal
+NEIGHBOURS = 20  # for the normal of a point
 STREAMS = (1, 2)
 
 

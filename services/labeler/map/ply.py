@@ -32,7 +32,7 @@ property list uchar int vertex_indices
 end_header
 """
 VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3), ("features", "<f4", 3)])
-BARE_VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])  # of an earlier label set
+BARE_VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])  # in earlier label sets
 FACE = np.dtype([("n", "u1"), ("indices", "<i4", 3)])
 UNLABELLED = (128, 128, 128)
 VERTEX_RGB = np.array([UNLABELLED, *(CLASS_RGB[c] for c in (1, 2, 3))], np.uint8)

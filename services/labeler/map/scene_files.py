@@ -27,7 +27,7 @@ from stone.surface.mesh import Mesh
 from stone_base.label_grid import MAP_VOXEL_M, PAPER, LabelGrid
 
 FEATURES = ("elevation_m", "slope_rad", "roughness")
-STEPS = np.array([2.0**-10, 2.0**-12, 2.0**-8])  # of a metre, a radian, a log m²
+STEPS = np.array([2.0**-10, 2.0**-12, 2.0**-8])  # m, rad, log m²
 MOST_TRIANGLES = 40_000
 
 

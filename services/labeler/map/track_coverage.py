@@ -14,8 +14,9 @@ from stone.labels.footprint import densified
 from stone.labels.track_coverage import STEP_M, TrackCoverage, coverage, spaced
 from stone.sensors.ego_path import ego_path
 
-# At least 99.7 % of simulated tracks are closed; at least 83 % in sound drives through tall grass, since the surface is
-# above the band there; 70 and 75 % with the LiDAR mount entered 10 cm too high (`make bench-outside`).
+# At least 99.7 % of simulated tracks are closed, and at least 83 % in sound drives through tall grass, since the
+# surface is above the band there. With the LiDAR mount entered 10 cm too high, 70 and 75 % are closed
+# (`make bench-outside`).
 COVERAGE = "coverage.npz"
 USUAL_RATIO = 0.8
 

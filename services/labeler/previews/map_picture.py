@@ -30,7 +30,7 @@ from stone.labels.class_colours import CLASS_NAME
 from stone.labels.voxels import VOXEL_M
 
 MARGIN_PX, LEGEND_PX, MAX_SIDE_PX, MIN_SIDE_PX = 16, 44, 4000, 900
-MOST_PIXELS = 4_000_000  # of a map before scaling: its parts may be as far apart as poses can be
+MOST_PIXELS = 4_000_000  # before scaling: parts of a map may be as far apart as poses
 
 
 @dataclass(frozen=True, eq=False)

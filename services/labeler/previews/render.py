@@ -102,8 +102,8 @@ def beads(bounds_m: NDArray[np.float32], colour: Colour) -> Boxes:
 # plane's image; 0 is empty. A pixel belongs to a side if its centre is within it or on its edge, so neighbours leave no
 # gaps.
 
-# Corner c of a box has high x if bit 0 of c is set, high y for bit 1, high z for bit 2; a side lists its corners in
-# order.
+# Corner c of a box has high x if bit 0 of c is set, high y if bit 1 is, high z if bit 2 is. A side lists its corners
+# in order.
 ROUND = np.array([[0, 2, 6, 4], [1, 3, 7, 5], [0, 1, 5, 4], [2, 3, 7, 6], [0, 1, 3, 2], [4, 5, 7, 6]], np.int64)
 SIDE_LIGHT = np.array([0.92, 0.89, 0.84, 0.87, 0.82, 1.00])  # never dark enough to resemble another class
 SHADE = 0.17  # share of the light lost if all eight voxels around the outer face block it

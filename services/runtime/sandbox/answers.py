@@ -17,7 +17,7 @@ class SandboxAnswer(BaseModel):
     """One answer."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
-    asked: ClassVar[str]
+    expected: ClassVar[str]
 
     def packed(self) -> bytes:
         return self.model_dump_json().encode()
@@ -28,4 +28,4 @@ class SandboxAnswer(BaseModel):
         try:
             return cls.model_validate_json(answer)
         except (ValidationError, RecursionError) as error:
-            raise SandboxCrashedError(f"answered something else than {cls.asked}") from error
+            raise SandboxCrashedError(f"answered something else than {cls.expected}") from error

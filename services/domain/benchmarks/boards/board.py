@@ -189,7 +189,7 @@ def _spectra(store: Store, sha256: str, object_key: str) -> EntrySpectra | None:
 
 MOST_ROWS = 2000
 CHUNK = 500  # ids per statement
-MOST_KEPT_ROWS = 10_000  # of all cached boards of a process, about 20 MiB
+MOST_KEPT_ROWS = 10_000  # rows of all cached boards of a process, about 20 MiB
 
 Interval = tuple[float, float]
 Ratios = Mapping[str, float | None]

@@ -1,7 +1,7 @@
 """The entries of a leaderboard at a given time, ordered and ranked.
 
 **Conventions.** A board contains the scored entries and baselines that had settled by that time and were not withdrawn
-or hidden, with their score by the evaluation version active at that time. Entries are ordered by rounded mIoU, then
+or hidden. Their score is that of the evaluation version active at that time. Entries are ordered by rounded mIoU, then
 IoU_occ, then IoU_N, then time of finalisation, earlier first; equal rounded values share a rank. Entries with an
 undefined ratio and baselines have no rank. Texts are as participants wrote them.
 """

@@ -17,7 +17,7 @@ from services.runtime.orm import Job, Rescore, Score, SubmissionRow
 
 @dataclass(frozen=True)
 class RescoreProgress:
-    """Of `total` submissions on the board, `scored` have their new score, `missing` can still get it, `gone` cannot.
+    """Counts of the `total` submissions on the board: `scored`, `missing` (can still be scored), `gone` (cannot).
 
     `hidden` submissions can get it too, but the board does not need them. Submissions that are being scored for the
     first time are not counted: they get a score by every pending or active evaluation version.

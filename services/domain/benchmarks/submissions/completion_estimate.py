@@ -1,8 +1,8 @@
 """Estimated completion time of waiting and running submissions, from the pace of recent submissions.
 
 **Conventions.** Work is counted in frames of the phase's ground truth. The pace is the number of frames of the last
-completely read submissions, divided by the time in which at least one was processed: idle hours do not slow it,
-parallel workers speed it up. Estimates are rounded up to `STEP_S`, so that they reveal no details of other runs.
+completely read submissions, divided by the time in which at least one was processed. Idle hours do not slow the pace,
+and parallel workers speed it up. Estimates are rounded up to `STEP_S`, so that they reveal no details of other runs.
 """
 
 from collections.abc import Iterable, Mapping

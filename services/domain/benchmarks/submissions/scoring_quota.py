@@ -35,7 +35,7 @@ FEW_OF = 5
 class ScoringQuota:
     """A team's scoring quota in a phase; null limits mean unlimited scorings.
 
-    - `limit`: scorings per window, grants included, of which `used` are scored and `reserved` in progress
+    - `limit`: scorings per window, grants included; `used`: scored; `reserved`: in progress
     - `next_slot_ns`: when the next submission may be finalised: now, later, or null for never
     - `window_ns`: length of the window
     """

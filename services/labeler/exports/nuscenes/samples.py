@@ -3,10 +3,9 @@
     v1.0-trainval/<table>.json   samples/<CHANNEL>/n001-<UTC>__<CHANNEL>__<µs>.{jpg,pcd.bin,pcd}
 
 **Conventions.** Every frame is a key frame, so there are no `sweeps/`. Pictures are as recorded. The devkit projects
-with `camera_intrinsic` only, so for a distorting lens (`camera_distortion` of `calibrated_sensor` is not all zero) its
-projections err towards the corners, like those of any reader that does not undistort first. There are no boxes:
-`instance` and `sample_annotation` are empty, `category` lists the voxel classes. This module has no access to labels.
-It holds one frame in memory.
+with `camera_intrinsic` only, so its projections err towards the corners if a lens distorts (`camera_distortion` of
+`calibrated_sensor` is not all zero). There are no boxes: `instance` and `sample_annotation` are empty, `category` lists
+the voxel classes. This module has no access to labels. It holds one frame in memory.
 """
 
 import json
