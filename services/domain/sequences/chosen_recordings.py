@@ -75,7 +75,7 @@ def _require_distinct_names(sequence: SequenceRow, recordings: Sequence[Recordin
             raise Refused(
                 "recordings_named_alike",
                 f"two different recordings of sequence {sequence.id} are called {recording.filename[:120]}, but the "
-                "recordings of a run need different names: remove one and upload it under another name, or select "
+                "recordings of a run need different names. Remove one and upload it under another name, or select "
                 "the recordings with recording_ids",
             )
     return tuple(apart)

@@ -126,7 +126,7 @@ def _refuse_other_frames(
         raise Refused(
             "other_frames",
             f"{compared.missing} frame(s) of the active ground truth are not in this version and {compared.extra} are "
-            "new, so the entries cannot be scored again; create a new phase from this version",
+            "new. The entries could not be scored again, so create a new phase from this version",
         )
 
 

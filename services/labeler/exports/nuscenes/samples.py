@@ -224,7 +224,7 @@ def _header(count: int) -> bytes:
 
 
 CLASSES = (
-    ("free", "a voxel without surface; mask_lidar tells whether it was observed"),
+    ("free", "a voxel without surface; mask_lidar marks observed voxels"),
     ("traversable", "the robot's footprint swept this surface"),
     (
         "potentially_traversable",
