@@ -24,8 +24,8 @@ from services.runtime.orm.base import new_id, now_ns
 from stone.errors import Refused
 
 # Similarity of scored entries by their confusion counts. The distance of two submissions to one ground truth is half
-# the sum of the absolute differences of their counts by sequence, ring and cell. It is given as a share of all evaluated
-# voxels. This is a lower bound: a differently predicted voxel leaves one cell and enters another.
+# the sum of the absolute differences of their counts by sequence, ring and cell, per evaluated voxel. This is a lower
+# bound: a differently predicted voxel leaves one cell and enters another.
 
 
 EQUAL_CONTENT, NEAR_EQUAL, NEAR_EQUAL_TEAMS = "equal_content", "near_equal", "near_equal_teams"
