@@ -34,7 +34,7 @@ log = structlog.get_logger(__name__)
 def open_platform(settings: Settings) -> Platform:
     """A platform of its own, which sends wake-ups to the broker of `settings`; settings' old names are warned of."""
     for name in old_names_in_use():
-        log.warning("setting renamed; its old name goes with the next release", setting=name, use=RENAMED[name])
+        log.warning("setting was renamed; the next release drops its old name", setting=name, use=RENAMED[name])
     return Platform(settings, Database(settings, wake_up_sender(settings)), open_store(settings))
 
 

@@ -60,7 +60,7 @@ def unknown_setting(names: Sequence[str], known: Iterable[str]) -> Refused:
     meant = {name: [RETIRED[name]] for name in names if name in RETIRED}
     nearest = {name: meant.get(name) or get_close_matches(name.upper(), known, n=1) for name in names}
     return Refused(
-        "unknown_setting", "; ".join(f"{name} is no setting{_meant(found)}" for name, found in nearest.items())
+        "unknown_setting", "; ".join(f"there is no setting {name}{_meant(found)}" for name, found in nearest.items())
     )
 
 
@@ -84,40 +84,40 @@ class Bound:
 
 BOUNDS = (
     Bound("workers", 0, "no worker starts (0 is one for every core)"),
-    Bound("database.pool_size", 1, "connections are not bounded, or there is none"),
-    Bound("store.grace_s", 0, "files are deleted before the row that names them is written"),
+    Bound("database.pool_size", 1, "connections are unlimited, or there are none"),
+    Bound("store.grace_s", 0, "files are deleted before the row that refers to them is written"),
     Bound("store.scrub_bytes_per_s", 0, "a rate cannot be negative; 0 reads nothing"),
-    Bound("broker.visibility_timeout_s", 1, "a message is delivered over and over"),
-    Bound("jobs.lease_s", 0, "every attempt is lost as it begins", is_above=True),
-    Bound("jobs.heartbeat_s", 0, "workers do nothing but beat", is_above=True),
-    Bound("jobs.progress_s", 0, "workers do nothing but report", is_above=True),
+    Bound("broker.visibility_timeout_s", 1, "a message is delivered repeatedly"),
+    Bound("jobs.lease_s", 0, "every attempt is lost at its start", is_above=True),
+    Bound("jobs.heartbeat_s", 0, "workers only send heartbeats", is_above=True),
+    Bound("jobs.progress_s", 0, "workers only report progress", is_above=True),
     Bound("jobs.sweep_s", 0, "the sweeper never pauses", is_above=True),
     Bound("jobs.max_attempts", 1, "no job may be tried"),
-    Bound("jobs.rest_s", 0, "there is no such rest"),
-    Bound("jobs.drain_s", 0, "a worker that is told to stop never does"),
-    Bound("jobs.time_limit_s", 0, "every attempt is over its time as it begins", is_above=True),
+    Bound("jobs.rest_s", 0, "the pause is negative"),
+    Bound("jobs.drain_s", 0, "a stopping worker never ends"),
+    Bound("jobs.time_limit_s", 0, "every attempt exceeds its time at its start", is_above=True),
     Bound("uploads.max_bytes", 1, "every upload is refused"),
     Bound("uploads.owner_bytes", 1, "every upload is refused"),
     Bound("uploads.owner_waiting", 1, "every upload is refused"),
     Bound("uploads.form_bytes", 1, "every form is refused"),
-    Bound("uploads.expires_s", 0, "every upload has expired as it begins", is_above=True),
-    Bound("uploads.idle_s", 0, "every sender is taken for gone", is_above=True),
+    Bound("uploads.expires_s", 0, "every upload expires at its start", is_above=True),
+    Bound("uploads.idle_s", 0, "every sender counts as lost", is_above=True),
     Bound("submissions.participant_bytes", 1, "every submission is refused"),
     Bound("submissions.participant_waiting", 1, "every submission is refused"),
     Bound("submissions.draft_waiting", 1, "every submission is refused"),
-    Bound("submissions.draft_s", 0, "there is no such age"),
-    Bound("submissions.purged_after_s", 0, "there is no such age"),
-    Bound("api.head_s", 0, "every connection is closed as it opens", is_above=True),
+    Bound("submissions.draft_s", 0, "the age is negative"),
+    Bound("submissions.purged_after_s", 0, "the age is negative"),
+    Bound("api.head_s", 0, "every connection is closed immediately", is_above=True),
     Bound("api.connections_per_address", 1, "every connection is refused"),
     Bound("api.body_bytes", 1, "every request with a body is refused"),
     Bound("api.body_s", 0, "every request with a body is refused", is_above=True),
     Bound("api.body_bytes_per_s", 1, "a rate must be positive"),
     Bound("api.requests_per_minute", 1, "every request is refused"),
-    Bound("api.sign_ins_per_minute", 1, "nobody can sign in"),
-    Bound("api.session_s", 0, "whoever signs in is signed out", is_above=True),
-    Bound("api.session_idle_s", 0, "whoever signs in is signed out", is_above=True),
-    Bound("api.token_s", 0, "every token has expired as it is made", is_above=True),
-    Bound("oidc.timeout_s", 0, "the provider is never waited for", is_above=True),
+    Bound("api.sign_ins_per_minute", 1, "no sign-in is possible"),
+    Bound("api.session_s", 0, "every user is signed out immediately", is_above=True),
+    Bound("api.session_idle_s", 0, "every user is signed out immediately", is_above=True),
+    Bound("api.token_s", 0, "every token expires at its creation", is_above=True),
+    Bound("oidc.timeout_s", 0, "every request to the provider times out immediately", is_above=True),
 )
 
 
@@ -169,19 +169,19 @@ def _contradictions(settings: "Settings") -> Iterator[str]:
     if not jobs.heartbeat_s < jobs.lease_s / 3:
         yield (
             f"STONE_JOBS__HEARTBEAT_S is {jobs.heartbeat_s:g} and must be less than a third of STONE_JOBS__LEASE_S, "
-            f"{jobs.lease_s:g}: otherwise jobs that run are taken for lost"
+            f"{jobs.lease_s:g}: otherwise running jobs are considered lost"
         )
     if not jobs.progress_s <= jobs.heartbeat_s:
         yield (
             f"STONE_JOBS__PROGRESS_S is {jobs.progress_s:g} and must not be more than STONE_JOBS__HEARTBEAT_S, "
-            f"{jobs.heartbeat_s:g}: a worker beats no more often than it reports"
+            f"{jobs.heartbeat_s:g}: a worker sends heartbeats no more often than progress"
         )
     if not math.isfinite(jobs.lease_s):
-        yield "STONE_JOBS__LEASE_S must be finite: otherwise jobs of a dead worker are never taken up"
+        yield "STONE_JOBS__LEASE_S must be finite: otherwise jobs of a dead worker are never continued"
     if store.s3_endpoint and not store.s3_bucket:
-        yield "STONE_STORE__S3_ENDPOINT needs STONE_STORE__S3_BUCKET: without one the store is a folder"
+        yield "STONE_STORE__S3_ENDPOINT requires STONE_STORE__S3_BUCKET: without a bucket the store is a folder"
     if not 0 <= port <= 65535:
-        yield f"STONE_API__PORT is {port} and must lie from 0 to 65535"
+        yield f"STONE_API__PORT is {port} and must be between 0 and 65535"
     if settings.api.held_body_bytes < 2 * settings.api.body_bytes:
         yield (
             f"STONE_API__HELD_BODY_BYTES is {settings.api.held_body_bytes} and must be at least twice "
@@ -192,21 +192,29 @@ def _contradictions(settings: "Settings") -> Iterator[str]:
     yield from in_place_contradictions(settings.in_place)
     yield from _unsendable(settings)
     if not _is_address(settings.api.url):
-        yield "STONE_API__URL must begin with http:// or https:// and name a host: it decides if cookies are Secure"
+        yield (
+            "STONE_API__URL must start with http:// or https:// and contain a host: it decides whether cookies are "
+            "Secure"
+        )
 
 
 def _unsendable(settings: "Settings") -> Iterator[str]:
     """What of the settings of notifications nothing could be sent by."""
     told = settings.notifications
     if told.smtp_host and not EMAIL.fullmatch(told.sender):
-        yield "STONE_NOTIFICATIONS__SMTP_HOST needs STONE_NOTIFICATIONS__SENDER, an address as stone@example.org"
+        yield (
+            "STONE_NOTIFICATIONS__SMTP_HOST requires STONE_NOTIFICATIONS__SENDER, an address such as stone@example.org"
+        )
     if told.smtp_user and told.smtp_security == "none":
-        yield "STONE_NOTIFICATIONS__SMTP_USER needs STARTTLS or TLS: otherwise its password is sent for all to read"
+        yield "STONE_NOTIFICATIONS__SMTP_USER requires STARTTLS or TLS: otherwise the password is sent unencrypted"
     for one in told.networks:
         try:
             ip_network(one)
         except ValueError as error:
-            yield f"STONE_NOTIFICATIONS__WEBHOOK_NETWORKS names {one[:80]!r}, no network as 10.1.0.0/16 is: {error}"
+            yield (
+                f"STONE_NOTIFICATIONS__WEBHOOK_NETWORKS has {one[:80]!r}, which is not a network such as 10.1.0.0/16: "
+                f"{error}"
+            )
 
 
 def _untrustworthy(proxies: Iterable[str]) -> Iterator[str]:
@@ -215,10 +223,16 @@ def _untrustworthy(proxies: Iterable[str]) -> Iterator[str]:
         try:
             is_everybody = ip_network(one).prefixlen == 0
         except ValueError as error:
-            yield f"STONE_API__TRUSTED_PROXIES names {one[:80]!r}, no address and no network as 10.1.0.0/16 is: {error}"
+            yield (
+                f"STONE_API__TRUSTED_PROXIES has {one[:80]!r}, which is neither an address nor a network such as "
+                f"10.1.0.0/16: {error}"
+            )
             continue
         if is_everybody:
-            yield f"STONE_API__TRUSTED_PROXIES names {one}: then anybody may say who they are; name the proxies alone"
+            yield (
+                f"STONE_API__TRUSTED_PROXIES has {one}, with which any client can forge its address; list only the "
+                "proxies"
+            )
 
 
 def _is_address(url: str) -> bool:
@@ -230,4 +244,4 @@ def _is_address(url: str) -> bool:
 
 
 def _meant(nearest: list[str]) -> str:
-    return f"; did you mean {nearest[0]}?" if nearest else ", and none has a name like it"
+    return f"; did you mean {nearest[0]}?" if nearest else ", and no setting has a similar name"

@@ -52,7 +52,7 @@ Target = Definition | ModuleObject | External
 def sources_missing(name: str) -> Refused:
     return Refused(
         "sources_missing",
-        f"no source file of {name} can be found, so its results have no version; was it installed without sources?",
+        f"no source file of {name} was found, so its results have no version; was it installed without sources?",
     )
 
 
@@ -123,7 +123,7 @@ class SourceTree:
         if hasattr(builtins, name) or (name.startswith("__") and name.endswith("__")):
             return External(name)
         raise Refused(
-            "unresolved_name", f"{module} defines no {name}; was it renamed or moved without those that use it?"
+            "unresolved_name", f"{module} defines no {name}; was it renamed or moved without updating its users?"
         )
 
     def imported(self, found: Import) -> Target:

@@ -100,7 +100,7 @@ def test_a_zip_that_the_server_sees_is_named_instead_of_sent(
             page.locator('select[name="grid"]').select_option("occ3d")
             look(page, "import-in-place")
             page.get_by_role("button", name="Import", exact=True).click()
-            expect(page.locator("#said")).to_contain_text("no path below a root")
+            expect(page.locator("#said")).to_contain_text("not a path within a root")
             page.get_by_label("Path below it").fill("STONE.zip")
             page.get_by_role("button", name="Import", exact=True).click()
             expect(page.get_by_role("heading", name="STONE")).to_be_visible()

@@ -312,7 +312,7 @@ def test_a_bag_that_the_server_sees_is_named_instead_of_sent(
             panel = page.locator("#in-place")
             panel.get_by_label("Path below it").fill("../run.mcap")
             panel.get_by_role("button", name="Add").click()
-            expect(panel.locator(".said")).to_contain_text("no path below a root")
+            expect(panel.locator(".said")).to_contain_text("not a path within a root")
             panel.get_by_label("Path below it").fill("run.mcap")
             panel.get_by_role("button", name="Add").click()
             expect(page.get_by_text("nas:run.mcap")).to_be_visible()

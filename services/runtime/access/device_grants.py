@@ -65,7 +65,7 @@ class DevicePoll:
 def begin_grant(session: Session, request: DeviceRequest) -> DeviceCodes:
     """A grant that waits for an approval. Raises `busy` where `MOST_WAITING` do already."""
     if (session.scalar(select(func.count()).select_from(DeviceGrant)) or 0) >= MOST_WAITING:
-        raise Refused("busy", f"{MOST_WAITING} programs wait for an approval; try again in a moment")
+        raise Refused("busy", f"{MOST_WAITING} programs are waiting for an approval; try again in a moment")
     letters = "".join(choice(LETTERS) for _ in range(CODE_LENGTH))
     codes = DeviceCodes(token_urlsafe(32), f"{letters[:4]}-{letters[4:]}", now_ns() + LASTS_S * 10**9)
     grant = DeviceGrant(name=request.name, address=request.address, scopes=sorted(set(request.scopes)))

@@ -4,4 +4,4 @@ from stone.errors import Refused
 
 
 def name_taken(kind: str, name: str) -> Refused:
-    return Refused("name_taken", f"there is a {kind} named {name[:80]!r} already; choose another name")
+    return Refused("name_taken", f"a {kind} named {name[:80]!r} already exists; choose another name")

@@ -149,7 +149,7 @@ def _granted_scopes(authority: Authority, wanted: TokenRequest) -> list[str]:
         raise Refused("forbidden", "a token has the scope 'account' only if the request names it; add it to scopes")
     if not scopes <= authority.scopes:
         beyond = sorted(scopes - authority.scopes)
-        raise Refused("forbidden", f"you cannot grant {beyond}; yours are {sorted(authority.scopes)}")
+        raise Refused("forbidden", f"you cannot grant {beyond}; your scopes are {sorted(authority.scopes)}")
     return sorted(scopes)
 
 

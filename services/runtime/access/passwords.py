@@ -61,7 +61,7 @@ def verify_password(password_hash: str, password: str) -> bool:
 @contextmanager
 def _turn() -> Iterator[None]:
     if not _places.acquire(blocking=False):
-        raise Refused("busy", f"{MOST_WAITING} passwords are being checked at this moment; try again in a moment")
+        raise Refused("busy", f"{MOST_WAITING} passwords are being checked; try again in a moment")
     try:
         with _turns:
             yield
@@ -99,11 +99,11 @@ def refuse_guessable(password: str, name: str = "") -> None:
     if len(set(folded)) < FEWEST_CHARACTERS:
         raise guessable_password(f"has only {len(set(folded))} different characters")
     if _is_run(folded) or _is_run(folded[::-1]):
-        raise guessable_password("is a run over the keyboard or the alphabet")
+        raise guessable_password("is a sequence on the keyboard or in the alphabet")
     if _is_about(letters, name):
-        raise guessable_password("is the name of its user or of this platform with little beside it")
+        raise guessable_password("is little more than the user name or the platform's name")
     if {_mark(folded), _mark(_once(letters))} & common_marks():
-        raise guessable_password("is one of the commonest in the world, or one of them repeated or with numbers")
+        raise guessable_password("is a very common password, possibly repeated or with numbers added")
 
 
 @cache
@@ -136,6 +136,4 @@ def _once(letters: str) -> str:
 
 
 def guessable_password(reason: str) -> Refused:
-    return Refused(
-        "guessable_password", f"the password {reason}; take several words that have nothing to do with each other"
-    )
+    return Refused("guessable_password", f"the password {reason}; choose several unrelated words")

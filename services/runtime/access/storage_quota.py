@@ -25,7 +25,7 @@ def reserve(session: Session, owner_id: str, amount: int, subject_id: str, reaso
     if used + amount > limit:
         raise Refused(
             "quota_exceeded",
-            f"{used} of {limit} bytes are used and {amount} more were asked for; delete recordings, label sets or "
+            f"{used} of {limit} bytes are used and {amount} more were requested; delete recordings, label sets or "
             "unfinished uploads that are no longer needed",
         )
     session.add(_entry(owner_id, amount, subject_id, reason))

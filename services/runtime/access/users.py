@@ -26,7 +26,9 @@ def create_user(session: Session, name: str, role: str, password: str | None = N
     Raises `bad_name`, `unknown_role`, `weak_password`, `name_taken`.
     """
     if not NAME.fullmatch(name):
-        raise Refused("bad_name", f"{name[:80]!r} cannot be a name; use 1 to 64 of a-z, 0-9, '.', '_', '-', '@', '+'")
+        raise Refused(
+            "bad_name", f"{name[:80]!r} is not a valid user name; use 1 to 64 of a-z, 0-9, '.', '_', '-', '@', '+'"
+        )
     _refuse_unknown(role)
     password_hash = hash_password(password) if password is not None else ""
     if find_user(session, name) is not None:
@@ -48,7 +50,10 @@ def change_user(session: Session, user: User, role: str | None, is_active: bool 
         _refuse_unknown(role)
     loses = (role is not None and role != "administrator") or is_active is False
     if loses and user.role == "administrator" and user.is_active and not _others(session, user):
-        raise Refused("last_administrator", f"{user.name!r} is the last active administrator; make another one first")
+        raise Refused(
+            "last_administrator",
+            f"{user.name!r} is the last active administrator; make another user an administrator first",
+        )
     user.role = user.role if role is None else role
     user.is_active = user.is_active if is_active is None else is_active
     session.flush()
@@ -75,4 +80,4 @@ def _others(session: Session, user: User) -> list[User]:
 
 def _refuse_unknown(role: str) -> None:
     if role not in ROLES:
-        raise Refused("unknown_role", f"{role[:80]!r} is no role; roles are {', '.join(ROLES)}")
+        raise Refused("unknown_role", f"there is no role {role[:80]!r}; the roles are {', '.join(ROLES)}")

@@ -59,25 +59,25 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m services.runtime.backup", description=__doc__)
     acts = parser.add_subparsers(dest="act", required=True)
     for name, purpose in (
-        ("to", "take a backup of the platform into FOLDER"),
-        ("restore", "bring a backup back onto an empty platform"),
-        ("verify", "read all of FOLDER and compare"),
-        ("list", "say which snapshots there are"),
-        ("prune", "let old snapshots go"),
+        ("to", "Back up the platform into FOLDER"),
+        ("restore", "Restore a backup onto an empty platform"),
+        ("verify", "Read all of FOLDER and compare it with its checksums"),
+        ("list", "List the snapshots"),
+        ("prune", "Delete old snapshots"),
     ):
         act = acts.add_parser(name, help=purpose, description=purpose)
         act.add_argument("folder", type=Path, metavar="FOLDER")
         if name == "restore":
-            act.add_argument("--snapshot", default="", help="the newest unless named")
+            act.add_argument("--snapshot", default="", help="Snapshot to restore (default: the newest)")
         if name == "prune":
-            act.add_argument("--keep", type=_positive, required=True, help="how many of the newest stay")
+            act.add_argument("--keep", type=_positive, required=True, help="Number of newest snapshots to keep")
     return parser.parse_args(arguments)
 
 
 def _positive(word: str) -> int:
     number = int(word)
     if number < 1:
-        raise argparse.ArgumentTypeError(f"{word} is not at least 1")
+        raise argparse.ArgumentTypeError(f"{word} is less than 1")
     return number
 
 

@@ -78,16 +78,16 @@ def _opened(settings: Settings) -> Iterator[Platform]:
 def of_backup(taken: BackupResult) -> tuple[str, ...]:
     rows, snapshot = sum(table.rows for table in taken.snapshot.tables), taken.snapshot
     return (
-        f"backed up {rows} rows and {taken.blobs} blobs, of which {taken.brought} files "
-        f"({taken.brought_bytes / MIB:.1f} MiB) were new: {taken.folder.name}",
+        f"backed up {rows} rows and {taken.blobs} blobs; {taken.brought} files ({taken.brought_bytes / MIB:.1f} MiB) "
+        f"were new: {taken.folder.name}",
         *(f"DAMAGED on the platform itself: {flaw}" for flaw in snapshot.flaws),
     )
 
 
 def of_restored(restored: BackupRestoreResult) -> tuple[str, ...]:
     said = [
-        f"restored {restored.rows} rows, {restored.objects - restored.flawed} objects and {restored.uploads} uploads "
-        f"under way; {restored.queued_again} jobs that were running are queued again"
+        f"restored {restored.rows} rows, {restored.objects - restored.flawed} objects and {restored.uploads} "
+        f"unfinished uploads; {restored.queued_again} interrupted jobs are queued again"
     ]
     if restored.flawed:
         said.append(f"LOST before the backup was taken: {restored.flawed} objects")
@@ -102,6 +102,4 @@ def of_verified(verified: BackupVerification) -> tuple[str, ...]:
 
 
 def of_pruned(pruned: BackupPruneResult) -> tuple[str, ...]:
-    return (
-        f"{pruned.snapshots} snapshots and {pruned.contents} contents ({pruned.size_bytes / MIB:.1f} MiB) are gone",
-    )
+    return (f"deleted {pruned.snapshots} snapshots and {pruned.contents} contents ({pruned.size_bytes / MIB:.1f} MiB)",)

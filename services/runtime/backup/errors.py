@@ -11,7 +11,7 @@ class DamagedBackupError(StoneError):
     code = "backup_damaged"
 
     def __init__(self, path: Path, reason: str) -> None:
-        super().__init__(f"{path} {reason}; take it from another copy of the backup, or restore an earlier snapshot")
+        super().__init__(f"{path} {reason}; replace it from another copy of the backup, or restore an earlier snapshot")
 
 
 class SourceDamagedError(PlatformFaultError):
@@ -19,5 +19,5 @@ class SourceDamagedError(PlatformFaultError):
 
     def __init__(self, name: str, found: str, expected: str) -> None:
         super().__init__(
-            "object_damaged", f"{name} has sha256 {found}, its row says {expected}; the store's disk may be failing"
+            "object_damaged", f"{name} has sha256 {found}, but its row has {expected}; the store's disk may be failing"
         )

@@ -105,7 +105,7 @@ class BackupFolder:
         if not path.is_file():
             raise DamagedBackupError(path, "is missing")
         if sha256_of(path) != content.sha256:
-            raise DamagedBackupError(path, "is not what its name says")
+            raise DamagedBackupError(path, "differs from the hash in its name")
         return path
 
     def contents(self) -> Iterator[Path]:
@@ -116,7 +116,7 @@ class BackupFolder:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise Refused(
-                "backup_busy", f"another backup is at work in {self.root}; wait for it, or choose another folder"
+                "backup_busy", f"another backup is running in {self.root}; wait for it, or choose another folder"
             ) from None
 
     def _place(self, staging: Path, target: Path) -> None:
@@ -141,4 +141,4 @@ def pieces_of(path: Path, size_bytes: int | None = None) -> Iterator[bytes]:
 
 def snapshot_missing(folder: Path, name: str, found: list[str]) -> Refused:
     wanted = f"snapshot {name!r}" if name else "snapshot"
-    return Refused("snapshot_missing", f"{folder} holds no {wanted}; there: {', '.join(found[-5:]) or 'none'}")
+    return Refused("snapshot_missing", f"{folder} has no {wanted}; it has {', '.join(found[-5:]) or 'none'}")

@@ -92,12 +92,12 @@ def _refuse_foreign(
     """Whatever is there that is not of this snapshot belongs to somebody."""
     for key, stored in present.items():
         if key not in wanted or wanted[key].size_bytes != stored.size_bytes:
-            raise target_not_empty("the store", f"an object {key} that is not of this snapshot")
+            raise target_not_empty("the store", f"an object {key} that is not in this snapshot")
     folder = platform.settings.uploads_folder
     ours = {file.name for file in files if file.place == "upload"}
     for path in folder.iterdir() if folder.is_dir() else ():
         if path.name not in ours:
-            raise target_not_empty("the uploads folder", f"a file {path.name} that is not of this snapshot")
+            raise target_not_empty("the uploads folder", f"a file {path.name} that is not in this snapshot")
 
 
 def _store(platform: Platform, folder: BackupFolder, missing: dict[str, BackupContent], *, is_flawed: bool) -> int:
@@ -132,8 +132,8 @@ def _settle(platform: Platform, snapshot: BackupSnapshot) -> int:
         for upload_id in snapshot.given_up:
             upload = session.get(Upload, upload_id)
             if upload is None:
-                raise DamagedBackupError(Path(upload_id), "is given up by the snapshot and no upload of it")
-            leave(session, upload, "terminated", "given up while the backup was taken")
+                raise DamagedBackupError(Path(upload_id), "is an abandoned upload of the snapshot, but has no row")
+            leave(session, upload, "terminated", "abandoned by the backup")
     queued_again = give_back_running(platform, RESTORED, is_counted=False)
     with platform.database.transaction() as session:
         session.execute(text("ANALYZE"))  # or the first plans are made for empty tables
@@ -141,4 +141,4 @@ def _settle(platform: Platform, snapshot: BackupSnapshot) -> int:
 
 
 def target_not_empty(place: str, found: str) -> Refused:
-    return Refused("target_not_empty", f"{place} holds {found}; a backup is restored onto an empty platform only")
+    return Refused("target_not_empty", f"{place} contains {found}; restore a backup only onto an empty platform")

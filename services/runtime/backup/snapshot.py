@@ -61,7 +61,7 @@ def read_snapshot(folder: Path) -> tuple[BackupSnapshot, tuple[BackupFile, ...]]
     try:
         snapshot = _SNAPSHOT.validate_json((folder / SNAPSHOT).read_bytes())
         if sha256_of(folder / FILES) != snapshot.files_sha256:
-            raise DamagedBackupError(folder / FILES, "is not what the snapshot says")
+            raise DamagedBackupError(folder / FILES, "differs from the snapshot's record")
         return snapshot, _FILES.validate_json((folder / FILES).read_bytes())
     except (OSError, ValidationError) as error:
         raise DamagedBackupError(folder / SNAPSHOT, f"cannot be read: {error}") from error

@@ -76,7 +76,7 @@ def lines_of(pieces: Iterable[bytes]) -> Iterator[str]:
         for line in lines:
             yield line.decode("utf-8")
     if rest:
-        raise ValueError("the last line has no end")
+        raise ValueError("the last line is incomplete")
 
 
 def _unescaped(field: str) -> str:
@@ -138,8 +138,8 @@ def snapshot_of(database: Database) -> Iterator[Connection]:
         if stands != head_revision():
             raise Refused(
                 "schema_not_current",
-                f"the database is at revision {str(stands)!r}, this version is of {head_revision()!r}; back up "
-                "with the version that serves it, or migrate first",
+                f"the database is at revision {str(stands)!r}, but this version needs {head_revision()!r}; back up "
+                "with the version that serves the database, or migrate first",
             )
         yield connection
 
@@ -163,7 +163,7 @@ def checked_tables(folder: Path, tables: Sequence[TableFacts]) -> None:
     for table in tables:
         path = _path(folder, table)
         if not path.is_file() or sha256_of(path) != table.sha256:
-            raise DamagedBackupError(path, "is not what the snapshot says")
+            raise DamagedBackupError(path, "differs from the snapshot's record")
 
 
 def load(connection: Connection, folder: Path, revision: str, tables: Sequence[TableFacts]) -> None:
@@ -174,7 +174,9 @@ def load(connection: Connection, folder: Path, revision: str, tables: Sequence[T
     for table in tables:
         columns = {column["name"] for column in known.get_columns(table.name)}
         if unknown := [column.name for column in table.columns if column.name not in columns]:
-            raise DamagedBackupError(_path(folder, table), f"has columns that revision {revision} lacks: {unknown}")
+            raise DamagedBackupError(
+                _path(folder, table), f"has columns that are not in revision {revision}: {unknown}"
+            )
         _load(connection, folder, table)
     command.upgrade(config, "head")
 

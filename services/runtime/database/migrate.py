@@ -63,13 +63,13 @@ def refuse_unknown(revision: str) -> None:
     if revision < known[-1]:
         raise Refused(
             "schema_older",
-            f"the database or backup is of revision {revision!r} and this version upgrades from {known[-1]!r} on; "
-            f"restore and start it once with the sources of commit {LAST_OF_OLDER}, then start this version",
+            f"the database or backup is at revision {revision!r}, but this version upgrades only from {known[-1]!r} "
+            f"on; restore and start it once with the sources of commit {LAST_OF_OLDER}, then start this version",
         )
     raise Refused(
         "schema_newer",
-        f"the database is at revision {revision!r} and this version knows none after {known[0]!r}; "
-        "start the version that migrated it, or restore a backup",
+        f"the database is at revision {revision!r}, which is newer than {known[0]!r} of this version; start the "
+        "version that migrated it, or restore a backup",
     )
 
 

@@ -64,7 +64,7 @@ def passwords_of(settings: DatabaseSettings) -> dict[str, str]:
         return {}
     if missing:
         names = ", ".join(f"STONE_DATABASE__{service.upper()}_PASSWORD" for service in missing)
-        raise Refused("impossible_settings", f"some services have a database password and these have none: {names}")
+        raise Refused("impossible_settings", f"some services have a database password, but these have none: {names}")
     return given
 
 

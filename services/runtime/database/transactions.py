@@ -111,7 +111,7 @@ class _LookupSession(Session):
 
     def flush(self, objects: Sequence[Any] | None = None) -> None:
         if self.new or self.dirty or self.deleted:
-            raise InvalidRequestError("rows were changed in a session that only looks up")
+            raise InvalidRequestError("rows were changed in a read-only session")
         super().flush(objects)
 
 

@@ -89,12 +89,12 @@ class Child:
             if now_s - self._started_s > STEADY_S:
                 self._pause_s = FIRST_PAUSE_S
             self._due_s = now_s + self._pause_s
-            fate = f"{self.program.name} {fate_of(self.exit_code)}; starting it again in {self._pause_s:g} s"
+            fate = f"{self.program.name} {fate_of(self.exit_code)}; it is restarted in {self._pause_s:g} s"
             self._told(f"{fate} (log: {self.log})")
             self._pause_s = min(2 * self._pause_s, LONGEST_PAUSE_S)
         elif now_s >= self._due_s:
             self.start()
-            self._told(f"{self.program.name} started again, process {self.pid}")
+            self._told(f"{self.program.name} was restarted, process {self.pid}")
 
     def forgive(self) -> None:
         """Its next death is not its own fault, say a test's: the pause after it is the first again."""

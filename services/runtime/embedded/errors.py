@@ -11,7 +11,9 @@ class PortTakenError(StoneError):
     code = "port_taken"
 
     def __init__(self, host: str, port: int, reason: str) -> None:
-        super().__init__(f"cannot listen on {host} port {port}: {reason}; choose another with --host and --port")
+        super().__init__(
+            f"cannot listen on {host} port {port}: {reason}; choose another address with --host and --port"
+        )
 
 
 class StartFailedError(StoneError):

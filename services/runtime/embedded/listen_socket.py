@@ -115,17 +115,17 @@ def stop_holder(folder: Path) -> tuple[int, str]:
     try:
         pid, url = _holder(descriptor)
         if not url:
-            raise not_serving(folder, "the process that holds it does not serve yet" if pid else "try again")
+            raise not_serving(folder, "its server is still starting" if pid else "try again")
         process = os.pidfd_open(pid)
         try:
             if _is_free(descriptor) or _holder(descriptor) != (pid, url):
-                raise not_serving(folder, "its server ended a moment ago")
+                raise not_serving(folder, "its server has just ended")
             signal.pidfd_send_signal(process, signal.SIGTERM)
             select.select([process], [], [])
         finally:
             os.close(process)
     except ProcessLookupError:
-        raise not_serving(folder, "its server ended a moment ago") from None
+        raise not_serving(folder, "its server has just ended") from None
     finally:
         os.close(descriptor)
     return pid, url
@@ -136,10 +136,10 @@ def _opened_lock(folder: Path) -> int:
     try:
         descriptor = os.open(folder / LOCK, os.O_RDWR)
     except FileNotFoundError:
-        raise not_serving(folder, "it is no data folder of a server") from None
+        raise not_serving(folder, "it is not the data folder of a server") from None
     if _is_free(descriptor):
         os.close(descriptor)
-        raise not_serving(folder, "no process holds it")
+        raise not_serving(folder, "no process uses it")
     return descriptor
 
 
@@ -153,9 +153,7 @@ def _is_free(descriptor: int) -> bool:
 
 
 def not_serving(folder: Path, why: str) -> Refused:
-    return Refused(
-        "not_serving", f"no server can be stopped on {folder}: {why}; name the folder of the server by --data"
-    )
+    return Refused("not_serving", f"no server can be stopped in {folder}: {why}; give the server's folder with --data")
 
 
 def _holder(descriptor: int) -> tuple[int, str]:
@@ -167,7 +165,7 @@ def _holder(descriptor: int) -> tuple[int, str]:
 
 
 def already_serving(folder: Path, pid: int, url: str) -> Refused:
-    where = f"process {pid} serves it at {url}" if url else f"process {pid} is starting on it"
+    where = f"process {pid} serves it at {url}" if url else f"process {pid} is starting with it"
     return Refused(
         "already_serving", f"{folder} is in use: {where}; use that server, or choose another folder with --data"
     )

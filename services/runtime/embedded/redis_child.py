@@ -70,7 +70,7 @@ class Pulse:
         self._misses = 0 if self._child.exit_code is not None or self._is_alive() else self._misses + 1
         if self._misses == MISSES:
             self._misses = 0
-            self._told(f"redis runs but did not answer {MISSES} consecutive pings; it is killed and restarted")
+            self._told(f"redis is running but did not answer {MISSES} consecutive pings; it is killed and restarted")
             self._child.kill()
 
     def _is_alive(self) -> bool:
@@ -104,7 +104,7 @@ def start_redis(folder: Path, logs: Path, told: ReportCallback) -> Broker:
     except StartFailedError as error:
         if not _set_aside(folder):
             raise
-        told(f"{error}; what it kept was moved aside, the sweeper sends wake-ups again")
+        told(f"{error}; its data was moved aside, and the sweeper sends wake-ups again")
         return _start(folder, logs, told)
 
 

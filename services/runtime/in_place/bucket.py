@@ -83,7 +83,7 @@ class PlacedObject:
                 continue
             if len(content) == stop - start:
                 return content
-        raise store_unavailable(self._bucket, f"it sent other bytes than {start}-{stop} of {self._place}")
+        raise store_unavailable(self._bucket, f"it sent bytes other than {start}-{stop} of {self._place}")
 
     @property
     def _known(self) -> PlacedFile:

@@ -22,18 +22,18 @@ DatasetArchivePath = Path | PipedRanges
 
 def requested_dataset(settings: InPlaceSettings, place: RecordingPlace) -> RecordingPlace:
     """The place, checked as far as words go. Raises `unknown_root`, `bad_place`, `no_archive`, `not_by_ranges`."""
-    refuse_words(settings, place, "a dataset as released/STONE.zip")
+    refuse_words(settings, place, "a dataset such as released/STONE.zip")
     if not place.path.endswith((ZIP, TAR)):
         raise Refused(
             "no_archive",
-            f"{place.name[:200]!r} is no {ZIP} or {TAR}, and a folder is not imported in place; put it into a tar, or "
-            "upload it by `stone dataset import FOLDER`",
+            f"{place.name[:200]!r} is neither a {ZIP} nor a {TAR}, and folders cannot be imported in place; put it "
+            "into a tar, or upload it with `stone dataset import FOLDER`",
         )
     if is_by_ranges(settings, place) and not place.path.endswith(ZIP):
         raise Refused(
             "not_by_ranges",
-            f"{place.name[:200]!r} is in a bucket, where a dataset is read as a {ZIP} alone, by its directory; mount "
-            "the bucket below a folder that is a root, or upload the dataset",
+            f"{place.name[:200]!r} is in a bucket, from which only a {ZIP} can be read; mount the bucket below a "
+            "folder that is a root, or upload the dataset",
         )
     return place
 

@@ -3,27 +3,27 @@
 from stone.errors import Refused
 from stone_recordings.sync.stored_recording import PlacedFile, RecordingPlace
 
-ANEW = "remove the recording or import and name the file anew: labels that were made of it stay"
+ANEW = "remove the recording or import and add the file again (labels made from it stay)"
 
 
 def changed_in_place(place: RecordingPlace, found: PlacedFile, known: PlacedFile | None) -> Refused:
     was = f"was registered with {known.size_bytes} bytes in version {known.version}" if known else "came since"
     return Refused(
         "recording_changed_in_place",
-        f"{found.name} of {place} has {found.size_bytes} bytes in version {found.version}, and {was}; put the file "
-        f"back, or {ANEW}",
+        f"{found.name} of {place} has {found.size_bytes} bytes in version {found.version}, and {was}; restore the "
+        f"file, or {ANEW}",
     )
 
 
 def content_changed(place: RecordingPlace) -> Refused:
     return Refused(
         "recording_changed_in_place",
-        f"{place} has the sizes and versions that it was registered with, and holds other messages; {ANEW}",
+        f"{place} has its registered sizes and versions, but contains other messages; {ANEW}",
     )
 
 
 def vanished(place: RecordingPlace, name: str) -> Refused:
     return Refused(
         "recording_vanished",
-        f"there is no {name} at {place} that may be read; put it back, mount the root on every worker, or {ANEW}",
+        f"there is no readable {name} at {place}; restore it, mount the root on every worker, or {ANEW}",
     )

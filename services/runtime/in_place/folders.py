@@ -73,7 +73,9 @@ def _resolved(settings: InPlaceSettings, place: RecordingPlace) -> Path:
 def _root(settings: InPlaceSettings, place: RecordingPlace) -> Path:
     """Raises `root_unavailable` while it is not mounted, `unknown_root` once it is no root any more."""
     if (folder := settings.folder_of.get(place.root)) is None:
-        raise Refused("unknown_root", f"{place.root} is no root for recordings in place any more; set it again")
+        raise Refused(
+            "unknown_root", f"root {place.root} for recordings in place is not configured any more; configure it again"
+        )
     root = Path(folder)
     if not root.is_dir():
         raise PlatformFaultError("root_unavailable", f"the folder of root {place.root} is not on this worker; mount it")

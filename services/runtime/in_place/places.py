@@ -24,12 +24,12 @@ def requested_place(settings: InPlaceSettings, place: RecordingPlace) -> Recordi
 
     Raises `unknown_root`, `bad_place`, `not_by_ranges`.
     """
-    refuse_words(settings, place, "a bag as 2026/run.mcap")
+    refuse_words(settings, place, "a bag such as 2026/run.mcap")
     if is_by_ranges(settings, place) and not place.path.endswith(BY_RANGES):
         raise Refused(
             "not_by_ranges",
-            f"{place.name[:200]!r} is in a bucket, where an {BY_RANGES} alone can be read by ranges; mount the bucket "
-            "below a folder that is a root, convert the bag to MCAP, or upload it",
+            f"{place.name[:200]!r} is in a bucket, from which only an {BY_RANGES} can be read; mount the bucket below "
+            "a folder that is a root, convert the bag to MCAP, or upload it",
         )
     return place
 
@@ -37,14 +37,14 @@ def requested_place(settings: InPlaceSettings, place: RecordingPlace) -> Recordi
 def refuse_words(settings: InPlaceSettings, place: RecordingPlace, written: str) -> None:
     """Refuse a place that can be none; `written` names one that can. Raises `unknown_root`, `bad_place`."""
     if place.root not in settings.roots:
-        known = ", ".join(settings.roots) or "none: an administrator sets STONE_IN_PLACE__FOLDERS"
-        raise Refused("unknown_root", f"there is no root {place.root[:80]!r} for files in place; there is {known}")
+        known = ", ".join(settings.roots) or "none (an administrator sets STONE_IN_PLACE__FOLDERS)"
+        raise Refused("unknown_root", f"there is no root {place.root[:80]!r} for files in place; the roots are {known}")
     is_plain = len(place.path) <= LONGEST_PATH and place.path.isprintable()
     if not is_plain or {"", ".", ".."} & set(place.path.split("/")):
         raise Refused(
             "bad_place",
-            f"{place.path[:200]!r} is no path below a root; name {written}, without a leading slash and .., in at most "
-            f"{LONGEST_PATH} characters",
+            f"{place.path[:200]!r} is not a path within a root; give {written}, without a leading slash and .., with "
+            f"at most {LONGEST_PATH} characters",
         )
 
 

@@ -45,7 +45,7 @@ class PipedRanges:
                 asked.write(REQUEST.pack(at, min(MOST_BYTES, stop - at)))
                 (size,) = SIZE.unpack(answered.read(SIZE.size))
                 if size == FAILED:
-                    raise Refused("ranges_unavailable", f"{self.path} could not be read on from byte {at}")
+                    raise Refused("ranges_unavailable", f"{self.path} could not be read from byte {at} on")
                 found.append(answered.read(size))
         return b"".join(found)
 

@@ -59,10 +59,10 @@ def in_place_contradictions(settings: InPlaceSettings) -> Iterator[str]:
             yield f"STONE_IN_PLACE__BUCKETS has {name[:80]!r} as {bucket[:80]!r}; an entry is name=bucket/key{_NAMES}"
     names = [name for name, _ in (*folders, *buckets)]
     for name in sorted({name for name in names if names.count(name) > 1}):
-        yield f"STONE_IN_PLACE__FOLDERS and STONE_IN_PLACE__BUCKETS name the root {name[:80]!r} twice"
+        yield f"STONE_IN_PLACE__FOLDERS and STONE_IN_PLACE__BUCKETS contain the root {name[:80]!r} twice"
 
 
-_NAMES = ", and a name has small letters, digits, _ and -"
+_NAMES = ", and a name consists of small letters, digits, _ and -"
 
 
 def _named(entries: str) -> Iterator[tuple[str, str]]:

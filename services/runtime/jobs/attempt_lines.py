@@ -136,4 +136,4 @@ def _row(words: AttemptWords, line: AttemptLine) -> dict[str, Any]:
 
 
 def _unkept(error: Exception) -> str:
-    return f"this line cannot be kept: the database does not take it ({type(error).__name__})"
+    return f"this line cannot be stored: the database rejected it ({type(error).__name__})"

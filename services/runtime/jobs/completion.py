@@ -64,7 +64,7 @@ def succeed(
     outcome.commit(session)
     if is_run:
         if outcome.then:
-            raise ValueError(f"{claim.kind} is a run of its own and cannot be followed by other jobs")
+            raise ValueError(f"{claim.kind} is a whole run and cannot be followed by other jobs")
         tell_run_succeeded(session, run)
         return True
     if run.state not in TERMINAL:

@@ -25,7 +25,7 @@ def cancel(session: Session, root_id: str, reason: str) -> Job:
     Raises `JobStateError` when it has ended already.
     """
     run = _alive(session, root_id, "cancelled")
-    run.cancel_reason = reason or "asked by its owner"
+    run.cancel_reason = reason or "requested by its owner"
     if run.queue and run.state == "queued":
         run.state, run.finished_ns = "cancelled", now_ns()
     run.revision += 1

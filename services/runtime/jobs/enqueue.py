@@ -26,7 +26,7 @@ def enqueue(session: Session, spec: JobSpec, context: Context, max_attempts: int
 def enqueue_run(session: Session, kind: str, specs: Sequence[JobSpec], context: Context, max_attempts: int = 3) -> Job:
     """A run of several jobs: it succeeds when all of them have, fails with the first. Raises `QueueDrainingError`."""
     if not specs:
-        raise ValueError(f"run {kind!r} of no jobs would never end")
+        raise ValueError(f"run {kind!r} without jobs would never end")
     refuse_draining(session, specs)
     run = Job(id=new_id(), kind=kind, owner_id=context.owner_id, sequence_id=context.sequence_id)
     run.root_id, run.priority, run.state = run.id, context.priority, "queued"

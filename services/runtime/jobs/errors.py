@@ -18,7 +18,7 @@ class LostAttemptError(StoneError):
     code = "attempt_lost"
 
     def __init__(self, job_id: str, attempt: int) -> None:
-        super().__init__(f"attempt {attempt} of job {job_id} no longer holds it; what it made is dropped")
+        super().__init__(f"attempt {attempt} of job {job_id} has lost its lease; its results are discarded")
 
 
 class JobStateError(StoneError):
@@ -36,4 +36,4 @@ class QueueDrainingError(StoneError):
     code = "queue_draining"
 
     def __init__(self, queue: str) -> None:
-        super().__init__(f"queue {queue!r} is draining and takes no new jobs; try again when it is open")
+        super().__init__(f"queue {queue!r} is draining and accepts no new jobs; try again when it is open")

@@ -143,7 +143,7 @@ class Reporter:
             self._logged += 1
             limit = self._limits.log_lines_per_attempt
             if self._logged == limit:
-                event, level, facts = f"more than {limit} lines; the rest is not kept", "warning", {}
+                event, level, facts = f"more than {limit} lines; the rest is discarded", "warning", {}
             if self._logged <= limit:
                 shown = {name: without_paths(fact) if isinstance(fact, str) else fact for name, fact in facts.items()}
                 event = without_paths(event)[:LONGEST_EVENT]
@@ -154,7 +154,7 @@ class Reporter:
             try:
                 self._take_turn()
             except Exception as error:  # this thread is what holds the job: it goes on, whatever is raised
-                self._warn("a turn of the reporter failed; the job goes on", error)
+                self._warn("a progress report failed; the job continues", error)
 
     def _fall_silent(self) -> None:
         self._leaving.set()
@@ -176,7 +176,7 @@ class Reporter:
         except EOFError:  # it ends, and says its last words with its end
             return
         except Exception as error:
-            self._warn("heartbeat not written; the job goes on", error)
+            self._warn("heartbeat not written; the job continues", error)
             return
         if not answer.is_held:
             self._end_process("attempt lost")
@@ -311,8 +311,8 @@ def _answer(taken: Claim, handlers: Handlers, reporter: Reporter) -> Outcome:
         if taken.kind not in handlers:
             raise Refused(
                 "unknown_kind",
-                f"no stage {taken.kind!r} in this worker; it knows {sorted(handlers)} (are all services of the "
-                "same version?)",
+                f"this worker has no stage {taken.kind!r}; its stages are {sorted(handlers)} (do all services have "
+                "the same version?)",
             )
         reporter.require_room()
         outcome = handlers[taken.kind](reporter)

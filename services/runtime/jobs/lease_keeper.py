@@ -113,7 +113,7 @@ class MessageStream:
             return None
         (length,) = LENGTH.unpack_from(self._held)
         if length > LONGEST_BYTES:
-            raise ValueError(f"a message of {length} bytes; at most {LONGEST_BYTES} are taken")
+            raise ValueError(f"a message of {length} bytes; at most {LONGEST_BYTES} are accepted")
         end = LENGTH.size + length
         if len(self._held) < end:
             return None
@@ -250,7 +250,7 @@ class LeaseKeeper:
             answers = renew(self.database, list(last.values()), beside)
             self._told(present, committed)
         except Exception as error:
-            log.warning("heartbeats not written; the jobs go on", jobs=len(last), reason=str(error)[:500])
+            log.warning("heartbeats not written; the jobs continue", jobs=len(last), reason=str(error)[:500])
             self._present_s = self._turned_s
             for stream, _ in last:
                 self._answer(stream, {"error": f"{type(error).__name__}: {error}"[:500]})
@@ -310,7 +310,7 @@ def _keep(settings: Settings, listener: socket.socket, parent: int) -> None:
         speak_json()
         LeaseKeeper(Database(settings), listener, settings.jobs.progress_s, settings.jobs.heartbeat_s / 2).serve()
     except BaseException:
-        log.exception("the lease keeper ends; each process beats for itself")
+        log.exception("the lease keeper ends; each process sends its own heartbeats")
     finally:
         os._exit(1)
 

@@ -41,7 +41,7 @@ def wake_up_sender(settings: Settings) -> Callable[[str, int], None]:
                     app.send_task(f"{queue}.work", queue=queue, producer=producer, retry=False, ignore_result=True)
         except (OperationalError, RedisError, OSError, LimitExceeded) as error:
             resting_until_s = time.monotonic() + DEADLINE_S
-            log.warning("wake-up not sent; the sweeper will send it again", queue=queue, times=times, reason=str(error))
+            log.warning("wake-up not sent; the sweeper sends it again", queue=queue, times=times, reason=str(error))
 
     return send_wake_ups
 

@@ -69,7 +69,7 @@ class WorkerHeartbeat:
                 session.execute(delete(Worker).where(Worker.name == worker_name()))
                 self._counters.tell(session)
         except SQLAlchemyError as error:
-            log.warning("presence not taken back; it will be forgotten", reason=str(error)[:200])
+            log.warning("worker presence not deleted; it will expire", reason=str(error)[:200])
 
     def tell(self) -> None:
         """Write the row as the process is now, and what it counted; by the worker's keeper where one answers."""
@@ -96,7 +96,7 @@ class WorkerHeartbeat:
             try:
                 self.tell()
             except SQLAlchemyError as error:
-                log.warning("presence not told; the next beat tells", reason=str(error)[:200])
+                log.warning("worker presence not written; the next heartbeat writes it", reason=str(error)[:200])
             self._leaving.wait(max(0.1, beat_s - (time.monotonic() - begin_s)))
 
 

@@ -254,7 +254,7 @@ def test_a_file_that_changed_in_between_is_named_and_labels_of_it_stay(
     os.utime(bag, ns=(was.st_atime_ns, was.st_mtime_ns))
     assert bag.stat().st_size == was.st_size
     code, sentence = failure_of_run(brought, ground="auto")
-    assert (code, "holds other messages" in sentence) == ("recording_changed_in_place", True)
+    assert (code, "contains other messages" in sentence) == ("recording_changed_in_place", True)
     bag.rename(root / "elsewhere.db3")
     assert failure_of_run(brought, ground="auto")[0] == "recording_vanished"
     assert {name: content for name, content in brought.files().items() if name.endswith("labels.npz")} == before

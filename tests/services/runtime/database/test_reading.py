@@ -108,7 +108,7 @@ def test_rows_that_were_changed_are_refused_and_not_written(platform_on: Platfor
 
 
 AWAY = BrokerSettings("redis://127.0.0.1:1/0")
-NOT_SENT = "wake-up not sent; the sweeper will send it again"
+NOT_SENT = "wake-up not sent; the sweeper sends it again"
 
 
 @pytest.mark.parametrize(("opening", "told"), [(open_platform, [NOT_SENT]), (open_silent_platform, [])])

@@ -175,7 +175,7 @@ def test_the_supervisor_starts_a_hung_redis_again(tmp_path: Path, monkeypatch: p
         supervised = SupervisedChildren((broker.child,), told.append, Pulse(broker, told.append))
         supervised.start()
         os.kill(broker.child.pid, signal.SIGSTOP)
-        until(lambda: any("started again, process" in line for line in told))
+        until(lambda: any("was restarted, process" in line for line in told))
         supervised.stop()
         until(lambda: is_answering(client))
         supervised.kill()
@@ -294,18 +294,18 @@ def test_the_server_of_a_folder_is_stopped_and_no_other(tmp_path: Path) -> None:
         assert stop_holder(tmp_path / "a") == (ours.pid, "http://127.0.0.1:1")
         assert ours.wait(0) == 0, "the command waits for the end"
         assert other.poll() is None
-        with refused_as("not_serving", match="no process holds it"):
+        with refused_as("not_serving", match="no process uses it"):
             stop_holder(tmp_path / "a")
 
 
 def test_only_a_server_is_stopped(tmp_path: Path) -> None:
-    with refused_as("not_serving", match="no data folder"):
+    with refused_as("not_serving", match="not the data folder"):
         stop_holder(tmp_path)
     with another_holder(tmp_path / "restored", "") as restoring:
-        with refused_as("not_serving", match="does not serve yet"):
+        with refused_as("not_serving", match="is still starting"):
             stop_holder(tmp_path / "restored")
         assert restoring.poll() is None
     (tmp_path / "stale").mkdir()
     (tmp_path / "stale" / LOCK).write_text(json.dumps({"pid": os.getpid(), "url": "http://127.0.0.1:3"}))
-    with refused_as("not_serving", match="no process holds it"):
+    with refused_as("not_serving", match="no process uses it"):
         stop_holder(tmp_path / "stale")

@@ -201,7 +201,7 @@ def test_many_attempts_are_renewed_at_once_and_each_is_answered_for_itself(platf
     assert [job(platform_on, one).stage for one in ids] == ["frames", "", "early", ""]
     assert events_of(platform_on, fine.job_id) == ["opened"]
     assert events_of(platform_on, lost.job_id) == ["opened", "opened"], "of both attempts"
-    assert "cannot be kept" in events_of(platform_on, odd.job_id)[1]
+    assert "cannot be stored" in events_of(platform_on, odd.job_id)[1]
 
 
 def test_an_attempt_hears_that_its_own_run_is_to_stop_and_no_other(platform: Platform) -> None:
@@ -245,4 +245,4 @@ def test_a_line_that_cannot_be_kept_takes_neither_the_heartbeat_nor_the_other_li
     assert (beats, ended, job(platform, job_id).state) == ([True], [], "succeeded")
     first, odd, last = events_of(platform, job_id)
     assert (first, last) == ("before", "after")
-    assert "cannot be kept" in odd
+    assert "cannot be stored" in odd
