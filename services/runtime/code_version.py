@@ -2,9 +2,9 @@
 
 **Conventions.** The version of a kind of result covers the digest of the code that computes it
 (`services/runtime/source_digests.py`) and the versions of the libraries that calculate or decode for it. It does not
-cover the release. A wheel carries both, fixed when it was built, so all images of a build agree. In a checkout both
-belong to this process: its sources as they were when this module was loaded, and its installed libraries. Digests of
-a checkout are kept beside the compiled modules until a source file changes.
+cover the release. A wheel contains both, fixed at its build, so all images of a build agree. In a checkout both are
+those of this process: its sources when this module was imported, and its installed libraries. Digests of a checkout are
+cached beside the compiled modules until a source file changes.
 """
 
 import json
@@ -43,14 +43,14 @@ def code_version(kind: ResultKind) -> str:
 
 
 def version_of(digest: SourceDigest) -> str:
-    """Return the version of code with this digest; a library whose version it lacks is the installed one."""
+    """Return the version of code with this digest; libraries without a fixed version count as installed."""
     libraries = [(name, known or installed_version(name)) for name, known in sorted(digest.libraries.items())]
     spelled = json.dumps([digest.sha256, libraries])
     return sha256(spelled.encode()).hexdigest()[:SHOWN_DIGITS]
 
 
 def digests_in_force(fixed: Path, kept: Path) -> Digests:
-    """Return the digests in the file `fixed` if there is one, else those of the sources, which `kept` may hold.
+    """Return the digests in the file `fixed` if it exists, else those of the sources, which `kept` may cache.
 
     Raises `broken_digests`, `sources_missing`, `unresolved_name`.
     """
@@ -69,7 +69,7 @@ def digests_in_force(fixed: Path, kept: Path) -> Digests:
 
 
 def digests_from(record: Mapping[str, Mapping[str, object]]) -> Digests:
-    """Return the digests that `record_of` made a record of.
+    """Return the digests in a record of `record_of`.
 
     Raises ValueError, KeyError, TypeError or AttributeError for any other record.
     """
@@ -91,7 +91,7 @@ def _digests_of_checkout(kept: Path) -> Digests:
         if record["sources"] == sources:
             return digests_from(record["digests"])
     digests = source_digests(places)
-    with suppress(OSError):  # a checkout that cannot be written to
+    with suppress(OSError):  # a read-only checkout
         kept.parent.mkdir(exist_ok=True)
         with atomic_file(kept) as staging:
             staging.write_text(json.dumps({"sources": sources, "digests": record_of(digests)}) + "\n", "utf-8")

@@ -1,7 +1,7 @@
 """Limits numerical libraries to one thread per process on import; jobs provide the parallelism.
 
-**Conventions.** Imported before numpy, Open3D and numba, which read these variables when they are loaded. What the
-environment says already holds.
+**Conventions.** Import it before numpy, Open3D and numba, which read these variables when they are loaded. Variables
+that are already set take precedence.
 """
 
 import os

@@ -1,7 +1,7 @@
-"""Checks of the settings when a process reads them: names that nothing reads, and values with which it cannot work.
+"""Checks of the settings when a process reads them: unknown names, and impossible values.
 
-**Conventions.** All that is wrong is said at once. A value is quoted only where it is a number or should be an address:
-others may be secrets.
+**Conventions.** All faults are reported together. A value is quoted only if it is a number or should be an address,
+because others may be secrets.
 """
 
 import math
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from services.runtime.settings import Settings
 
 EMAIL = re.compile(r"[A-Za-z0-9.!#$%&'*+/=?^_`{|}~-]{1,64}@[A-Za-z0-9-]{1,63}(\.[A-Za-z0-9-]{1,63}){0,8}")
-"""An e-mail address: what a web form accepts (WHATWG HTML, 4.10.5.1.5), ASCII alone, without a line end or a blank."""
+"""An e-mail address as in web forms (WHATWG HTML, 4.10.5.1.5), ASCII only, without line ends and blanks."""
 
 PREFIX = "STONE_"
 OF_COMMANDS = ("STONE_CONFIG_HOME", "STONE_NO_PROGRESS", "STONE_QUIET", "STONE_TOKEN", "STONE_URL")
@@ -51,9 +51,9 @@ OF_TESTS = (
 RENAMED = {"STONE_UPLOADS__PLACE": "STONE_UPLOADS__BACKEND", "STONE_UPLOADS__SLAB_BYTES": "STONE_UPLOADS__PART_BYTES"}
 """New names of variables (and, in small letters, of secret files) by old ones."""
 RETIRED = {"FORWARDED_ALLOW_IPS": "STONE_API__TRUSTED_PROXIES"}
-"""Variables that said something before and would be ignored now, by what says it."""
+"""Removed variables, which would now be ignored, and their replacements."""
 OTHERS = frozenset({"STONE_SECRETS_DIR", *OF_COMMANDS, *OF_DEPLOYMENTS, *OF_TESTS})
-"""Variables that are no settings of a process, and may well stand in its environment."""
+"""Variables that are not settings of a process but may be in its environment."""
 
 
 def unknown_setting(names: Sequence[str], known: Iterable[str]) -> Refused:
@@ -66,7 +66,7 @@ def unknown_setting(names: Sequence[str], known: Iterable[str]) -> Refused:
 
 @dataclass(frozen=True)
 class Bound:
-    """The least that a setting may be, and what came of less; `is_above`: it must be more than that."""
+    """The lower bound of a setting, and the consequence of a lower value; `is_above`: the bound itself is excluded."""
 
     setting: str
     least: float
@@ -78,7 +78,7 @@ class Bound:
         return variable_of(self.setting)
 
     def allows(self, value: float) -> bool:
-        """False for what is no number, too."""
+        """Return whether the value is within the bound; False for NaN."""
         return value > self.least if self.is_above else value >= self.least
 
 
@@ -122,12 +122,12 @@ BOUNDS = (
 
 
 def variable_of(setting: str) -> str:
-    """The environment variable of `group.name`."""
+    """Return the environment variable of `group.name`."""
     return PREFIX + setting.upper().replace(".", "__")
 
 
 def variables_of(settings: "type[Settings]") -> Iterator[str]:
-    """The name of every environment variable that is a setting."""
+    """Yield the name of every environment variable that is a setting."""
     for name, field in settings.model_fields.items():
         if is_dataclass(field.default):
             yield from (variable_of(f"{name}.{one.name}") for one in fields(field.default))
@@ -136,10 +136,9 @@ def variables_of(settings: "type[Settings]") -> Iterator[str]:
 
 
 def refuse_unknown(settings: "type[Settings]", variables: Iterable[str], files: Iterable[str]) -> None:
-    """Raise `unknown_setting` for variables of the environment and secret files that only look like settings, and
-    for those that were some once.
+    """Raise `unknown_setting` for variables and secret files that look like settings, and for removed settings.
 
-    A group's own name is one, whose value is JSON. Of files only `stone_<group>__<name>` is meant for us.
+    A group's own name is a setting, with a JSON value. Only files called `stone_<group>__<name>` are considered.
     """
     known = {*variables_of(settings), *(variable_of(name) for name in settings.model_fields)}
     ours = [name for name in files if name.upper().startswith(PREFIX) and "__" in name]
@@ -150,7 +149,7 @@ def refuse_unknown(settings: "type[Settings]", variables: Iterable[str], files: 
 
 
 def refuse_impossible(settings: "Settings") -> None:
-    """Raise `impossible_settings` for values out of bounds, and for those that contradict each other."""
+    """Raise `impossible_settings` for values out of bounds and for contradictions."""
     sentences = [*_out_of_bounds(settings), *_contradictions(settings)]
     if sentences:
         raise Refused("impossible_settings", "; ".join(sentences))
@@ -199,7 +198,7 @@ def _contradictions(settings: "Settings") -> Iterator[str]:
 
 
 def _unsendable(settings: "Settings") -> Iterator[str]:
-    """What of the settings of notifications nothing could be sent by."""
+    """Yield the faults of notification settings that prevent sending."""
     told = settings.notifications
     if told.smtp_host and not EMAIL.fullmatch(told.sender):
         yield (
@@ -218,7 +217,7 @@ def _unsendable(settings: "Settings") -> Iterator[str]:
 
 
 def _untrustworthy(proxies: Iterable[str]) -> Iterator[str]:
-    """What uvicorn would take for a name that no address has, and what makes everybody's word count."""
+    """Yield the faults of proxies: names that match no address, and networks that trust every client."""
     for one in proxies:
         try:
             is_everybody = ip_network(one).prefixlen == 0
@@ -238,7 +237,7 @@ def _untrustworthy(proxies: Iterable[str]) -> Iterator[str]:
 def _is_address(url: str) -> bool:
     try:
         parts = urlsplit(url)
-    except ValueError:  # of a bracket that is left open
+    except ValueError:  # an unclosed bracket
         return False
     return parts.scheme in ("http", "https") and bool(parts.hostname)
 

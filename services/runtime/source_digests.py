@@ -1,10 +1,10 @@
-"""Digests of the code that computes results: for each kind of result, all that its computation can reach.
+"""Digests of the code that computes results: for each kind of result, all code that its computation can reach.
 
-**Conventions.** A digest covers the definitions that the entries of a kind reach by name, what runs when their modules
-are imported, and the data files that they read. It depends on computations only: comments, docstrings, names of local
-variables, of definitions and of files do not matter, nor where a definition stands. Libraries are named, not read:
-their versions count (`services/runtime/code_version.py`). Standard library only: the build of a wheel computes digests
-before anything is installed (`deploy/images/digests_hook.py`).
+**Conventions.** A digest covers the definitions that the entries of a kind reach by name, code that runs when their
+modules are imported, and the data files that they read. It depends on computations only. Comments, docstrings, names of
+local variables, of definitions and of files do not matter, nor does the position of a definition. Libraries are not
+read: their versions count (`services/runtime/code_version.py`). Standard library only: the build of a wheel computes
+digests before anything is installed (`deploy/images/digests_hook.py`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -51,8 +51,7 @@ ENTRIES: Mapping[ResultKind, tuple[str, ...]] = MappingProxyType(
 )
 """The functions that compute each kind of result, as `module:function`.
 
-`labels` are label sets and the synchronised sequences that they come from; `imports` are label sets of published
-datasets.
+`labels` are label sets and their synchronised sequences; `imports` are label sets of published datasets.
 """
 CODE_SUFFIXES = frozenset({".py", ".md"})
 """The suffixes of code and of documents about it; all other files are data."""
@@ -61,7 +60,7 @@ ROOTS = (
     "services",
 )
 OUTSIDE = ("services.runtime",)
-"""Packages that carry results (database, store, queue, sandbox) and compute none: they are not opened."""
+"""Packages that transport results (database, store, queue, sandbox) and compute none: they are not read."""
 LIBRARIES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "cramjam": ("cramjam",),
@@ -82,7 +81,7 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "zstandard": ("zstandard",),
     }
 )
-"""The distributions whose versions count, by the package that is imported: they calculate, or decode what is read."""
+"""The distributions whose versions count, by imported package: they calculate, or decode inputs."""
 NEUTRAL_LIBRARIES = frozenset({"PIL", "av", "llvmlite", "matplotlib", "pyarrow", "pydantic"})
 """Packages whose versions do not count: they draw, write tables or check values; llvmlite counts with numba."""
 
@@ -148,7 +147,7 @@ class Reach:
         return sha256("\n".join(sorted({*labels.values(), *data})).encode()).hexdigest()
 
     def _data(self, module: str, packages: set[str]) -> list[str]:
-        """Return a line for each data file below these packages, "" being the one that the module is in."""
+        """Return a line for each data file below these packages; "" is the module's own package."""
         lines = list[str]()
         for path in (self.tree.path_of(package or module) for package in packages):
             for name, file in source_files(path.parent) if path is not None else ():
@@ -179,7 +178,7 @@ def record_of(digests: Digests) -> dict[str, dict[str, object]]:
 
 
 def reaches(places: Mapping[str, Path]) -> dict[ResultKind, Reach]:
-    """Return all that computes results of each kind, by the folder of each of `ROOTS`.
+    """Return the reach of each kind of result, by the folder of each of `ROOTS`.
 
     Raises `unresolved_name`, `sources_missing`.
     """

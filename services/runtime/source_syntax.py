@@ -1,7 +1,7 @@
-"""The computation of a definition, as text that only a change of the computation changes.
+"""The computation of a definition, as text that changes only with the computation.
 
-**Conventions.** The text is the syntax tree of the definition without docstrings, positions, imports and local names.
-A reference to another definition of the platform stands as a mark, and the definition in a list beside the text: its
+**Conventions.** The text is the syntax tree of the definition without docstrings, positions, imports and local names. A
+reference to another definition of the platform is a mark in the text, with the definition in a separate list, so its
 name and its file do not matter. Names that programs can look up stay: parameters, attributes, keywords, strings.
 """
 
@@ -25,16 +25,16 @@ from services.runtime.source_tree import (
 
 SKIPPED = frozenset({"ctx", "simple"})
 PLACE = re.compile(r"[a-z_]\w*(?:\.\w+)+(?::\w+)?")
-"""A string that may name a module of the platform, or something in one (`package.module:function`)."""
+"""A string that may name a module of the platform, or an object in it (`package.module:function`)."""
 DATA_READERS = ("__file__", "importlib.resources")
 
 
 @dataclass
 class Computation:
-    """`text` is what a definition computes, `references` the definitions in it, in the order of the text.
+    """`text` is a definition's computation, `references` the definitions in it, in the order of the text.
 
-    `loaded` are the modules that it imports when it runs, `libraries` the other top-level packages that it refers to.
-    `data` are the packages whose data files it may read; "" stands for the package that it is in.
+    `loaded` are the modules that it imports at run time, `libraries` the other top-level packages that it refers to.
+    `data` are the packages whose data files it may read; "" is its own package.
     """
 
     text: str = ""
@@ -106,7 +106,7 @@ class _Writer:
                 self._other(node)
 
     def _other(self, node: ast.AST) -> None:
-        """Type and fields; a field that is a name of the scope is written as one."""
+        """Write type and fields; a field that is a name of the scope is written as a name."""
         is_named = isinstance(node, ast.ExceptHandler | ast.MatchAs | ast.MatchStar)
         self.words.append(f"({type(node).__name__}")
         for name, value in ast.iter_fields(node):
@@ -133,7 +133,7 @@ class _Writer:
         self.words.append("]")
 
     def _annotation(self, node: ast.AST) -> None:
-        """A type; one in quotes is the same type."""
+        """Write a type; a quoted type is the same type."""
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             node = ast.parse(node.value, mode="eval").body
         self._node(node)
@@ -197,7 +197,7 @@ class _Writer:
         return self.tree.imported(Import(base.module, node.attr))
 
     def _string(self, text: str) -> None:
-        """A string; one that names something of the platform refers to it."""
+        """Write a string; a string that names an object of the platform refers to it."""
         module, _, name = text.partition(":")
         if PLACE.fullmatch(text) and self.tree.is_inside(module) and self.tree.path_of(module) is not None:
             if self.tree.module(module).is_package:
@@ -252,7 +252,7 @@ class _Writer:
         self.words.append(")")
 
     def _comprehension(self, node: ast.ListComp | ast.SetComp | ast.DictComp | ast.GeneratorExp) -> None:
-        """The first iterable belongs to the scope outside, as in Python."""
+        """Write a comprehension; the first iterable belongs to the outer scope, as in Python."""
         first = node.generators[0]
         self.words.append(f"({type(node).__name__}")
         self._node(first.iter)
@@ -270,7 +270,7 @@ class _Writer:
 
 
 def _body_scope(body: Sequence[ast.AST], parameters: set[str], *, is_class: bool = False) -> _Scope:
-    """Return the scope of a body with these parameters; what it declares global or nonlocal belongs to others."""
+    """Return the scope of a body with these parameters, without global and nonlocal names."""
     names = names_in(body)
     imports = {name: target for one in names.imports for name, target, _ in imports_of(one)}
     return _Scope((names.bound | parameters | set(imports)) - names.declared, imports, is_class)

@@ -1,8 +1,8 @@
 """The source files of this platform as modules: the statements that define each name, and the targets of imports.
 
-**Conventions.** Modules are parsed, never run, and each only once. `Definition` names one by (module, name). A module
-below none of the packages, or below one of `outside`, is not opened. Standard library only: the build of a wheel uses
-this module before anything is installed (`deploy/images/digests_hook.py`).
+**Conventions.** Modules are parsed once and never run. A `Definition` is identified by (module, name). A module outside
+the packages, or below a package in `outside`, is not opened. Standard library only: the build of a wheel uses this
+module before anything is installed (`deploy/images/digests_hook.py`).
 """
 
 import ast
@@ -17,7 +17,7 @@ from typing import NamedTuple
 from stone_base.errors import Refused
 
 EFFECTS = ""
-"""The name under which a module's definitions hold the statements that run at import and define nothing."""
+"""The name of a module's statements that run at import and define nothing."""
 UNNAMED = frozenset({"__all__"})
 PURE_DECORATORS = frozenset({"cache", "contextmanager", "dataclass", "intrinsic", "lru_cache", "njit", "overload"})
 """Decorators that only change the function or class below them; any other may register it somewhere."""
@@ -37,7 +37,7 @@ class ModuleObject(NamedTuple):
 
 
 class External(NamedTuple):
-    """Something that is not opened: of a library, of the standard library, or of a module below `outside`.
+    """An object that is not read, in a library, the standard library, or a module below `outside`.
 
     `library` is its top-level package, "" for builtins and for modules of the platform.
     """
@@ -58,7 +58,7 @@ def sources_missing(name: str) -> Refused:
 
 @dataclass(frozen=True)
 class Import:
-    """The target of an imported name: a module, or if `name` is given something in it."""
+    """The target of an imported name: a module, or an object in it if `name` is given."""
 
     module: str
     name: str = ""
@@ -66,14 +66,14 @@ class Import:
 
 @dataclass
 class Module:
-    """One source file. `statements` by the name that they define, in their order; `imports` by the name they bind."""
+    """One source file. `statements` by the name that they define, in order; `imports` by the name they bind."""
 
     name: str
     path: Path
     statements: dict[str, list[ast.stmt]] = field(default_factory=dict)
     imports: dict[str, Import] = field(default_factory=dict)
     loaded: set[str] = field(default_factory=set)
-    """The modules that importing this one imports."""
+    """The modules imported by importing this module."""
 
     @property
     def is_package(self) -> bool:
@@ -81,7 +81,7 @@ class Module:
 
 
 class SourceTree:
-    """The modules of top-level packages, whose folders are `places`, but for those below the packages `outside`."""
+    """The modules of top-level packages in the folders `places`, except those below the packages `outside`."""
 
     def __init__(self, places: Mapping[str, Path], outside: Sequence[str] = ()) -> None:
         self._places = dict(places)
@@ -137,7 +137,7 @@ class SourceTree:
 
 
 def place_of(root: str) -> Path:
-    """Return the folder of a top-level package, which is not run. Raises `sources_missing`."""
+    """Return the folder of a top-level package without running it. Raises `sources_missing`."""
     spec = find_spec(root)
     if spec is None or not spec.submodule_search_locations:
         raise sources_missing(root)
@@ -208,14 +208,14 @@ def _parsed(name: str, path: Path) -> Module:
 
 
 def _defined(statement: ast.stmt, bound: set[str]) -> set[str]:
-    """Return the names that a statement of a module defines; `EFFECTS` too if running it may do something else."""
+    """Return the names that a module's statement defines; also `EFFECTS` if it may have other effects."""
     match statement:
         case ast.Import() | ast.ImportFrom() | ast.Expr(value=ast.Constant()) | ast.Pass():
             return set()
         case ast.FunctionDef() | ast.AsyncFunctionDef() | ast.ClassDef():
             is_pure = all(_name_of(one) in PURE_DECORATORS for one in statement.decorator_list)
             return {statement.name} if is_pure else {statement.name, EFFECTS}
-        case ast.If(test=ast.Compare(left=ast.Name(id="__name__"))):  # the program that the file also is
+        case ast.If(test=ast.Compare(left=ast.Name(id="__name__"))):  # the file's main program
             return set()
     is_definition = isinstance(statement, ast.Assign | ast.AnnAssign | ast.AugAssign) and bool(bound)
     is_condition_of_imports = isinstance(statement, ast.If) and all(
@@ -231,7 +231,7 @@ def _name_of(decorator: ast.expr) -> str:
 
 
 def source_files(folder: Path) -> Iterator[tuple[str, Path]]:
-    """Yield the files below a folder by their name relative to it, in the order of names; none that Python compiled."""
+    """Yield the files below a folder by relative name, sorted, without compiled Python files."""
     for entry in sorted(os.scandir(folder), key=lambda entry: entry.name):
         path = Path(entry.path)
         if entry.is_dir():

@@ -20,7 +20,7 @@ from sqlalchemy.orm import Session
 from services.runtime.orm import AuditAnchor, AuditEntry
 from services.runtime.orm.base import now_ns
 
-LOCK = 0x4155444954  # "AUDIT": the advisory lock's number, shared by every process of the platform
+LOCK = 0x4155444954  # "AUDIT": key of the advisory lock shared by all processes of the platform
 AT_A_TIME = 500
 PENDING = "audit_entries"
 PLATFORM = "platform"

@@ -1,8 +1,8 @@
-"""Noticing that users, tokens or browsers' sessions changed, so that what is remembered of them is read again.
+"""Detection of changed users, tokens or browser sessions, so that cached credentials are read again.
 
-**Conventions.** `credentials_generation()` is another number after every commit by this process that changed or deleted
-one of them, whoever did it and why; before the commit returns. Noting when a credential was last used changes nothing
-of it (`NOTES_USE`). Of other processes nothing is noticed: what is remembered must be short-lived.
+**Conventions.** `credentials_generation()` changes with every commit by this process that changes or deletes a
+credential, before the commit returns. Recording a credential's last use does not count (`NOTES_USE`). Changes by other
+processes are not detected, so caches must be short-lived.
 """
 
 from itertools import count
@@ -14,7 +14,7 @@ from sqlalchemy.orm import ORMExecuteState, Session
 from services.runtime.orm import Token, User, WebSession
 
 NOTES_USE = {"stone_notes_use": True}
-"""Execution options of a statement that says when a credential was last used, and nothing else."""
+"""Execution options of a statement that only records the last use of a credential."""
 
 _CREDENTIALS = (User, Token, WebSession)
 _TABLES = frozenset(kind.__tablename__ for kind in _CREDENTIALS)
@@ -24,7 +24,7 @@ _generation = [0]
 
 
 def credentials_generation() -> int:
-    """The number that stands for credentials as this process last changed them."""
+    """Return a number that changes whenever this process changes credentials."""
     return _generation[0]
 
 

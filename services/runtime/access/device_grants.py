@@ -1,10 +1,10 @@
-"""Sign-in of a program by a browser (RFC 8628): it shows a code, a signed-in person approves it, it gets a token.
+"""Sign-in of a program through a browser (RFC 8628): it shows a code, a signed-in person approves, it gets a token.
 
-**Conventions.** The program alone holds the device code (256 random bits), with which it asks; the person types the
-user code, `BCDF-GHJK`: eight letters without vowels (34 bits), valid for `LASTS_S`. Both are kept as hashes. Who
-approves sees the program's name, address and scopes; the token has those of the scopes that the approver holds, and
-never `account`. Only a browser's session approves. If that session ends before the token is fetched, the grant ends too
-(the foreign key). The token is returned once, and the row is deleted with it.
+**Conventions.** Only the program has the device code (256 random bits), with which it polls. The person enters the user
+code, `BCDF-GHJK`: eight letters without vowels (34 bits), valid for `LASTS_S`. The codes are stored as hashes. The
+approver sees the program's name, address and scopes; the token gets those of the scopes that the approver has, and
+never `account`. Only a browser session can approve. If that session ends before the token is fetched, the grant ends
+too (foreign key). The token is returned once, and its grant is deleted with it.
 """
 
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ State = Literal["pending", "slow_down", "denied", "unknown", "approved"]
 
 @dataclass(frozen=True)
 class DeviceRequest:
-    """A program that wants a token: what it calls itself, where it is, and what it wants to do."""
+    """A program that requests a token: its name, its address, and the requested scopes."""
 
     name: str
     address: str
@@ -55,7 +55,7 @@ class DeviceCodes:
 
 @dataclass(frozen=True)
 class DevicePoll:
-    """How a grant stands; `token` and its `secret` only where it was approved, this once."""
+    """The state of a grant; `token` and its `secret` are set once, after approval."""
 
     state: State
     token: Token | None = None
@@ -63,7 +63,7 @@ class DevicePoll:
 
 
 def begin_grant(session: Session, request: DeviceRequest) -> DeviceCodes:
-    """A grant that waits for an approval. Raises `busy` where `MOST_WAITING` do already."""
+    """Create a grant that waits for an approval. Raises `busy` if `MOST_WAITING` grants are waiting."""
     if (session.scalar(select(func.count()).select_from(DeviceGrant)) or 0) >= MOST_WAITING:
         raise Refused("busy", f"{MOST_WAITING} programs are waiting for an approval; try again in a moment")
     letters = "".join(choice(LETTERS) for _ in range(CODE_LENGTH))
@@ -77,7 +77,7 @@ def begin_grant(session: Session, request: DeviceRequest) -> DeviceCodes:
 
 
 def find_waiting(session: Session, user_code: str, is_locked: bool = False) -> DeviceGrant | None:
-    """The grant of this code, if it has not ended and nobody has decided; case, blanks and dashes do not matter."""
+    """Return the undecided, unexpired grant with this code; case, blanks and dashes are ignored."""
     letters = "".join(one for one in user_code.upper() if one in LETTERS)
     found = select(DeviceGrant).where(DeviceGrant.user_hash == hash_of(letters))
     row = session.scalars(found.with_for_update(of=DeviceGrant) if is_locked else found).one_or_none()
@@ -86,7 +86,7 @@ def find_waiting(session: Session, user_code: str, is_locked: bool = False) -> D
 
 
 def scopes_for(grant: DeviceGrant, held: frozenset[str]) -> list[str]:
-    """What the token would have, approved by somebody who holds these."""
+    """Return the token's scopes if a user with the scopes `held` approves."""
     return sorted((frozenset(grant.scopes) & held) - {ACCOUNT})
 
 
@@ -97,12 +97,12 @@ def approve(grant: DeviceGrant, authority: Authority, session_id: str) -> None:
 
 
 def poll(session: Session, device_code: str, token_s: float) -> DevicePoll:
-    """How the grant of this device code stands; an approved one becomes a token of `token_s`, once."""
+    """Return the state of the grant with this device code; an approved grant becomes a token of `token_s`, once."""
     found = select(DeviceGrant).where(DeviceGrant.device_hash == hash_of(device_code))
     seen = session.scalars(found).one_or_none()
     approver_id = seen.user_id if seen else None
     if approver_id:
-        lock_user(session, approver_id)  # first: `end_all` locks in this order
+        lock_user(session, approver_id)  # same lock order as `end_all`
     locked = found.with_for_update(of=DeviceGrant).execution_options(populate_existing=True)
     row = session.scalars(locked).one_or_none()
     now = now_ns()

@@ -1,9 +1,9 @@
-"""Ending of a user's credentials, in every table that holds credentials or their precursors.
+"""Ending of a user's credentials, in every table with credentials or their precursors.
 
-**Conventions.** After `end_all`, the user, or a thief, can sign in only by the password or the provider. It ends
-tokens, browsers, approved programs that have not fetched their token, mailed links, and invitations into teams.
-`end_browsers` ends browsers with the programs that these approved (the foreign key); fetched tokens stay. A table with
-a new kind of secret belongs here (`tests/services/runtime/access/test_ending.py`).
+**Conventions.** After `end_all`, the user, or a thief, can sign in only with the password or the provider. It ends
+tokens, browser sessions, approved programs that have not fetched their token, mailed links, and team invitations.
+`end_browsers` ends browser sessions with the programs that these approved (foreign key); fetched tokens stay. Add every
+table with a new kind of secret here (`tests/services/runtime/access/test_ending.py`).
 """
 
 from dataclasses import dataclass

@@ -1,9 +1,9 @@
-"""Erasure of a user account: personal data is deleted, what the user made stays without a name.
+"""Erasure of a user account: personal data are deleted, the user's work stays without a name.
 
-**Conventions.** The row stays, since ledgers refer to it by id; its name becomes `erased-` and random letters. Lines of
-the audit log keep the name under which somebody acted, for as long as the log is kept (`audit_retention`): they are
-there to be held against whoever would rather be forgotten. Sequences, calibrations and submissions are deleted by
-themselves, before or after. The provider by which somebody signed in knows them still: coming back, they are another.
+**Conventions.** The row stays, since ledgers refer to its id; its name becomes `erased-` and random letters. Lines of
+the audit log keep the actor's name as long as the log is kept (`audit_retention`), because accountability outlives the
+account. Sequences, calibrations and submissions are deleted separately, before or after. The sign-in provider still has
+the user; a later sign-in creates a new account.
 """
 
 from secrets import token_hex
@@ -36,7 +36,7 @@ HELD = (
 
 
 def erase_user(session: Session, user: User) -> None:
-    """Shut out at once, for good. Raises `last_administrator`."""
+    """Erase the account permanently and end its credentials at once. Raises `last_administrator`."""
     change_user(session, user, None, is_active=False)
     forgive_name(session, user.name)
     for held in HELD:

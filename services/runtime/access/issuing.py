@@ -1,9 +1,9 @@
 """Issuing of credentials: the only module that creates tokens and browser sessions, each by an authority.
 
-**Conventions.** An `Authority` names the user that authorises a credential, and its limits. A person who proved their
-identity (password, provider) authorises a browser. A browser's session authorises programs: their tokens last as long
-as any token may, and outlive the session. A token authorises tokens that have no scope beyond its own, end no later,
-and are deleted with it (the foreign key). `ending` ends all of them. Issuing locks the user's row first, and ending
+**Conventions.** An `Authority` has the user that authorises a credential, and its limits. A person who proved their
+identity (password, provider) authorises a browser session. A browser session authorises programs: their tokens may have
+the longest lifetime, and outlive the session. A token authorises tokens that have no scope beyond its own, end no
+later, and are deleted with it (foreign key). `ending` ends all of them. Issuing locks the user's row first, and ending
 locks it exclusively, so that nothing is issued while everything ends.
 """
 
@@ -28,7 +28,7 @@ Credential = TypeVar("Credential", Token, WebSession)
 
 @dataclass(frozen=True)
 class Authority:
-    """The source of a credential: the user, the scopes they hold, its latest end, and the token that it ends with."""
+    """The source of a credential: the user, their scopes, its latest end, and the token that it ends with."""
 
     user_id: str
     scopes: frozenset[str]
@@ -55,7 +55,7 @@ class SessionSecrets:
 
 
 def authority_for(user: User, lasts_s: float) -> Authority:
-    """Return the platform's authority, for a user who just proved their identity or whom the operator names."""
+    """Return the platform's authority, for a user who just proved their identity or is given by the operator."""
     return Authority(user.id, frozenset(SCOPES), now_ns() + int(lasts_s * 1e9))
 
 
@@ -109,7 +109,7 @@ def open_session(session: Session, authority: Authority) -> SessionSecrets:
 
 
 def refuse_too_many(session: Session, user_id: str) -> None:
-    """Raises `conflict` if the user has `MOST_TOKENS` tokens."""
+    """Raise `conflict` if the user has `MOST_TOKENS` tokens."""
     if token_count(session, user_id) >= MOST_TOKENS:
         raise Refused("conflict", f"you have {MOST_TOKENS} tokens already; revoke unused tokens")
 

@@ -1,15 +1,15 @@
-"""Failed sign-in counts by name and by address, with exponentially growing waits.
+"""Counts of failed sign-ins by name and by address, with exponentially growing waits.
 
-**Conventions.** A try is counted before its password is looked at and taken back when it was right, so that many at
-once buy no more than one after another; names that nobody has are counted alike. Rows hold hashes of names and
-addresses. The counts are in the database: every process of the API sees the same. With the figures below somebody who
-never stops gets some thirty tries at a name in the first hour and four in each one after (OWASP ASVS 2.2.1: at most 100
-an hour), while who mistypes ten times waits a second. It is a wait, never a lock: an administrator's password by token
-or a signed-in browser works meanwhile, and a day without a wrong password forgets all of it.
+**Conventions.** A try is counted before its password is checked, and uncounted if the password was right. Concurrent
+tries therefore have no advantage over sequential ones. Unknown names are counted in the same way. Rows contain hashes
+of names and addresses. The counts are in the database, shared by all API processes. With the figures below, a
+persistent attacker gets about thirty tries per name in the first hour and four in each later hour. OWASP ASVS 2.2.1
+allows at most 100 an hour. A user who mistypes ten times waits a second. It is a wait, never a lock: a token or a
+signed-in browser still works, and a day without a wrong password resets all counts.
 
-An address from which a name has signed in is *known* for it: what is tried there is counted by that pair alone, so that
-nobody else's wrong passwords keep its user out, wherever they come from. It gives a guesser nothing unless they are at
-such an address themselves, and then as many tries as a name has. A new password forgets a user's addresses.
+An address from which a user has signed in is *known* for that user. Tries from a known address are counted by that pair
+only, so wrong passwords from other addresses do not block the user. A guesser gains nothing unless they are at such an
+address, and then only as many tries as for a name. A new password deletes the user's known addresses.
 """
 
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ MOST_ADDRESSES = 20
 
 @dataclass(frozen=True)
 class SignInTry:
-    """A try at the password of `name` from `address`; `is_known`: that user signed in from there before."""
+    """A try of the password of `name` from `address`; `is_known`: the user has signed in from there before."""
 
     name: str
     address: str
@@ -43,14 +43,14 @@ class SignInTry:
 
     @property
     def kind_of(self) -> dict[str, str]:
-        """What it is counted by: the kind of each key."""
+        """The kind of each counted key."""
         if self.is_known:
             return {self.pair: "known"}
         return {_key("name", self.name): "name", _key("address", self.address): "address"}
 
 
 def try_at(session: Session, name: str, address: str) -> SignInTry:
-    """A try of now, of which nothing is counted yet."""
+    """Return a try at the current time, which is not counted yet."""
     unknown = SignInTry(name, address)
     since_ns = now_ns() - ADDRESSES_KEPT_NS
     known = select(SignInAddress.key).where(SignInAddress.key == unknown.pair, SignInAddress.used_ns > since_ns)
@@ -58,7 +58,7 @@ def try_at(session: Session, name: str, address: str) -> SignInTry:
 
 
 def count_try(session: Session, tried: SignInTry) -> float:
-    """Count the try; 0.0 where it may go on, else the seconds to wait, and nothing counts."""
+    """Count the try; return 0.0 if it may continue, otherwise the seconds to wait (then it is not counted)."""
     now, kind_of = now_ns(), tried.kind_of
     insert_new(session, FailedSignInRow, [{"key": key, "failed_ns": now} for key in sorted(kind_of)])
     some = (
@@ -66,7 +66,7 @@ def count_try(session: Session, tried: SignInTry) -> float:
     )
     rows = session.scalars(some).all()
     if (wait_ns := max(row.blocked_until_ns for row in rows) - now) > 0:
-        return min(wait_ns / 1e9, float(LONGEST_WAIT_S))  # a clock that was set back keeps nobody out for longer
+        return min(wait_ns / 1e9, float(LONGEST_WAIT_S))  # bounds the wait after a clock was set back
     for row in rows:
         row.failures = 1 if now - row.failed_ns > FORGOTTEN_NS else row.failures + 1
         row.failed_ns, row.blocked_until_ns = now, now + pause_s(kind_of[row.key], row.failures) * 10**9
@@ -75,8 +75,10 @@ def count_try(session: Session, tried: SignInTry) -> float:
 
 
 def take_back(session: Session, tried: SignInTry, user_id: str) -> None:
-    """The password was right: all is forgotten of the name or pair, and this one try of an address, which is known
-    from now on."""
+    """Delete the counts of the name or pair, and uncount this try of the address, which becomes known.
+
+    Call it after a correct password.
+    """
     if tried.is_known:
         session.execute(delete(FailedSignInRow).where(FailedSignInRow.key == tried.pair))
     else:
@@ -88,17 +90,17 @@ def take_back(session: Session, tried: SignInTry, user_id: str) -> None:
 
 
 def forgive_name(session: Session, name: str) -> None:
-    """Whoever has a new password may use it at once."""
+    """Delete the counts of a name, whose new password may be used at once."""
     session.execute(delete(FailedSignInRow).where(FailedSignInRow.key == _key("name", name)))
 
 
 def forget_addresses(session: Session, user_id: str) -> None:
-    """No address is known for the user any more."""
+    """Delete the user's known addresses."""
     session.execute(delete(SignInAddress).where(SignInAddress.user_id == user_id))
 
 
 def _remember(session: Session, tried: SignInTry, user_id: str) -> None:
-    """The address is known; of a user's addresses the `MOST_ADDRESSES` used last are."""
+    """Store the address as known; the user's `MOST_ADDRESSES` last used addresses are kept."""
     theirs = select(SignInAddress.key).where(SignInAddress.user_id == user_id)
     insert_new(session, SignInAddress, [{"key": tried.pair, "user_id": user_id, "used_ns": now_ns()}])
     session.execute(update(SignInAddress).where(SignInAddress.key == tried.pair).values(used_ns=now_ns()))
@@ -108,7 +110,7 @@ def _remember(session: Session, tried: SignInTry, user_id: str) -> None:
 
 
 def pause_s(kind: str, failures: int) -> int:
-    """The wait before the next try after so many wrong ones: 0, then 1, 2, 4, … up to `LONGEST_WAIT_S`."""
+    """Return the wait before the next try after this number of failures: 0, then 1, 2, 4, … up to `LONGEST_WAIT_S`."""
     beyond = failures - FREE[kind]
     return 0 if beyond < 0 else min(LONGEST_WAIT_S, 2 ** min(beyond, 30))
 

@@ -1,8 +1,8 @@
-"""Password hashing (argon2id), in equal time for names that do not exist.
+"""Password hashing (argon2id), in equal time for unknown names.
 
 **Conventions.** Parameters are argon2-cffi's defaults, RFC 9106's second choice (64 MiB, 3 passes). At most `AT_ONCE`
-passwords are hashed at a time and `MOST_WAITING` wait or are hashed, so that a flood of sign-ins costs bounded memory
-and leaves threads for everybody else.
+passwords are hashed at a time, and at most `MOST_WAITING` are hashed or wait. A flood of sign-ins therefore needs
+bounded memory and leaves threads for other requests.
 """
 
 import re
@@ -20,7 +20,7 @@ from argon2.exceptions import InvalidHashError, VerificationError
 from stone.errors import Refused
 
 SHORTEST = 12
-LONGEST = 1024  # argon2 hashes any length; nobody remembers more
+LONGEST = 1024  # argon2 hashes any length; longer passwords are impractical
 AT_ONCE = 2
 MOST_WAITING = 10
 
@@ -30,7 +30,7 @@ _places = BoundedSemaphore(MOST_WAITING)
 
 
 def hash_password(password: str, name: str = "") -> str:
-    """The argon2id hash to keep for the user of this name.
+    """Return the argon2id hash to store for the user with this name.
 
     Raises `weak_password` below 12 or above 1024 characters, `guessable_password`, `busy`.
     """
@@ -44,7 +44,7 @@ def hash_password(password: str, name: str = "") -> str:
 
 
 def verify_password(password_hash: str, password: str) -> bool:
-    """Whether it is the password. An empty hash (no such user, or no password) costs the same time and is false.
+    """Return whether the password is right. An empty hash (unknown user, or no password) takes the same time.
 
     Raises `busy`.
     """
@@ -74,14 +74,12 @@ def _nobodys() -> str:
     return _hasher.hash(token_urlsafe(32))
 
 
-# Rejects guessable passwords: common ones, the user's own name, repetitions.
-#
-# **Conventions.** `common_passwords.txt` stands for some 8,000 of the commonest leaked passwords, lower case and
-# without digits (of the list of the package zxcvbn 4.5, MIT licence, made from leaks of ten million), as the first
-# four bytes of each one's sha256: what many of them say nobody needs to read. What remains of a password without
-# digits, signs and spaces may not be one of them or one repeated. Looked up here, asking nobody: no password and no
-# part of its hash leaves the machine. Composition is not asked for (NIST SP 800-63B, 5.1.1.2; OWASP ASVS 2.1.7 and
-# 2.1.9).
+# Rejects guessable passwords: common ones, the user's own name, repetitions. `common_passwords.txt` represents about
+# 8,000 of the most common leaked passwords, lower case and without digits. They come from the list of the package
+# zxcvbn 4.5 (MIT licence), made from leaks of ten million. The file contains the first four bytes of their sha256,
+# because many of them are offensive. The rest of a password without digits, signs and spaces must not be one of them or
+# a repetition. The check is local: no password and no part of its hash leaves the machine. Composition rules are not
+# required (NIST SP 800-63B, 5.1.1.2; OWASP ASVS 2.1.7 and 2.1.9).
 
 
 FEWEST_CHARACTERS = 5
@@ -89,11 +87,11 @@ SHORTEST_NAME = 3
 RUNS = ("abcdefghijklmnopqrstuvwxyz", "qwertyuiopasdfghjklzxcvbnm", "qwertzuiopasdfghjklyxcvbnm", "1234567890")
 PLATFORM = ("traversability", "platform", "stone", "admin")
 BESIDE = 4
-"""So many letters beside a common password or a name are an ornament, not another word."""
+"""Up to this many letters beside a common password or a name are an ornament, not another word."""
 
 
 def refuse_guessable(password: str, name: str = "") -> None:
-    """Raises `guessable_password`; `name` is that of the user who is to have it."""
+    """Raise `guessable_password`; `name` is the name of the password's user."""
     folded = password.casefold()
     letters = "".join(character for character in folded if character.isalpha())
     if len(set(folded)) < FEWEST_CHARACTERS:
@@ -108,7 +106,7 @@ def refuse_guessable(password: str, name: str = "") -> None:
 
 @cache
 def common_marks() -> frozenset[str]:
-    """What `_mark` makes of the common ones."""
+    """Return the marks (`_mark`) of the common passwords."""
     return frozenset(files("services.runtime.access").joinpath("common_passwords.txt").read_text("utf-8").split())
 
 
@@ -117,7 +115,7 @@ def _mark(text: str) -> str:
 
 
 def _is_run(folded: str) -> bool:
-    """Whether it goes along one of the runs, round and round."""
+    """Return whether the text follows one of the sequences, cyclically."""
     plain = re.sub(r"[\W_]+", "", folded)
     return any(plain in run * (len(plain) // len(run) + 2) for run in RUNS)
 
@@ -131,7 +129,7 @@ def _is_about(letters: str, name: str) -> bool:
 
 
 def _once(letters: str) -> str:
-    """The shortest text that it is a repetition of."""
+    """Return the shortest text whose repetition is this text."""
     return letters[: (letters + letters).find(letters, 1)] if letters else ""
 
 

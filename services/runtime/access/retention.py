@@ -1,7 +1,7 @@
 """Deletes expired sessions, tokens, invitations and device grants, failed sign-ins, old addresses, idempotent replies.
 
-**Conventions.** Done by the sweeper. What ended is refused from its last second on, whether its row is gone or not. A
-token stays listed for `TOKENS_SHOWN_NS` after its end, so that its owner sees why a program is refused.
+**Conventions.** The sweeper runs it. Expired credentials are refused from their last second on, whether or not the row
+still exists. A token stays listed for `TOKENS_SHOWN_NS` after its end, so that its owner sees why a program is refused.
 """
 
 import structlog
@@ -32,7 +32,7 @@ MOST_TIMES = 20
 
 
 def forget_ended(platform: Platform) -> int:
-    """Delete such rows, of each kind at most `AT_A_TIME * MOST_TIMES`; how many went. Any number may run at once."""
+    """Delete expired rows, of each kind at most `AT_A_TIME * MOST_TIMES`; return their number. Safe concurrently."""
     now, idle_ns = now_ns(), int(platform.settings.api.session_idle_s * 1e9)
     ended = (
         (WebSession.id, WebSession.expires_ns <= now),
@@ -48,7 +48,7 @@ def forget_ended(platform: Platform) -> int:
 
 
 def _deleted(platform: Platform, key: InstrumentedAttribute[str], is_over: ColumnElement[bool]) -> int:
-    """How many rows went, some in each of a few transactions: whoever else writes does not wait for all of them."""
+    """Delete rows in several small transactions, so that other writers wait only briefly; return their number."""
     some = select(key).where(is_over).limit(AT_A_TIME)
     ended = delete(key.class_).where(key.in_(some), is_over)
     deleted = 0
@@ -61,12 +61,11 @@ def _deleted(platform: Platform, key: InstrumentedAttribute[str], is_over: Colum
     return deleted
 
 
-# Retention of the audit log: cuts off lines older than `STONE_RETENTION__AUDIT_S`, keeping the hash chain.
-#
-# **Conventions.** An anchor holds the number and the hash of the last line that went; the next line still follows from
-# it, so whoever noted a head before can go on checking. The database lets lines go only up to an anchor, and never
-# changes one (`migrations`); the cut is in the process's own log. What is younger than `LEAST_S` stays whatever is
-# set: a mistyped figure must not cost the trace of last week.
+# Retention of the audit log: deletes lines older than `STONE_RETENTION__AUDIT_S`, preserving the hash chain. An anchor
+# stores the number and the hash of the last deleted line, from which the next line still follows, so an earlier noted
+# head can still be verified. The database allows deletions only up to an anchor, and never changes anchors
+# (`migrations`); the cut is also in the process's log. Lines younger than `LEAST_S` stay whatever the setting, so that
+# a typo does not delete last week's trace.
 
 
 LEAST_S = 90 * 86_400.0
@@ -77,9 +76,9 @@ log = structlog.get_logger(__name__)
 
 
 def cut_audit(platform: Platform) -> int:
-    """Remove lines that are old enough, at most `AUDIT_LINES_AT_A_TIME * MOST_AUDIT_TIMES`; return how many.
+    """Delete expired lines, at most `AUDIT_LINES_AT_A_TIME * MOST_AUDIT_TIMES`; return their number.
 
-    With 0 set none is removed.
+    If the setting is 0, no line is deleted.
     """
     kept_s = platform.settings.retention.audit_s
     if not kept_s:
@@ -95,7 +94,7 @@ def cut_audit(platform: Platform) -> int:
 
 
 def _cut_some(platform: Platform, before_ns: int) -> int:
-    """The oldest of them. Lines stand in the order of their numbers; the first young one ends it."""
+    """Delete the oldest expired lines; lines are in the order of their numbers, so the first young line ends it."""
     with platform.database.transaction() as session:
         oldest = select(AuditEntry).order_by(AuditEntry.number).limit(AUDIT_LINES_AT_A_TIME)
         old = []

@@ -1,8 +1,8 @@
 """Roles and the scopes they allow.
 
-**Conventions.** Roles are ordered: whatever a participant may, a curator may; whatever a curator may, an administrator.
-The scope `account` is to change one's own credentials: tokens, browsers, the password. Every role allows it, and a
-token has it only where it was asked for.
+**Conventions.** Roles are ordered: curators may do everything that participants may, administrators everything that
+curators may. The scope `account` allows changing one's own credentials: tokens, browser sessions, the password. Every
+role allows it, and a token has it only on explicit request.
 """
 
 from collections.abc import Iterable
@@ -22,15 +22,15 @@ SCOPES_OF: dict[str, frozenset[str]] = {
 
 
 def rank(role: str) -> int:
-    """0 for a participant, growing with what the role may; −1 for a role we do not know."""
+    """Return 0 for a participant, increasing with the role's rights; −1 for an unknown role."""
     return ROLES.index(role) if role in ROLES else -1
 
 
 def allows(role: str, accepted: Iterable[str]) -> bool:
-    """Whether `role` is at least one of `accepted`; anybody known is, where none is named."""
+    """Return whether `role` is at least one of `accepted`; if `accepted` is empty, any known role is."""
     return rank(role) >= min((rank(name) for name in accepted), default=0)
 
 
 def scopes_in_force(role: str, held: Iterable[str]) -> frozenset[str]:
-    """The scopes of a token that its owner's role allows now."""
+    """Return the scopes of a token that its owner's role currently allows."""
     return frozenset(held) & SCOPES_OF.get(role, frozenset())

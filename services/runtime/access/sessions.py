@@ -15,7 +15,7 @@ LONGEST_SECRET = 64
 
 
 def is_password_of(user: User | None, password: str) -> bool:
-    """Whether this active user has that password; nobody costs the same time. Slow: hold no transaction meanwhile."""
+    """Return whether this active user has that password. Equally slow for None: hold no transaction meanwhile."""
     is_known = user is not None and user.is_active
     return verify_password(user.password_hash if user and is_known else "", password)
 
@@ -26,7 +26,7 @@ def open_session(session: Session, user: User, lasts_s: float) -> SessionSecrets
 
 
 def find_session(session: Session, secret: str, idle_s: float) -> WebSession | None:
-    """The session of this cookie, if it has not expired, was used within `idle_s`, and its user is active."""
+    """Return the unexpired session with this cookie, if it was used within `idle_s` and its user is active."""
     if not 0 < len(secret) <= LONGEST_SECRET:
         return None
     row = session.scalars(select(WebSession).where(WebSession.secret_hash == hash_of(secret))).one_or_none()
@@ -36,12 +36,12 @@ def find_session(session: Session, secret: str, idle_s: float) -> WebSession | N
 
 
 def is_use_due(row: WebSession) -> bool:
-    """Whether its last use is worth writing: at most once a minute."""
+    """Return whether its last use should be written: at most once a minute."""
     return abs(now_ns() - row.used_ns) >= USED_EVERY_NS
 
 
 def note_use(session: Session, session_id: str) -> None:
-    """Write that the session is used now."""
+    """Write that the session is in use."""
     used = update(WebSession).where(WebSession.id == session_id).values(used_ns=now_ns())
     session.execute(used, execution_options=NOTES_USE)
 

@@ -1,9 +1,9 @@
 """The storage quota: an append-only ledger whose sum is the balance.
 
-**Conventions.** Amounts are bytes, positive when taken, negative when given back; a subject (an upload's id) is what
-they are taken for, and stays so when the upload has become a recording. Each function is part of the caller's
-transaction and locks the owner's row, so that two reservations at once cannot both take the last bytes. The lock is
-the weaker one (PostgreSQL `FOR NO KEY UPDATE`): rows that refer to the owner may be inserted meanwhile.
+**Conventions.** Amounts are bytes, positive if reserved, negative if released. The subject of an amount (an upload's
+id) stays the same when the upload becomes a recording. Each function is part of the caller's transaction and locks the
+owner's row, so that two concurrent reservations cannot both take the last bytes. The weak lock (PostgreSQL `FOR NO KEY
+UPDATE`) allows inserts of rows that refer to the owner.
 """
 
 from sqlalchemy import func, select
@@ -15,11 +15,11 @@ from stone.errors import Refused
 
 BYTES = "bytes"
 LOW_RATIO = 0.9
-"""From this share of the limit on the owner's storage is low."""
+"""The owner's storage is low from this share of the limit on."""
 
 
 def reserve(session: Session, owner_id: str, amount: int, subject_id: str, reason: str, limit: int) -> None:
-    """Take `amount` bytes for the subject. Raises `quota_exceeded`, and takes nothing then."""
+    """Reserve `amount` bytes for the subject. Raises `quota_exceeded`, and then reserves nothing."""
     lock_owner(session, owner_id)
     used = balance(session, owner_id)
     if used + amount > limit:
@@ -47,7 +47,7 @@ def count(session: Session, owner_id: str, amount: int, subject_id: str, reason:
 
 
 def release(session: Session, subject_id: str, reason: str) -> int:
-    """Give back all that is taken for the subject; how many bytes that were. A second time it is 0."""
+    """Release all bytes of the subject; return their number, 0 if already released."""
     owners = select(QuotaEntry.owner_id).where(QuotaEntry.subject_id == subject_id).distinct()
     released = 0
     for owner_id in sorted(session.scalars(owners)):
@@ -62,14 +62,13 @@ def release(session: Session, subject_id: str, reason: str) -> int:
 
 
 def balance(session: Session, owner_id: str) -> int:
-    """The bytes the owner has taken and not given back."""
+    """Return the bytes that the owner uses."""
     total = select(func.coalesce(func.sum(QuotaEntry.amount), 0)).where(QuotaEntry.owner_id == owner_id)
     return int(session.scalar(total) or 0)
 
 
 def lock_owner(session: Session, owner_id: str) -> None:
-    """Lock the owner's ledger, and whatever else is the owner's; on SQLite the transaction itself is the lock
-    (`BEGIN IMMEDIATE`)."""
+    """Lock the owner's ledger and other rows of the owner; on SQLite the transaction is the lock."""
     session.execute(select(User.id).where(User.id == owner_id).with_for_update(key_share=True))
 
 

@@ -24,7 +24,7 @@ def issue(session: Session, user: User, name: str, scopes: Iterable[str], expire
 
 
 def find(session: Session, secret: str) -> Token | None:
-    """The token of this secret, if it has not expired and its user is active."""
+    """Return the unexpired token with this secret, if its user is active."""
     if not SECRET.fullmatch(secret):
         return None
     row = session.scalars(select(Token).where(Token.secret_hash == hash_of(secret))).one_or_none()
@@ -32,17 +32,17 @@ def find(session: Session, secret: str) -> Token | None:
 
 
 def is_use_due(token: Token) -> bool:
-    """Whether its last use is worth writing: at most once a minute."""
+    """Return whether its last use should be written: at most once a minute."""
     return token.used_ns is None or abs(now_ns() - token.used_ns) >= USED_EVERY_NS
 
 
 def note_use(session: Session, token_id: str) -> None:
-    """Write that the token is used now."""
+    """Write that the token is in use."""
     used = update(Token).where(Token.id == token_id).values(used_ns=now_ns())
     session.execute(used, execution_options=NOTES_USE)
 
 
 def revoke(session: Session, user_id: str, token_id: str) -> str | None:
-    """End a token of a user with all that it made: the name it had, None where they have no such token."""
+    """End a token of a user and all tokens it created; return its name, or None if the user has no such token."""
     own = delete(Token).where(Token.id == token_id, Token.user_id == user_id).returning(Token.name)
     return session.scalars(own).one_or_none()

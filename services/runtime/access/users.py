@@ -1,7 +1,7 @@
 """Users: created, found, changed.
 
 **Conventions.** A name is [a-z0-9._@+-]{1,64}: it appears in logs and on pages and must not be mistaken for markup, for
-a path or for another name in capitals. A user is never deleted, only made inactive: ledgers refer to them.
+a path or for another name in capitals. A user is never deleted, only deactivated, because ledgers refer to users.
 """
 
 import re
@@ -21,7 +21,7 @@ NAME = re.compile(r"[a-z0-9._@+-]{1,64}")
 
 
 def create_user(session: Session, name: str, role: str, password: str | None = None) -> User:
-    """Add an active user; without a password they have tokens only.
+    """Add an active user; without a password the user can only have tokens.
 
     Raises `bad_name`, `unknown_role`, `weak_password`, `name_taken`.
     """
@@ -40,7 +40,7 @@ def create_user(session: Session, name: str, role: str, password: str | None = N
 
 
 def find_user(session: Session, name: str) -> User | None:
-    """The user of that name, active or not."""
+    """Return the user with that name, active or not."""
     return session.scalars(select(User).where(User.name == name)).one_or_none()
 
 
@@ -73,7 +73,7 @@ def change_password(session: Session, user: User, password_hash: str) -> None:
 
 
 def _others(session: Session, user: User) -> list[User]:
-    """Other active administrators, locked, so that two cannot dismiss each other at once."""
+    """Return the other active administrators, locked, so that two cannot demote each other concurrently."""
     active = select(User).where(User.role == "administrator", User.is_active).order_by(User.id).with_for_update()
     return [other for other in session.scalars(active).all() if other.id != user.id]
 

@@ -1,7 +1,7 @@
 """`python -m services.runtime.backup to|restore|verify|list|prune FOLDER`: docs/operations/backup.md.
 
-**Conventions.** Which platform is meant is said by `STONE_*`, as to every process. Ends with 0 when all is well, 1 when
-something is refused, damaged or lost (sentences on stderr), 2 when it was asked for what there is not.
+**Conventions.** `STONE_*` settings select the platform, as for every process. The exit code is 0 on success, 1 if
+something is refused, damaged or lost (messages on stderr), 2 for a usage error.
 """
 
 import argparse

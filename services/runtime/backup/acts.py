@@ -1,4 +1,4 @@
-"""The acts of an administrator on backups: take, list, verify, prune, restore; each with its messages."""
+"""An administrator's commands on backups: take, list, verify, prune, restore; each with its messages."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -19,7 +19,7 @@ MIB = 2**20
 
 @dataclass(frozen=True)
 class BackupOutcome:
-    """Sentences for people, a record for programs, and whether nothing is damaged or lost."""
+    """Messages for people, a record for programs, and whether nothing is damaged or lost."""
 
     lines: tuple[str, ...]
     record: Mapping[str, Any]
@@ -56,7 +56,7 @@ def prune_backups(folder: BackupFolder, keep: int) -> BackupOutcome:
 
 
 def list_backups(folder: BackupFolder) -> BackupOutcome:
-    """One line and one record for each snapshot, the oldest first."""
+    """Return one line and one record for each snapshot, the oldest first."""
     found = []
     for name in folder.snapshots():
         snapshot, _files = read_snapshot(folder.snapshot(name))

@@ -1,8 +1,8 @@
-"""Creates a backup: a database snapshot, then the stored objects that it names.
+"""Creates a backup: a database snapshot, then the stored objects that it refers to.
 
-**Conventions.** Work goes on meanwhile. What the snapshot names and the platform itself has lost or damaged is a flaw:
-it is said and everything else is kept. An outage of database or store ends the backup; the next one finds what was
-brought already.
+**Conventions.** The platform continues to run. Objects that the platform itself has lost or damaged are flaws: they are
+reported, and everything else is backed up. An outage of database or store ends the backup; the next backup reuses the
+copied contents.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -30,16 +30,15 @@ from services.runtime.uploads.files import offset_of, upload_file
 from services.runtime.uploads.part_rows import STORE
 from services.runtime.uploads.rows import GONE
 
-# What a database state refers to outside of it: blobs, work files of unfinished runs, uploads under way.
-#
-# **Conventions.** Asked within the snapshot's own transaction, except for what may be much: blobs and upload parts
-# (bytes under way that lie in the store) are read from the rows that were written. Of uploads only those in the folder
-# are told. A run is over when it succeeded, or failed so long ago that its work is not kept (`garbage_collection`).
+# References of a database state to data outside of it: blobs, work files of unfinished runs, unfinished uploads. They
+# are read within the snapshot's own transaction, except for potentially many: blobs and upload parts (bytes in the
+# store) are read from the written rows. Only uploads in the folder are included. A run is over if it succeeded, or
+# failed so long ago that its work is not kept (`garbage_collection`).
 
 
 @dataclass(frozen=True)
 class BackupUpload:
-    """An upload whose bytes lie in the folder only; `sha256` is empty until all of them are there."""
+    """An upload whose bytes are only in the folder; `sha256` is empty until the upload is complete."""
 
     id: str
     sha256: str
@@ -47,7 +46,7 @@ class BackupUpload:
 
 @dataclass(frozen=True)
 class BackupReferences:
-    """Ids of the runs whose work is needed, and the uploads whose bytes are."""
+    """Ids of the runs whose work is needed, and the uploads whose bytes are needed."""
 
     runs: frozenset[str]
     uploads: tuple[BackupUpload, ...]
@@ -64,7 +63,7 @@ def _runs(connection: Connection) -> list[str]:
 
 
 def _uploads(connection: Connection) -> list[BackupUpload]:
-    """Uploads under way or whole, and those of which whoever used them has no blob yet."""
+    """Return unfinished and complete uploads, and consumed uploads that have no blob yet."""
     used = Upload.state == "consumed"
     recorded = select(RecordingFile.upload_id).where(RecordingFile.blob_sha256.is_(None))
     submitted = select(SubmissionRow.upload_id).where(SubmissionRow.blob_sha256.is_(None))
@@ -89,7 +88,7 @@ AHEAD = 64
 
 @dataclass(frozen=True)
 class BackupResult:
-    """`brought` is what was not there from earlier backups."""
+    """`brought` counts contents that were not in earlier backups."""
 
     folder: Path
     snapshot: BackupSnapshot
@@ -112,7 +111,7 @@ class _BackupWriter:
     brought_bytes: int = 0
 
     def bring_blobs(self, rows: Iterable[list[object]]) -> None:
-        """`rows` are (sha256, object_key, size_bytes)."""
+        """Copy the blobs of the rows (sha256, object_key, size_bytes)."""
         contents = ((BackupContent(str(sha256), int(str(size))), str(key)) for sha256, key, size in rows)
         with ThreadPoolExecutor(COPIES) as pool:
             for content, flaw in _few_ahead(pool, self._bring_blob, contents):
@@ -123,7 +122,7 @@ class _BackupWriter:
                     self._count(content)
 
     def bring_upload_parts(self, rows: Iterable[list[object]]) -> None:
-        """`rows` are (object_key, blob_sha256); several may name one object, and that of a blob is brought already."""
+        """Copy the objects of the rows (object_key, blob_sha256), each once; objects of blobs are already copied."""
         for key in sorted({str(key) for key, blob_sha256 in rows if blob_sha256 is None}):
             try:
                 self._keep(BackupFile("object", key, self.folder.add(key, self.platform.store.read(key))))
@@ -136,12 +135,12 @@ class _BackupWriter:
             if stored.key.split("/")[1] in runs:
                 try:
                     content = self.folder.add(stored.key, store.read(stored.key))
-                except ObjectMissingError:  # of a job that took it back; no row names a file of a workspace
+                except ObjectMissingError:  # deleted by its job; no row refers to a workspace file
                     continue
                 self._keep(BackupFile("object", stored.key, content))
 
     def bring_upload(self, upload: BackupUpload) -> None:
-        """Its bytes as far as they count, at least those of the snapshot's moment."""
+        """Copy its counted bytes, at least those at the time of the snapshot."""
         path = upload_file(self.platform.settings, upload.id)
         try:
             content = self.folder.add(path.name, pieces_of(path, offset_of(path)), upload.sha256)
@@ -153,7 +152,7 @@ class _BackupWriter:
             self._keep(BackupFile("upload", upload.id, content))
 
     def _bring_ended(self, upload: BackupUpload) -> None:
-        """It became a blob since the snapshot, or was given up, or its file was lost before."""
+        """Handle an upload that became a blob after the snapshot, was abandoned, or whose file was lost before."""
         with self.platform.database.reading() as session:
             row = session.get_one(Upload, upload.id)
             blob = session.scalar(select(Blob).where(Blob.sha256 == row.sha256)) if row.sha256 else None
@@ -166,7 +165,7 @@ class _BackupWriter:
             self.flaws.append(f"upload {upload.id} has no file")
 
     def _bring_blob(self, named: tuple[BackupContent, str]) -> tuple[BackupContent | None, str]:
-        """What was brought, if anything had to be; the flaw, if there is one."""
+        """Return the copied content, if a copy was needed, and the flaw, if any."""
         content, key = named
         if self.folder.has(content):
             return None, ""
@@ -185,7 +184,7 @@ class _BackupWriter:
 
 
 def make_backup(platform: Platform, folder: BackupFolder) -> BackupResult:
-    """Back up database, store and uploads as of now.
+    """Back up the current database, store and uploads.
 
     Raises `backup_busy`, `schema_not_current`, `HoldLostError`, `store_unavailable`, `StorageFullError`, `OSError`.
     """
@@ -215,7 +214,7 @@ def make_backup(platform: Platform, folder: BackupFolder) -> BackupResult:
 
 
 def _require_room(platform: Platform, folder: BackupFolder, rows: Iterable[list[object]]) -> None:
-    """Raises `StorageFullError` if the new contents do not fit; the platform's own disk keeps its reserve."""
+    """Raise `StorageFullError` if the new contents do not fit; the platform's own disk keeps its reserve."""
     contents = (BackupContent(str(sha256), int(str(size))) for sha256, _, size in rows)
     new_bytes = sum(content.size_bytes for content in contents if not folder.has(content))
     is_ours = folder.root.stat().st_dev == platform.settings.root.stat().st_dev
@@ -227,7 +226,7 @@ def _named(tables: tuple[TableFacts, ...], row: type[Base]) -> TableFacts:
 
 
 def _frozen(platform: Platform, place: Path) -> tuple[tuple[TableFacts, ...], BackupReferences]:
-    """The database as it is at this moment; the transaction is over before anything slow is copied."""
+    """Dump the current database; the transaction ends before anything slow is copied."""
     with snapshot_of(platform.database) as connection:
         return dump(connection, place), backup_references(connection)
 
@@ -237,7 +236,7 @@ def _few_ahead(
     act: Callable[[tuple[BackupContent, str]], tuple[BackupContent | None, str]],
     items: Iterable[tuple[BackupContent, str]],
 ) -> Iterator[tuple[BackupContent | None, str]]:
-    """Results of `act`, in order; never more than `AHEAD` of them under way, however many there are."""
+    """Yield the results of `act`, in order, with at most `AHEAD` calls in progress."""
     waiting = []
     for item in items:
         waiting.append(pool.submit(act, item))

@@ -6,7 +6,7 @@ from stone.errors import PlatformFaultError, StoneError
 
 
 class DamagedBackupError(StoneError):
-    """What lies in the backup is not what was put there."""
+    """The content of the backup differs from what was written."""
 
     code = "backup_damaged"
 
@@ -15,7 +15,7 @@ class DamagedBackupError(StoneError):
 
 
 class SourceDamagedError(PlatformFaultError):
-    """The store's object is not what its row says."""
+    """The store's object differs from its row."""
 
     def __init__(self, name: str, found: str, expected: str) -> None:
         super().__init__(

@@ -1,7 +1,7 @@
 """The folder of backups: contents by sha256, once for all snapshots, and the snapshots beside them.
 
-**Conventions.** Whoever writes holds the lock of the folder; readers need none, since nothing there is ever changed.
-A content is written beside its place, flushed and renamed.
+**Conventions.** Writers hold the lock of the folder; readers need none, since files there never change. A content is
+written to a temporary file, flushed and renamed.
 """
 
 import fcntl
@@ -25,21 +25,21 @@ OBJECTS, SNAPSHOTS, STAGING, LOCK = "objects", "snapshots", ".staging", "lock"
 
 @dataclass(frozen=True)
 class BackupContent:
-    """Bytes by what they are."""
+    """Bytes, identified by their sha256 and size."""
 
     sha256: str
     size_bytes: int
 
 
 class BackupFolder:
-    """Backups below `root`; made, for its owner only, by whoever writes first."""
+    """Backups below `root`, which the first writer creates, accessible only to its owner."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
 
     @contextmanager
     def writing(self) -> Iterator[None]:
-        """Hold the folder; what a dead writer left half goes. Raises `backup_busy`."""
+        """Hold the folder's lock and delete partial files of dead writers. Raises `backup_busy`."""
         for folder in (self.root, self.root / OBJECTS, self.root / SNAPSHOTS, self.root / STAGING):
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         descriptor = os.open(self.root / LOCK, os.O_CREAT | os.O_RDWR, 0o600)
@@ -54,12 +54,12 @@ class BackupFolder:
             os.close(descriptor)
 
     def snapshots(self) -> list[str]:
-        """Names of the snapshots that are whole, oldest first."""
+        """Return the names of the complete snapshots, oldest first."""
         folder = self.root / SNAPSHOTS
         return sorted(entry.name for entry in folder.iterdir() if entry.name[0] != ".") if folder.is_dir() else []
 
     def snapshot(self, name: str = "") -> Path:
-        """The folder of a snapshot; the newest unless named. Raises `snapshot_missing`."""
+        """Return the folder of a snapshot (default: the newest). Raises `snapshot_missing`."""
         names = self.snapshots()
         if not names or (name and name not in names):
             raise snapshot_missing(self.root, name, names)
@@ -67,7 +67,7 @@ class BackupFolder:
 
     @contextmanager
     def new_snapshot(self) -> Iterator[Path]:
-        """A folder to fill, which becomes a snapshot at the end, or nothing."""
+        """Yield a folder to fill, which becomes a snapshot at the end, or is deleted on an error."""
         name = datetime.now(UTC).strftime("%Y-%m-%dT%H%M%S.%fZ")
         with atomic_directory(self.root / SNAPSHOTS / name) as staging:
             yield staging
@@ -82,7 +82,7 @@ class BackupFolder:
             return False
 
     def add(self, name: str, pieces: Iterable[bytes], expected_sha256: str = "") -> BackupContent:
-        """Keep a content. Raises `SourceDamagedError` when it is another than expected; `name` is said then."""
+        """Store a content. Raises `SourceDamagedError`, which contains `name`, if its hash is not the expected one."""
         staging, hashed, size_bytes = self.root / STAGING / token_hex(8), hashlib.sha256(), 0
         try:
             with staging.open("xb") as file:
@@ -100,7 +100,7 @@ class BackupFolder:
             staging.unlink(missing_ok=True)
 
     def checked(self, content: BackupContent) -> Path:
-        """The file of a content that was read and found to be it. Raises `DamagedBackupError`."""
+        """Return the file of a content after reading and comparing it. Raises `DamagedBackupError`."""
         path = self.path_of(content.sha256)
         if not path.is_file():
             raise DamagedBackupError(path, "is missing")
@@ -131,7 +131,7 @@ def sha256_of(path: Path) -> str:
 
 
 def pieces_of(path: Path, size_bytes: int | None = None) -> Iterator[bytes]:
-    """The first `size_bytes` of a file, all of it unless said."""
+    """Yield the first `size_bytes` of a file (default: all)."""
     left = path.stat().st_size if size_bytes is None else size_bytes
     with path.open("rb") as file:
         while left and (piece := file.read(min(PIECE_BYTES, left))):

@@ -1,8 +1,9 @@
 """Restores a snapshot: objects and uploads first, the database last, in one transaction.
 
-**Conventions.** Onto an empty platform only: a database without tables, a store without objects, no uploads. What an
-interrupted restoring of the same snapshot left is no obstacle, since keys carry random signs: it goes on from there.
-Every content is hashed before it is used. Jobs that were running are queued again, not counted against their attempts.
+**Conventions.** The target must be an empty platform: a database without tables, a store without objects, no uploads.
+An interrupted restore of the same snapshot can be resumed, since keys contain random characters that identify its
+objects. Every content is hashed before it is used. Jobs that were running are queued again, without counting the
+attempt.
 """
 
 from collections.abc import Iterator
@@ -33,7 +34,7 @@ RESTORED = Failure("platform_restored", "the platform was restored from a backup
 
 @dataclass(frozen=True)
 class BackupRestoreResult:
-    """`flawed` are contents that the platform had lost before the backup was taken."""
+    """`flawed` are contents that the platform had lost before the backup."""
 
     snapshot: BackupSnapshot
     rows: int
@@ -44,7 +45,7 @@ class BackupRestoreResult:
 
 
 def restore(platform: Platform, folder: BackupFolder, name: str = "") -> BackupRestoreResult:
-    """Bring back the snapshot `name`, the newest unless named; no process of the platform may run meanwhile.
+    """Restore the snapshot `name` (default: the newest); no process of the platform may run meanwhile.
 
     Raises `snapshot_missing`, `DamagedBackupError`, `target_not_empty`, `schema_newer`, `schema_older`,
     `StoreFullError`, `store_unavailable`.
@@ -77,7 +78,7 @@ def _refuse(platform: Platform, snapshot: BackupSnapshot) -> None:
 def _wanted(
     place: Path, snapshot: BackupSnapshot, files: tuple[BackupFile, ...]
 ) -> Iterator[tuple[str, BackupContent]]:
-    """The objects of the snapshot by key."""
+    """Yield the objects of the snapshot by key."""
     rows = dumped_rows(place, snapshot.table(Blob.__tablename__), ("object_key", "sha256", "size_bytes"))
     yield from ((key, BackupContent(sha256, size_bytes)) for key, sha256, size_bytes in rows)
     yield from ((file.name, file.content) for file in files if file.place == "object")
@@ -89,7 +90,7 @@ def _refuse_foreign(
     present: dict[str, StoredObject],
     files: tuple[BackupFile, ...],
 ) -> None:
-    """Whatever is there that is not of this snapshot belongs to somebody."""
+    """Refuse objects and files that are not in this snapshot, because they may belong to another platform."""
     for key, stored in present.items():
         if key not in wanted or wanted[key].size_bytes != stored.size_bytes:
             raise target_not_empty("the store", f"an object {key} that is not in this snapshot")
@@ -101,7 +102,7 @@ def _refuse_foreign(
 
 
 def _store(platform: Platform, folder: BackupFolder, missing: dict[str, BackupContent], *, is_flawed: bool) -> int:
-    """Put objects back, a few at a time; how many the backup says it never had."""
+    """Restore objects, a few at a time; return the number of flawed objects that the backup lacks."""
 
     def put(item: tuple[str, BackupContent]) -> int:
         key, content = item
@@ -125,7 +126,7 @@ def _place_upload(platform: Platform, folder: BackupFolder, file: BackupFile) ->
 
 
 def _settle(platform: Platform, snapshot: BackupSnapshot) -> int:
-    """Reset the state of processes that are gone; returns how many jobs were queued again."""
+    """Reset the state of ended processes; return the number of jobs that were queued again."""
     with platform.database.transaction() as session:
         for row in (*session.query(GcHoldRow), *session.query(StoreFault), *session.query(Worker)):
             session.delete(row)
@@ -136,7 +137,7 @@ def _settle(platform: Platform, snapshot: BackupSnapshot) -> int:
             leave(session, upload, "terminated", "abandoned by the backup")
     queued_again = give_back_running(platform, RESTORED, is_counted=False)
     with platform.database.transaction() as session:
-        session.execute(text("ANALYZE"))  # or the first plans are made for empty tables
+        session.execute(text("ANALYZE"))  # otherwise the first plans are made for empty tables
     return queued_again
 
 

@@ -1,7 +1,7 @@
 """Verification of a folder of backups, and pruning of old snapshots.
 
-**Conventions.** What no snapshot names may go, and only under the folder's lock: a backup that is being taken names
-things that no snapshot names yet.
+**Conventions.** Contents without a snapshot may be deleted only under the folder's lock, because a running backup uses
+contents that are not in any snapshot yet.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from services.runtime.orm import Blob
 
 @dataclass(frozen=True)
 class BackupVerification:
-    """The result of a verification: what was read, and a sentence for each fault."""
+    """The number of read contents, and a sentence for each fault."""
 
     snapshots: int
     contents: int
@@ -35,7 +35,7 @@ class BackupPruneResult:
 
 
 def verify(folder: BackupFolder) -> BackupVerification:
-    """Read everything that any snapshot names."""
+    """Read every content of every snapshot."""
     wanted: set[BackupContent] = set()
     damaged = []
     names = folder.snapshots()
@@ -53,7 +53,7 @@ def verify(folder: BackupFolder) -> BackupVerification:
 
 
 def prune(folder: BackupFolder, kept: int) -> BackupPruneResult:
-    """Only the newest `kept` snapshots stay, and what they name. Raises `backup_busy`, `DamagedBackupError`."""
+    """Keep only the newest `kept` snapshots and their contents. Raises `backup_busy`, `DamagedBackupError`."""
     with folder.writing():
         names = folder.snapshots()
         leaving, staying = names[:-kept], names[-kept:]
@@ -68,7 +68,7 @@ def prune(folder: BackupFolder, kept: int) -> BackupPruneResult:
 
 
 def contents_of(place: Path) -> set[BackupContent]:
-    """Contents that a snapshot names, but those the platform had lost itself. Raises `DamagedBackupError`."""
+    """Return the contents of a snapshot, except those the platform had lost. Raises `DamagedBackupError`."""
     snapshot, files = read_snapshot(place)
     checked_tables(place, snapshot.tables)
     flawed = " ".join(snapshot.flaws)

@@ -1,7 +1,7 @@
 """The record of a snapshot, and its file format.
 
-**Conventions.** `snapshot.json` carries the hashes of everything beside it, and its own name is said where it is
-restored; a line in it that does not fit is refused, not guessed at.
+**Conventions.** `snapshot.json` contains the hashes of all other files of the snapshot, and its own name, which a
+restore reports. Invalid lines are refused.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ SNAPSHOT, FILES = "snapshot.json", "files.json"
 
 @dataclass(frozen=True)
 class BackupFile:
-    """A file that is no blob: an object of the store by its key, or the bytes in the uploads folder by upload."""
+    """A file that is not a blob: an object of the store by its key, or an upload's bytes in the uploads folder."""
 
     place: Literal["object", "upload"]
     name: str
@@ -28,7 +28,7 @@ class BackupFile:
 
 @dataclass(frozen=True)
 class BackupSnapshot:
-    """`flaws` names what the platform itself had lost or damaged; `given_up` uploads that ended meanwhile."""
+    """`flaws` are objects that the platform itself had lost or damaged; `given_up` are uploads that ended meanwhile."""
 
     revision: str
     code_version: str
@@ -47,7 +47,7 @@ _SNAPSHOT, _FILES = TypeAdapter(BackupSnapshot), TypeAdapter(tuple[BackupFile, .
 
 
 def write_files(folder: Path, files: tuple[BackupFile, ...]) -> str:
-    """The sha256 of what was written."""
+    """Write the file list; return its sha256."""
     (folder / FILES).write_bytes(_FILES.dump_json(files, indent=1))
     return sha256_of(folder / FILES)
 
@@ -57,7 +57,7 @@ def write_snapshot(folder: Path, snapshot: BackupSnapshot) -> None:
 
 
 def read_snapshot(folder: Path) -> tuple[BackupSnapshot, tuple[BackupFile, ...]]:
-    """Raises `DamagedBackupError`."""
+    """Return the snapshot and its files. Raises `DamagedBackupError`."""
     try:
         snapshot = _SNAPSHOT.validate_json((folder / SNAPSHOT).read_bytes())
         if sha256_of(folder / FILES) != snapshot.files_sha256:

@@ -1,9 +1,9 @@
-"""Dump and restore of all database tables in one snapshot, for SQLite and PostgreSQL either way round.
+"""Dump and restore of all database tables in one snapshot, between SQLite and PostgreSQL in any direction.
 
 **Conventions.** PostgreSQL reads and writes the files itself (COPY), in a REPEATABLE READ transaction; SQLite's WAL
-gives a reader the state of its first statement. The schema is not in the backup but the revision it was of: Alembic
-makes it, the rows follow in the order of their references, then Alembic goes on to what this code is of. All of it is
-one transaction, so a database is restored whole or stays empty.
+gives a reader the state of its first statement. The backup contains the schema's revision instead of the schema:
+Alembic creates it, the rows follow in the order of their references, then Alembic upgrades to this code's revision. All
+of it is one transaction, so a database is restored completely or stays empty.
 """
 
 import hashlib
@@ -27,11 +27,10 @@ from services.runtime.database.transactions import Database
 from services.runtime.orm import Base
 from stone.errors import Refused
 
-# Rows as text, in the format of PostgreSQL's `COPY … (FORMAT text)`, read and written without PostgreSQL.
-#
-# **Conventions.** One line a row, values separated by tabs, `\N` for null; backslash, tab and line ends within a value
-# are escaped. Booleans are t and f, bytes `\x` and hex, JSON its text as it was stored, to the letter.
-# Source: PostgreSQL documentation, COPY, "Text Format".
+# Rows as text, in the format of PostgreSQL's `COPY … (FORMAT text)`, read and written without PostgreSQL. One line per
+# row, values separated by tabs, `\N` for null; backslash, tab and line ends within a value are escaped. Booleans are t
+# and f, bytes `\x` and hex, JSON its stored text, character by character. Source: PostgreSQL documentation, COPY, "Text
+# Format".
 
 
 Kind = Literal["text", "integer", "float", "boolean", "json", "bytes"]
@@ -51,17 +50,17 @@ _KINDS: tuple[tuple[type, Kind], ...] = (
 
 
 def kind_of(column: Column[Any]) -> Kind:
-    """The text format of the column's values."""
+    """Return the text format of the column's values."""
     return next(kind for type_, kind in _KINDS if isinstance(column.type, type_))
 
 
 def line_of(row: Iterable[Any], kinds: Sequence[Kind]) -> str:
-    """A row as SQLite's driver gives it, as a line."""
+    """Return a row from SQLite's driver as a line."""
     return "\t".join(NULL if value is None else _WRITTEN[kind](value) for value, kind in zip(row, kinds, strict=True))
 
 
 def row_of(line: str, kinds: Sequence[Kind]) -> list[Any]:
-    """A line's row as SQLite's driver takes it. Raises `ValueError` for what is no such line."""
+    """Return a line's row for SQLite's driver. Raises `ValueError` for an invalid line."""
     fields = line.split("\t")
     return [
         None if field == NULL else _READ[kind](_unescaped(field)) for field, kind in zip(fields, kinds, strict=True)
@@ -69,7 +68,7 @@ def row_of(line: str, kinds: Sequence[Kind]) -> list[Any]:
 
 
 def lines_of(pieces: Iterable[bytes]) -> Iterator[str]:
-    """The lines of a file that comes in pieces."""
+    """Yield the lines of a file that arrives in pieces."""
     rest = b""
     for piece in pieces:
         *lines, rest = (rest + piece).split(b"\n")
@@ -117,7 +116,7 @@ class ColumnFacts:
 
 @dataclass(frozen=True)
 class TableFacts:
-    """A table as it was written: `sha256` is that of its file."""
+    """A written table; `sha256` is its file's."""
 
     name: str
     columns: tuple[ColumnFacts, ...]
@@ -131,7 +130,7 @@ class TableFacts:
 
 @contextmanager
 def snapshot_of(database: Database) -> Iterator[Connection]:
-    """A connection that sees one state of the database, that of this moment. Raises `schema_not_current`."""
+    """Yield a connection that sees the current state of the database. Raises `schema_not_current`."""
     options = {} if database.is_sqlite else {"isolation_level": "REPEATABLE READ", "postgresql_readonly": True}
     with database.engine.connect().execution_options(**options) as connection:
         stands = MigrationContext.configure(connection).get_current_revision()
@@ -145,13 +144,13 @@ def snapshot_of(database: Database) -> Iterator[Connection]:
 
 
 def dump(connection: Connection, folder: Path, metadata: MetaData = Base.metadata) -> tuple[TableFacts, ...]:
-    """Write every table into `folder/tables`; in the order of their references."""
+    """Write every table into `folder/tables`, in the order of their references."""
     (folder / TABLES).mkdir()
     return tuple(_dump(connection, folder, table) for table in metadata.sorted_tables)
 
 
 def dumped_rows(folder: Path, table: TableFacts, names: Sequence[str]) -> Iterator[list[Any]]:
-    """The named columns of a table's rows. Raises `DamagedBackupError`."""
+    """Yield the named columns of a table's rows. Raises `DamagedBackupError`."""
     places = [[column.name for column in table.columns].index(name) for name in names]
     for line in _lines(_path(folder, table)):
         row = row_of(line, table.kinds)
@@ -159,7 +158,7 @@ def dumped_rows(folder: Path, table: TableFacts, names: Sequence[str]) -> Iterat
 
 
 def checked_tables(folder: Path, tables: Sequence[TableFacts]) -> None:
-    """Raises `DamagedBackupError` unless every file is what was written."""
+    """Raise `DamagedBackupError` if a file differs from what was written."""
     for table in tables:
         path = _path(folder, table)
         if not path.is_file() or sha256_of(path) != table.sha256:
@@ -198,7 +197,7 @@ def _dump(connection: Connection, folder: Path, table: Table) -> TableFacts:
 
 
 def _written(connection: Connection, table: TableFacts) -> Iterator[bytes]:
-    """The table's rows as text, in pieces."""
+    """Yield the table's rows as text, in pieces."""
     names, place = _quoted(connection, table)
     if connection.dialect.name == "sqlite":
         rows = connection.exec_driver_sql(f"SELECT {names} FROM {place}")
@@ -251,6 +250,6 @@ def _quoted(connection: Connection, table: TableFacts) -> tuple[str, str]:
 
 
 def _cursor(connection: Connection) -> Any:
-    """psycopg's own, in the connection's transaction."""
+    """Return psycopg's own cursor, in the connection's transaction."""
     driver: Any = connection.connection.driver_connection
     return driver.cursor()

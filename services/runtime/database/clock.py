@@ -1,6 +1,6 @@
 """The database's clock as an SQL expression, so that machines with different clocks agree on ages.
 
-**Conventions.** Nanoseconds since 1970, as precise as the database tells them (SQLite: milliseconds).
+**Conventions.** Nanoseconds since 1970, with the database's precision (SQLite: milliseconds).
 """
 
 from typing import Any
@@ -11,7 +11,7 @@ from sqlalchemy.sql.functions import FunctionElement
 
 
 class database_ns(FunctionElement[int]):  # noqa: N801  # an SQL function
-    """What the database's clock says while it runs the statement, not when the transaction began."""
+    """The database's clock when it runs the statement, not at the transaction's start."""
 
     type = BigInteger()
     inherit_cache = True

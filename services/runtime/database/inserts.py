@@ -11,9 +11,9 @@ from services.runtime.orm import Base
 
 
 def insert_new(session: Session, row: type[Base], values: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Insert those whose key is not there; the first primary key column of each that was inserted.
+    """Insert rows with new keys; return the first primary key column of each inserted row.
 
-    Waits for whoever is inserting or deleting the same key, and judges by what that left.
+    Waits for concurrent inserts and deletions of the same key, and then uses their result.
     """
     if not values:
         return []

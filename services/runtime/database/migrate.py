@@ -1,7 +1,7 @@
 """Database migration: applies all missing schema revisions in one transaction.
 
-**Conventions.** Any number of processes may start at once: one upgrades, the others wait and find nothing left to do
-(PostgreSQL: an advisory lock; SQLite: the write lock taken at BEGIN). SQLite's foreign keys are off meanwhile, since
+**Conventions.** Any number of processes may start concurrently: one upgrades, the others wait and find nothing left to
+do (PostgreSQL: an advisory lock; SQLite: the write lock taken at BEGIN). SQLite's foreign keys are off meanwhile, since
 rebuilding a table (batch mode) would cascade into its children; they are checked before the commit.
 """
 
@@ -21,15 +21,16 @@ from services.runtime.settings import Settings
 from stone.errors import Refused
 
 MIGRATIONS = Path(__file__).with_name("migrations")
-LAST_OF_OLDER = "1c1f180f"  # the last commit that upgrades databases from before the baseline
-LOCK = 0x53544F4E45  # "STONE": the advisory lock's number
+LAST_OF_OLDER = "1c1f180f"  # the last commit that upgrades databases older than the baseline
+LOCK = 0x53544F4E45  # "STONE": key of the advisory lock
 
 
 def upgrade(settings: Settings) -> None:
-    """Bring the database of `settings` to the newest revision; nothing happens where it is there already.
+    """Upgrade the database of `settings` to the newest revision, if necessary.
 
-    Raises `schema_newer` if a newer version of this code has migrated it, `schema_older` if it is from before the
-    baseline, `schema_broken_reference` if a revision left a row that refers to nothing (and nothing is changed then).
+    Raises `schema_newer` if a newer version of this code has migrated it, and `schema_older` if it is older than the
+    baseline.
+    Raises `schema_broken_reference` if a revision left a dangling reference; then nothing is changed.
     """
     with schema_connection(settings) as connection:
         stands = current_revision(connection)
@@ -41,17 +42,17 @@ def upgrade(settings: Settings) -> None:
 
 
 def alembic_on(connection: Connection) -> Config:
-    """The Alembic configuration for work in the connection's transaction."""
+    """Return the Alembic configuration for work in the connection's transaction."""
     return _configuration({"connection": connection})
 
 
 def current_revision(connection: Connection) -> str:
-    """The revision the database is at; empty before the first."""
+    """Return the database's revision; empty before the first."""
     return MigrationContext.configure(connection).get_current_revision() or ""
 
 
 def head_revision() -> str:
-    """The revision this code is of."""
+    """Return this code's revision."""
     return str(_revisions().get_current_head())
 
 
@@ -78,7 +79,7 @@ def _revisions() -> ScriptDirectory:
 
 
 def _configuration(attributes: dict[str, Any]) -> Config:
-    # Not of alembic.ini: it could not name a folder with a % in its path.
+    # Not from alembic.ini, which could not name a folder with a % in its path.
     config = Config(attributes=attributes)
     config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
     return config
@@ -86,7 +87,7 @@ def _configuration(attributes: dict[str, Any]) -> Config:
 
 @contextmanager
 def schema_connection(settings: Settings) -> Iterator[Connection]:
-    """A connection in a transaction that no other change of the schema shares; committed at the end."""
+    """Yield a connection in a transaction that excludes other schema changes, committed at the end."""
     database = Database(settings)
     try:
         if database.is_sqlite:

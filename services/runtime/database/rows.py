@@ -1,8 +1,8 @@
-"""Statements that are asked often: their SQL is written once, and their rows are what the driver answers.
+"""Frequent statements: their SQL is compiled once, and their rows are the driver's.
 
-**Conventions.** For lists. Values are strings, integers or None, under the names of the statement's parameters; those
-of an IN are literals of it or numbered. Rows have the names of the columns; nothing converts what the driver gives,
-so on SQLite a boolean is 0 or 1. What looks on at statements (`before_cursor_execute`) sees these too.
+**Conventions.** For lists. Values are strings, integers or None, by the names of the statement's parameters; values of
+an IN are literals or numbered parameters. Rows have the names of the columns. Driver values are not converted, so on
+SQLite a boolean is 0 or 1. Listeners of `before_cursor_execute` see these statements too.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,34 +17,34 @@ Values = Mapping[str, str | int | None]
 
 
 def parameter(name: str, kind: type[TypeEngine[Any]] = String) -> BindParameter[Any]:
-    """A parameter of a kept statement, whose value comes with each question."""
-    return bindparam(name, None, kind)  # with a value, since one without cannot be written ahead
+    """Return a parameter of a cached statement, whose value is given with each execution."""
+    return bindparam(name, None, kind)  # with a value, since a parameter without one cannot be compiled in advance
 
 
 def places_for(count: int) -> int:
-    """The next power of two: so that few statements are kept for any number of values."""
+    """Return the next power of two, so that few statements are cached for any number of values."""
     return 1 << max(0, count - 1).bit_length()
 
 
 def numbered_parameters(places: int) -> list[BindParameter[Any]]:
-    """The parameters of an IN with so many places."""
+    """Return the parameters of an IN with this number of values."""
     return [parameter(f"place_{place}") for place in range(places)]
 
 
 def numbered(values: Sequence[str]) -> Values:
-    """The values of the first places; the rest are NULL, which equals nothing."""
+    """Return the values by number; missing values are NULL, which equals nothing."""
     return {f"place_{place}": value for place, value in enumerate(values)}
 
 
 class KeptSelect:
-    """`KeptSelect(statement).rows(session, values)`; one for all sessions and threads."""
+    """`KeptSelect(statement).rows(session, values)`; shared by all sessions and threads."""
 
     def __init__(self, statement: Select[*tuple[Any, ...]]) -> None:
         self._statement = statement
         self._written: dict[str, tuple[str, Sequence[str] | None, Mapping[str, Any]]] = {}
 
     def rows(self, session: Session, values: Values) -> Sequence[Row[*tuple[Any, ...]]]:
-        """All rows. A value that is missing is None."""
+        """Return all rows. A missing value is None."""
         connection = session.connection()
         dialect = connection.dialect.name
         if dialect not in self._written:
@@ -61,7 +61,7 @@ class KeptSelect:
 
 
 def _constants(compiled: SQLCompiler) -> dict[str, Any]:
-    """The statement's own values as the driver is given them, say the path into a JSON column."""
+    """Return the statement's own values in the driver's form, for example the path into a JSON column."""
     told = dict(compiled.params)
     for bound, name in compiled.bind_names.items():
         convert = bound.type.dialect_impl(compiled.dialect).bind_processor(compiled.dialect)

@@ -1,18 +1,17 @@
 """Database transactions on SQLite (WAL) or PostgreSQL, and the wake-ups sent after their commit.
 
-**Conventions.** `transaction()` is for writing: on SQLite it takes the write lock at BEGIN, so two writers wait for
-each other instead of failing half-way; it commits at the end or rolls back whole. `reading()` is for reading and writes
-nothing; nor does `snapshot()`, in which later statements see nothing newer than the first, nor `lookups()`, for what is
-asked most often. None is held while anything slow is done. What `wake_up_after_commit` notes is dropped with a
-rollback.
-One `Database` belongs to one process: a forked child makes its own (`services/runtime/platform.py`).
+**Conventions.** `transaction()` is for writing. On SQLite it takes the write lock at BEGIN, so two writers wait for
+each other instead of failing half-way; it commits at the end or rolls back completely. `reading()` is read-only. So are
+`snapshot()`, in which later statements see nothing newer than the first, and `lookups()`, for the most frequent
+queries. Do no slow work within a transaction. A rollback drops the wake-ups of `wake_up_after_commit`. One `Database`
+belongs to one process: a forked child makes its own (`services/runtime/platform.py`).
 
-On PostgreSQL what reads is a READ ONLY transaction and ends with COMMIT: at a ROLLBACK psycopg 3.3 gives up all that is
-prepared on the connection, so that each statement after it would be parsed and planned anew.
+On PostgreSQL, reads are READ ONLY transactions that end with COMMIT. On a ROLLBACK psycopg 3.3 discards all prepared
+statements of the connection, so that each later statement would be parsed and planned again.
 
-A server that ends says so on its connections before it closes them. So a connection on which nothing has come since it
-was used last is taken as it is, and only one that has something to read is asked whether it lives: a look at the
-socket costs the server nothing, a question would be a transaction before each transaction.
+A server that shuts down notifies its connections before it closes them. A connection without unread data is therefore
+used as it is, and only a connection with unread data is pinged. Checking the socket costs the server nothing, while a
+ping would be a transaction before each transaction.
 """
 
 import select
@@ -31,8 +30,8 @@ from services.runtime.settings import Settings
 WakeUp = Callable[[str, int], None]
 WAKE_UPS = "wake_ups"
 CONNECT_S = 5
-SNAPSHOT = "REPEATABLE READ"  # of PostgreSQL: nothing newer than the first statement is seen
-EACH_ALONE = "AUTOCOMMIT"  # of PostgreSQL: every statement is a transaction
+SNAPSHOT = "REPEATABLE READ"  # PostgreSQL: nothing newer than the first statement is seen
+EACH_ALONE = "AUTOCOMMIT"  # PostgreSQL: every statement is a transaction
 
 
 class Database:
@@ -43,7 +42,7 @@ class Database:
     ) -> None:
         self.engine = engine or _engine(settings)
         self._writing = self.engine.execution_options(stone_writes=True)
-        self._readers = self._still = self.engine  # what SQLite reads is as it was at the first statement anyway (WAL)
+        self._readers = self._still = self.engine  # SQLite reads always see the state at the first statement (WAL)
         if not self.is_sqlite:
             self._readers = self.engine.execution_options(postgresql_readonly=True)
             self._still = self._readers.execution_options(isolation_level=SNAPSHOT)
@@ -88,17 +87,17 @@ class Database:
 
     @contextmanager
     def lookups(self) -> Iterator[Session]:
-        """As `reading`, without a transaction on PostgreSQL: its beginning and its end would be waited for too.
+        """As `reading`, without a transaction on PostgreSQL, which saves waiting for its start and end.
 
-        Each statement sees what is committed by then, as it does in `reading`. What it wrote would be there at once, so
-        it refuses to write rows.
+        Each statement sees all committed data, as in `reading`. A write would take effect immediately, so the session
+        refuses to write rows.
         """
         with _LookupSession(self._alone, expire_on_commit=False) as session:
             yield session
 
     @contextmanager
     def snapshot(self) -> Iterator[Session]:
-        """As `reading`; all its statements see the database as it was at the first of them."""
+        """As `reading`; all statements see the database at the time of the first."""
         with _reading_on(self._still) as session:
             yield session
 
@@ -116,7 +115,10 @@ class _LookupSession(Session):
 
 
 def wake_up_after_commit(session: Session, queue: str, times: int = 1) -> None:
-    """Note that `times` jobs of `queue` became ready in this transaction; less than none: were taken without one."""
+    """Note that `times` jobs of `queue` became ready in this transaction.
+
+    A negative number of jobs were taken without a wake-up.
+    """
     wake_ups = session.info.setdefault(WAKE_UPS, {})
     wake_ups[queue] = wake_ups.get(queue, 0) + times
 
@@ -126,8 +128,8 @@ def _reading_on(engine: Engine) -> Iterator[Session]:
     with Session(engine, expire_on_commit=False) as session:
         yield session
         if engine.dialect.name != "sqlite":
-            session.expunge_all()  # what was changed is not written
-            with suppress(SQLAlchemyError):  # read is read: whoever takes the connection next sees that it is lost
+            session.expunge_all()  # changes are not written
+            with suppress(SQLAlchemyError):  # the data are read; the next user of the connection detects the loss
                 session.commit()
 
 
@@ -141,7 +143,7 @@ def _engine(settings: Settings) -> Engine:
         return sqlite_engine(create_engine(url, connect_args=waits, hide_parameters=True, **pool))
     password = settings.database.password.get_secret_value() or url.password
     url = url.set(drivername="postgresql+psycopg", password=password)
-    # What is written may be a secret, so errors and logs show statements without it.
+    # Values may be secrets, so errors and logs show statements without parameters.
     engine = create_engine(url, connect_args={"connect_timeout": CONNECT_S}, hide_parameters=True, **pool)
     event.listen(engine, "checkout", _refuse_lost)
     return engine
@@ -155,20 +157,20 @@ def sqlite_engine(engine: Engine) -> Engine:
 
 
 def _refuse_lost(connection: Any, _record: object, _pooled: object) -> None:
-    """Raises `InvalidatePoolError` where the server has closed the connection: the pool opens another then."""
+    """Raise `InvalidatePoolError` if the server has closed the connection; the pool then opens another one."""
     if connection.closed or (has_news(connection.fileno()) and not _answers(connection)):
         raise InvalidatePoolError
 
 
 def has_news(descriptor: int) -> bool:
-    """Whether there is anything to read on a socket, its end included."""
+    """Return whether a socket has data to read, or is closed."""
     poll = select.poll()
     poll.register(descriptor, select.POLLIN)
     return bool(poll.poll(0))
 
 
 def _answers(connection: Any) -> bool:
-    """What came may be a notice: the server is asked."""
+    """Ping the server, because the unread data may be a notice."""
     try:
         connection.execute("")
         connection.rollback()
@@ -178,7 +180,7 @@ def _answers(connection: Any) -> bool:
 
 
 def _prepare_sqlite(connection: Any, _record: object) -> None:
-    connection.isolation_level = None  # we say BEGIN ourselves; the driver's own comes too late for a write lock
+    connection.isolation_level = None  # STONE sends BEGIN itself; the driver's own comes too late for a write lock
     for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
         connection.execute(f"PRAGMA {pragma}")
 
@@ -188,27 +190,26 @@ def _begin_sqlite(connection: Connection) -> None:
     connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
 
-# Connections of a process to the database: an API process has no more threads that may hold one than connections.
-#
-# **Conventions.** A thread holds one at most. Whoever is given a thread is given a connection too: with more threads
-# the last of them would wait for it as long as the pool lets them, and then be refused.
+# Connections of a process to the database: an API process has as many connections as threads that may hold one. A
+# thread holds at most one connection, so every thread gets one. With more threads the last would wait until the pool's
+# timeout and then be refused.
 
 
 MORE_REQUESTS = 20
-"""Threads that answer requests beyond the connections that are kept open (`STONE_DATABASE__POOL_SIZE`)."""
+"""Threads for requests beyond the permanently open connections (`STONE_DATABASE__POOL_SIZE`)."""
 ROW_READERS = 8
-"""Threads that answer lists (`api/row_readers.py`): while one runs Python, the others may wait for the database."""
+"""Threads that serve lists (`api/row_readers.py`): while one runs Python, the others may wait for the database."""
 UPLOADS = 16
-"""Threads that take uploads (`api/tus/body_stream.py`)."""
+"""Threads that receive uploads (`api/tus/body_stream.py`)."""
 ALONE = 3
-"""Threads with a purpose of their own: event streams, the probe of the database, counts."""
+"""Dedicated threads: event streams, the probe of the database, counts."""
 
 
 def request_threads(pool_size: int) -> int:
-    """The number of threads that answer whatever has none of its own."""
+    """Return the number of threads for requests without dedicated threads."""
     return pool_size + MORE_REQUESTS
 
 
 def most_connections(pool_size: int) -> int:
-    """How many a process has open at most, of which `pool_size` are kept."""
+    """Return the maximum number of open connections of a process, including the permanent `pool_size`."""
     return request_threads(pool_size) + ROW_READERS + UPLOADS + ALONE

@@ -1,4 +1,4 @@
-"""The API's process: uvicorn on the socket that the supervisor holds.
+"""The API's process: uvicorn on the supervisor's socket.
 
 **Conventions.** Two arguments: the socket's descriptor, seconds for the last replies.
 """
@@ -20,7 +20,7 @@ from services.runtime.telemetry.descriptors import raise_descriptor_limit
 
 
 def main(descriptor: int, replies_s: int) -> None:
-    """Answer until SIGTERM, with pages unless the settings say otherwise; then replies may take `replies_s` more."""
+    """Serve until SIGTERM, with pages unless the settings disable them; then replies may take `replies_s` more."""
     keep_private()
     raise_descriptor_limit()
     settings = Settings()

@@ -1,7 +1,7 @@
 """A supervised child process: started, restarted when it dies, stopped in bounded time.
 
-**Conventions.** A child leads a process group of its own, so Ctrl-C at the terminal reaches the supervisor only; it is
-killed by the kernel when the supervisor dies. `stop` asks with SIGTERM; what is left of the group is killed.
+**Conventions.** A child leads its own process group, so Ctrl-C at the terminal reaches only the supervisor. The kernel
+kills the child when the supervisor dies. `stop` sends SIGTERM; the rest of the group is killed.
 """
 
 import os
@@ -25,8 +25,11 @@ ReportCallback = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Program:
-    """The command of a child. `stop_s`: how long it may take to end when asked; `passed`: descriptors it inherits;
-    `niceness`: by how much it and all below it stand back where processors are short.
+    """The command of a child.
+
+    - `stop_s`: the time it may take to stop
+    - `passed`: descriptors it inherits
+    - `niceness`: lower CPU priority of the child and its descendants
     """
 
     name: str
@@ -57,7 +60,7 @@ class Child:
 
     @property
     def exit_code(self) -> int | None:
-        """The last exit code; None while it runs, or before it was started."""
+        """The last exit code; None while it runs, or before its start."""
         return self._process.poll() if self._process else None
 
     def start(self) -> None:
@@ -79,7 +82,7 @@ class Child:
         self._started_s, self._due_s, self._is_asked = time.monotonic(), 0.0, False
 
     def revive(self) -> None:
-        """Start it again if it died, after a pause that doubles while it keeps dying; cut its log if it is large."""
+        """Restart it if it died, after a pause that doubles while it keeps dying; truncate its log if large."""
         cut_if_large(self.log)
         now_s = time.monotonic()
         if self.exit_code is None:
@@ -97,17 +100,17 @@ class Child:
             self._told(f"{self.program.name} was restarted, process {self.pid}")
 
     def forgive(self) -> None:
-        """Its next death is not its own fault, say a test's: the pause after it is the first again."""
+        """Reset the pause, because its next death is deliberate, for example in a test."""
         self._pause_s = FIRST_PAUSE_S
 
     def ask_to_stop(self) -> None:
-        """Send SIGTERM, once, to the child itself; its own children are its own business."""
+        """Send SIGTERM, once, to the child itself, which stops its own children."""
         if self._process and self.exit_code is None and not self._is_asked:
             self._is_asked = True
             self._process.terminate()
 
     def stop(self, within_s: float | None = None) -> bool:
-        """Ask it to stop, wait at most `within_s` (else its own time), kill what is left; whether it ended itself."""
+        """Stop it within `within_s` (default: its own time), then kill the rest; return whether it ended itself."""
         if self._process is None:
             return True
         self.ask_to_stop()
@@ -132,23 +135,21 @@ class Child:
 
 
 def _begin(supervisor_pid: int, niceness: int) -> None:
-    """In the child, before its program."""
+    """Prepare the child process before its program starts."""
     die_with(supervisor_pid)
     os.nice(niceness)
 
 
 def fate_of(exit_code: int) -> str:
-    """`ended with exit code 3`, `was killed by SIGKILL`."""
+    """Return `ended with exit code 3`, `was killed by SIGKILL`."""
     if exit_code >= 0:
         return f"ended with exit code {exit_code}"
     return f"was killed by {signal.Signals(-exit_code).name}"
 
 
-# Log files of the child processes, truncated by size by the supervisor.
-#
-# **Conventions.** Cutting is copy and truncate: the child goes on writing to the same open file (`O_APPEND`), so it
-# needs no signal and no pipe that could fill up. A line written between the two may be lost; job logs are in the
-# database.
+# Log files of the child processes, truncated by size by the supervisor (copy and truncate). The child continues writing
+# to the same open file (`O_APPEND`), so it needs no signal and no pipe that could fill up. A line written between copy
+# and truncation may be lost; job logs are in the database.
 
 
 MAX_BYTES = 16 * 2**20
@@ -156,7 +157,7 @@ KEPT = 3
 
 
 def cut_if_large(log: Path, max_bytes: int = MAX_BYTES) -> bool:
-    """Move what is in `log` to `<log>.1` when it is larger than `max_bytes`; older ones move up, the oldest goes."""
+    """Move the content of `log` to `<log>.1` if it exceeds `max_bytes`; older files move up, the oldest is deleted."""
     if not log.exists() or log.stat().st_size <= max_bytes:
         return False
     for number in range(KEPT - 1, 0, -1):
@@ -170,7 +171,7 @@ def cut_if_large(log: Path, max_bytes: int = MAX_BYTES) -> bool:
 
 
 def last_words(log: Path, max_bytes: int = 2000) -> str:
-    """The last line of `log` that is not empty; empty where it says nothing."""
+    """Return the last non-empty line of `log`, or ""."""
     if not log.exists():
         return ""
     with log.open("rb") as file:

@@ -1,4 +1,4 @@
-"""Why the embedded platform does not start."""
+"""Errors of starting the embedded platform."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ from stone.errors import StoneError
 
 
 class PortTakenError(StoneError):
-    """The address to listen on is somebody else's, or not this machine's."""
+    """The listening address is in use, or is not an address of this machine."""
 
     code = "port_taken"
 
@@ -17,7 +17,7 @@ class PortTakenError(StoneError):
 
 
 class StartFailedError(StoneError):
-    """A process of the platform ended, or was not ready in time; its own last words are quoted."""
+    """A process of the platform ended, or was not ready in time; its last log line is quoted."""
 
     code = "start_failed"
 

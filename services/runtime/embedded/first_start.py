@@ -1,7 +1,7 @@
 """First start of an embedded platform: the administrator account, and a token for this machine.
 
-**Conventions.** Both secrets lie in the data folder, readable by its owner only; whoever can read them can read the
-database beside them too. The password's file is written before its user, so a crash between the two loses neither.
+**Conventions.** The two secrets are in the data folder, readable by its owner only, who can also read the database
+there. The password's file is written before its user, so a crash in between loses neither.
 """
 
 import os
@@ -26,7 +26,7 @@ TOKEN_SCOPES = ("read", "upload", "submit")
 
 @dataclass(frozen=True)
 class FirstStartKeys:
-    """`password` is empty unless the administrator was made just now; `token` is the local command's."""
+    """`password` is empty unless the administrator was just created; `token` is the local command's."""
 
     name: str
     password: str
@@ -34,7 +34,7 @@ class FirstStartKeys:
 
 
 def ensure_keys(platform: Platform) -> FirstStartKeys:
-    """Make the administrator where there is none, and the local token where there is none that is still valid."""
+    """Create the administrator and the local token if there is no administrator or no valid token."""
     root = platform.settings.root
     password = ""
     with platform.database.transaction() as session:
@@ -50,13 +50,13 @@ def ensure_keys(platform: Platform) -> FirstStartKeys:
 
 
 def first_password_file(settings: Settings) -> Path | None:
-    """The file that holds the first administrator's password; None where there is none or nobody signs in by one."""
+    """Return the file with the first administrator's password; None if it does not exist or passwords are off."""
     file = settings.root / PASSWORD_FILE
     return file if settings.api.passwords and file.exists() else None
 
 
 def find_administrator(session: Session) -> User | None:
-    """The first who administers; None where nobody does."""
+    """Return the first administrator, or None."""
     active = select(User).where(User.role == "administrator", User.is_active).order_by(User.id)
     return session.scalars(active.limit(1)).first()
 
@@ -66,7 +66,7 @@ def _kept_secret(path: Path) -> str:
 
 
 def _keep(path: Path, secret: str) -> str:
-    """Write a secret that only its owner may read; the file never exists with wider permissions."""
+    """Write a secret that only its owner may read; the file never has wider permissions."""
     staging = path.with_name(f".{path.name}.partial")
     staging.unlink(missing_ok=True)
     descriptor = os.open(staging, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600)

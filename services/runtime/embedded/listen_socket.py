@@ -1,6 +1,6 @@
 """The API's listening socket, kept open by the supervisor across API restarts.
 
-**Conventions.** While an API that died is started again, connections wait in the backlog instead of being refused.
+**Conventions.** While a dead API is restarted, connections wait in the backlog instead of being refused.
 """
 
 import fcntl
@@ -23,7 +23,7 @@ EVERYWHERE = {"0.0.0.0": "127.0.0.1", "::": "::1"}
 
 
 def listen(api: ApiSettings) -> socket.socket:
-    """A listening socket on the host and port asked for (0: any). Raises `PortTakenError`."""
+    """Return a listening socket on the configured host and port (0: any). Raises `PortTakenError`."""
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(
             api.host, api.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
@@ -42,7 +42,7 @@ def listen(api: ApiSettings) -> socket.socket:
 
 
 def reached_at(api: ApiSettings, listener: socket.socket) -> ApiSettings:
-    """The API's settings with the port it really has; a URL that was set from outside is kept."""
+    """Return the API's settings with the actual port; an explicitly set URL is kept."""
     port = int(listener.getsockname()[1])
     if api.url != ApiSettings().url:
         return replace(api, port=port)
@@ -50,39 +50,37 @@ def reached_at(api: ApiSettings, listener: socket.socket) -> ApiSettings:
 
 
 def local_host(host: str) -> str:
-    """The name by which this machine reaches what listens on `host`."""
+    """Return the name by which this machine reaches a server that listens on `host`."""
     return EVERYWHERE.get(host, host)
 
 
 def local_url(host: str, port: int) -> str:
-    """The URL by which this machine reaches a server that listens on `host`."""
+    """Return the URL by which this machine reaches a server that listens on `host`."""
     name = local_host(host)
     return f"http://[{name}]:{port}" if ":" in name else f"http://{name}:{port}"
 
 
 def close(listener: socket.socket) -> None:
-    """Accept nothing more through this process's own hold of the socket."""
+    """Stop accepting connections through this process's copy of the socket."""
     with suppress(OSError):
         listener.close()
 
 
-# The lock file (flock) that admits one supervisor per data folder and names it.
-#
-# **Conventions.** The kernel drops the lock with the process, so nothing stale is left by `kill -9`. Children do not
-# inherit the descriptor.
+# The lock file (flock) that admits one supervisor per data folder and identifies it. The kernel releases the lock with
+# the process, so `kill -9` leaves no stale lock. Children do not inherit the descriptor.
 
 
 LOCK = "server.lock"
 
 
 class FolderLock:
-    """The lock of a data folder, held."""
+    """The held lock of a data folder."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
 
     def say(self, url: str) -> None:
-        """Write down who holds the folder, for a second server to quote."""
+        """Write the holder's process id and URL, for a second server to quote."""
         record = json.dumps({"pid": os.getpid(), "url": url}).encode()
         os.ftruncate(self._descriptor, 0)
         os.pwrite(self._descriptor, record, 0)
@@ -90,7 +88,7 @@ class FolderLock:
 
 @contextmanager
 def hold_folder(folder: Path) -> Iterator[FolderLock]:
-    """Hold `folder` (made where there is none, for its owner only). Raises `already_serving`."""
+    """Hold `folder`, created for its owner only if missing. Raises `already_serving`."""
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     descriptor = os.open(folder / LOCK, os.O_CREAT | os.O_RDWR, 0o600)
     try:
@@ -108,8 +106,8 @@ def hold_folder(folder: Path) -> Iterator[FolderLock]:
 def stop_holder(folder: Path) -> tuple[int, str]:
     """Send SIGTERM to the supervisor that holds `folder`, wait until it has ended, and return its process id and URL.
 
-    The signal goes to a descriptor of the process that held the lock when its id was read, so a process that got the
-    same id later never receives it. Raises `not_serving`.
+    The signal goes to a descriptor of the process that held the lock when its id was read, so another process with the
+    same id never receives it. Raises `not_serving`.
     """
     descriptor = _opened_lock(folder)
     try:
@@ -132,7 +130,7 @@ def stop_holder(folder: Path) -> tuple[int, str]:
 
 
 def _opened_lock(folder: Path) -> int:
-    """The lock file of a folder that is held. Raises `not_serving`."""
+    """Return the descriptor of the lock file of a held folder. Raises `not_serving`."""
     try:
         descriptor = os.open(folder / LOCK, os.O_RDWR)
     except FileNotFoundError:
@@ -160,7 +158,7 @@ def _holder(descriptor: int) -> tuple[int, str]:
     try:
         record = json.loads(os.pread(descriptor, 4096, 0))
         return int(record["pid"]), str(record["url"])
-    except (ValueError, KeyError, TypeError):  # it is writing this very moment
+    except (ValueError, KeyError, TypeError):  # the holder is writing it
         return 0, ""
 
 

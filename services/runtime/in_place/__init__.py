@@ -1,1 +1,1 @@
-"""Recordings and datasets that stay where they lie, below roots that the settings allow."""
+"""Recordings and datasets that are read in place, below roots that the settings allow."""

@@ -1,7 +1,7 @@
-"""An object of an allowed bucket, read by ranges into a file with holes.
+"""An object of an allowed bucket, read by ranges into a sparse file.
 
-**Conventions.** Endpoint, bucket and prefix are the settings'; only the end of the key is a user's. Every answer must
-have the ETag that was asked for, so that no file is made of two versions of an object.
+**Conventions.** Endpoint, bucket and prefix come from the settings; a user gives only the end of the key. Every answer
+must have the requested ETag, so that no file mixes two versions of an object.
 """
 
 import ctypes
@@ -43,13 +43,13 @@ class PlacedObject:
         self.read_bytes = 0
 
     def file(self) -> PlacedFile:
-        """The object as it is. Raises `recording_vanished`, `store_unavailable`."""
+        """Return the object's current state. Raises `recording_vanished`, `store_unavailable`."""
         with self._translated():
             found = self._client.head_object(Bucket=self._bucket, Key=self._key)
         return PlacedFile(self._place.name, int(found["ContentLength"]), found["ETag"].strip('"'))
 
     def fetch(self, ranges: Sequence[Range], target: Path) -> None:
-        """Write these bytes of the object to where they lie in it.
+        """Write these ranges of the object to the same offsets of the file.
 
         Raises `recording_changed_in_place`, `recording_vanished`, `store_unavailable`.
         """
@@ -60,7 +60,7 @@ class PlacedObject:
                 self.read_bytes += len(content)
 
     def read_at(self, offset: int, count: int) -> bytes:
-        """These bytes of the object, all of which it has. Raises as `fetch`."""
+        """Return these existing bytes of the object. Raises as `fetch`."""
         self.read_bytes += count
         return self._read((offset, offset + count))
 
@@ -95,7 +95,7 @@ class PlacedObject:
 
     @contextmanager
     def _translated(self) -> Iterator[None]:
-        """Say in our words what the client raises."""
+        """Translate the client's errors."""
         try:
             yield
         except ClientError as error:
@@ -108,13 +108,13 @@ class PlacedObject:
 
 
 def sparse_file(path: Path, size_bytes: int) -> None:
-    """A file of this size without a byte in it."""
+    """Create a file of this size without allocated blocks."""
     with path.open("wb") as file:
         file.truncate(size_bytes)
 
 
 def punch(path: Path, ranges: Sequence[Range]) -> None:
-    """Give the disk back what these bytes take, where the file system can."""
+    """Free the disk blocks of these ranges, if the file system supports it."""
     libc = ctypes.CDLL(None)
     with path.open("r+b") as file:
         for start, stop in ranges:

@@ -1,4 +1,4 @@
-"""Datasets in place: one ZIP or tar, read where it lies.
+"""Datasets in place: a single ZIP or tar, read in place.
 
 **Conventions.** As recordings in place (`services/runtime/in_place/places.py`). A child reads a file of a folder
 itself, and an object by ranges that its parent fetches (`services/runtime/in_place/served_ranges.py`).
@@ -21,7 +21,7 @@ DatasetArchivePath = Path | PipedRanges
 
 
 def requested_dataset(settings: InPlaceSettings, place: RecordingPlace) -> RecordingPlace:
-    """The place, checked as far as words go. Raises `unknown_root`, `bad_place`, `no_archive`, `not_by_ranges`."""
+    """Return the place, checked by its text. Raises `unknown_root`, `bad_place`, `no_archive`, `not_by_ranges`."""
     refuse_words(settings, place, "a dataset such as released/STONE.zip")
     if not place.path.endswith((ZIP, TAR)):
         raise Refused(
@@ -39,19 +39,19 @@ def requested_dataset(settings: InPlaceSettings, place: RecordingPlace) -> Recor
 
 
 def found_dataset(settings: InPlaceSettings, place: RecordingPlace) -> RecordingPlace:
-    """The place with its file as it is.
+    """Return the place with the current state of its file.
 
     Raises `recording_vanished`, `root_unavailable`, `unknown_root`, `store_unavailable`.
     """
     if is_by_ranges(settings, place):
-        from services.runtime.in_place.bucket import PlacedObject  # boto3 takes most of a second to import
+        from services.runtime.in_place.bucket import PlacedObject  # importing boto3 takes most of a second
 
         return replace(place, files=(PlacedObject(settings, place).file(),))
     return replace(place, files=(placed_file(file_in_folder(settings, place), place.name),))
 
 
 def refuse_changed_dataset(settings: InPlaceSettings, place: RecordingPlace) -> None:
-    """Raises `recording_changed_in_place` if the file is not as noted, and as `found_dataset`."""
+    """Raise `recording_changed_in_place` if the file differs from the note, and as `found_dataset`."""
     refuse_other(place, found_dataset(settings, place))
 
 
@@ -59,9 +59,9 @@ def refuse_changed_dataset(settings: InPlaceSettings, place: RecordingPlace) -> 
 def opened_dataset(
     settings: InPlaceSettings, place: RecordingPlace, folder: Path, fetched: Callable[[int], None]
 ) -> Iterator[DatasetArchivePath]:
-    """The archive for a child that may write in the folder; `fetched` gets the bytes that were read of an object.
+    """Yield the archive for a child that may write to the folder; `fetched` gets the number of bytes read.
 
-    Raises `recording_changed_in_place` if the file is not as noted, before the block or after it.
+    Raises `recording_changed_in_place` if the file differs from the note, before the block or after it.
     """
     refuse_changed_dataset(settings, place)
     with checked_after(lambda: refuse_changed_dataset(settings, place)):

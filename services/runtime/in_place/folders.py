@@ -1,7 +1,7 @@
-"""Recordings in allowed folders: found, and linked by the names of their files.
+"""Recordings in allowed folders: found, and linked under the names of their files.
 
-**Conventions.** A path is given relative to a root of the settings. It is resolved with all symbolic links, and what
-lies outside of the root is refused in the same words as what is not there, so nothing can be learnt of other files.
+**Conventions.** A path is relative to a root of the settings. It is resolved with all symbolic links. Paths outside the
+root and missing files are refused with the same message, so that nothing is revealed about other files.
 """
 
 import os
@@ -19,12 +19,12 @@ from stone_recordings.sync.stored_recording import PlacedFile, RecordingPlace
 
 
 def files_in_folder(settings: InPlaceSettings, place: RecordingPlace) -> tuple[PlacedFile, ...]:
-    """The files of the bag as they are. Raises `recording_vanished`, `root_unavailable`, `bad_recording_files`."""
+    """Return the bag's files. Raises `recording_vanished`, `root_unavailable`, `bad_recording_files`."""
     return tuple(placed_file(path, path.name) for path in _files_of(settings, place))
 
 
 def located_in_place(settings: Settings, place: RecordingPlace) -> Path:
-    """The bag, by links that are called as its files are. Raises as `files_in_folder`."""
+    """Return the bag, as links with the names of its files. Raises as `files_in_folder`."""
     links = settings.root / NAMES_FOLDER
     files = {path.name: path.resolve() for path in _files_of(settings.in_place, place)}
     if _resolved(settings.in_place, place).is_dir():
@@ -33,7 +33,10 @@ def located_in_place(settings: Settings, place: RecordingPlace) -> Path:
 
 
 def file_in_folder(settings: InPlaceSettings, place: RecordingPlace) -> Path:
-    """The one file at the place, without links. Raises `recording_vanished`, `root_unavailable`, `unknown_root`."""
+    """Return the single file at the place, resolved.
+
+    Raises `recording_vanished`, `root_unavailable`, `unknown_root`.
+    """
     path = _resolved(settings, place)
     if not path.is_file() or not os.access(path, os.R_OK):
         raise vanished(place, place.name)
@@ -41,7 +44,7 @@ def file_in_folder(settings: InPlaceSettings, place: RecordingPlace) -> Path:
 
 
 def _files_of(settings: InPlaceSettings, place: RecordingPlace) -> list[Path]:
-    """The files of the bag, none of which lies outside of the root."""
+    """Return the files of the bag; all are within the root."""
     root, parts = _root(settings, place), list[Path]()
     _resolved(settings, place)
     with suppress(PermissionError):
@@ -65,13 +68,13 @@ def _resolved(settings: InPlaceSettings, place: RecordingPlace) -> Path:
         bag = (root / place.path).resolve(strict=True)
         if bag.is_relative_to(root) and (bag.is_file() or bag.is_dir()):
             return bag
-    except (OSError, RuntimeError):  # not there, not ours to read, or links in a circle
+    except (OSError, RuntimeError):  # missing, unreadable, or circular links
         pass
     raise vanished(place, place.name)
 
 
 def _root(settings: InPlaceSettings, place: RecordingPlace) -> Path:
-    """Raises `root_unavailable` while it is not mounted, `unknown_root` once it is no root any more."""
+    """Return the root. Raises `root_unavailable` while it is not mounted, `unknown_root` if it is not configured."""
     if (folder := settings.folder_of.get(place.root)) is None:
         raise Refused(
             "unknown_root", f"root {place.root} for recordings in place is not configured any more; configure it again"
@@ -83,6 +86,6 @@ def _root(settings: InPlaceSettings, place: RecordingPlace) -> Path:
 
 
 def placed_file(path: Path, name: str) -> PlacedFile:
-    """The file as it is."""
+    """Return the file with its current size and version."""
     status = path.stat()
     return PlacedFile(name, status.st_size, str(status.st_mtime_ns))

@@ -1,7 +1,7 @@
-"""Recordings in place, whatever their root is: named, found, and held against what was registered.
+"""Recordings in place, for every kind of root: named, found, and compared with their registration.
 
-**Conventions.** A file is known by its size and version: the time of its last change, or an object's ETag. What was
-read of it has a hash besides (`stone_recordings/bags/content_hash.py`).
+**Conventions.** A file is identified by its size and version: the time of its last change, or an object's ETag. Its
+read content also has a hash (`stone_recordings/bags/content_hash.py`).
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -20,7 +20,7 @@ BY_RANGES = ".mcap"
 
 
 def requested_place(settings: InPlaceSettings, place: RecordingPlace) -> RecordingPlace:
-    """The place, checked as far as words go: nobody looks whether it is there.
+    """Return the place, checked by its text only; its existence is not checked.
 
     Raises `unknown_root`, `bad_place`, `not_by_ranges`.
     """
@@ -35,7 +35,7 @@ def requested_place(settings: InPlaceSettings, place: RecordingPlace) -> Recordi
 
 
 def refuse_words(settings: InPlaceSettings, place: RecordingPlace, written: str) -> None:
-    """Refuse a place that can be none; `written` names one that can. Raises `unknown_root`, `bad_place`."""
+    """Refuse an invalid place; `written` is a valid example. Raises `unknown_root`, `bad_place`."""
     if place.root not in settings.roots:
         known = ", ".join(settings.roots) or "none (an administrator sets STONE_IN_PLACE__FOLDERS)"
         raise Refused("unknown_root", f"there is no root {place.root[:80]!r} for files in place; the roots are {known}")
@@ -49,29 +49,29 @@ def refuse_words(settings: InPlaceSettings, place: RecordingPlace, written: str)
 
 
 def is_by_ranges(settings: InPlaceSettings, place: RecordingPlace) -> bool:
-    """Whether the place is an object of a bucket."""
+    """Return whether the place is an object of a bucket."""
     return place.root in settings.bucket_of
 
 
 def found_place(settings: InPlaceSettings, place: RecordingPlace) -> RecordingPlace:
-    """The place with its files as they are.
+    """Return the place with the current state of its files.
 
     Raises `recording_vanished`, `root_unavailable`, `bad_recording_files`, `unknown_root`, `store_unavailable`.
     """
     if is_by_ranges(settings, place):
-        from services.runtime.in_place.bucket import PlacedObject  # boto3 takes most of a second to import
+        from services.runtime.in_place.bucket import PlacedObject  # importing boto3 takes most of a second
 
         return replace(place, files=(PlacedObject(settings, place).file(),))
     return replace(place, files=files_in_folder(settings, place))
 
 
 def refuse_changed(settings: InPlaceSettings, place: RecordingPlace) -> None:
-    """Raises `recording_changed_in_place` for the first file that is not as registered, and as `found_place`."""
+    """Raise `recording_changed_in_place` for the first unregistered change, and as `found_place`."""
     refuse_other(place, found_place(settings, place))
 
 
 def refuse_other(place: RecordingPlace, found: RecordingPlace) -> None:
-    """As `refuse_changed`, for files that were found."""
+    """Do as `refuse_changed`, for files that were found."""
     now: Mapping[str, PlacedFile] = {file.name: file for file in found.files}
     known = {file.name: file for file in place.files}
     for name in (*known, *(name for name in now if name not in known)):
@@ -83,8 +83,10 @@ def refuse_other(place: RecordingPlace, found: RecordingPlace) -> None:
 
 @contextmanager
 def checked_after(check: Callable[[], None]) -> Iterator[None]:
-    """A block that reads files in place. Raises what `check` raises instead of what the block raised: of a file that is
-    not as registered nothing is to be used."""
+    """Run a block that reads files in place, then `check`, whose error replaces the block's.
+
+    Data of a file that differs from its registration must not be used.
+    """
     try:
         yield
     except (StoneError, OSError):
@@ -94,6 +96,6 @@ def checked_after(check: Callable[[], None]) -> Iterator[None]:
 
 
 def sha256_in_place(place: RecordingPlace, content_sha256: str) -> str:
-    """The hash that stands for the recording: of its files as they are listed, and of what was read of them."""
+    """Return the common hash of the file list and of the content that was read."""
     lines = (f"{file.version} {file.size_bytes} {file.name}\n" for file in place.files)
     return sha256("".join((*lines, content_sha256)).encode()).hexdigest()

@@ -2,9 +2,9 @@
 
     child: `PipedRanges.read_at` → ranges.asked → thread of the parent, which fetches → ranges.answered → child
 
-**Conventions.** The pipes are named ones in the child's folder, made and held open by the parent. A request is an
-offset and a count, 16 bytes; an answer is its size, then the bytes. The parent believes nothing of a request but two
-numbers, and reads no more than `MOST_BYTES` for one.
+**Conventions.** The named pipes are in the child's folder; the parent creates them and holds them open. A request is an
+offset and a count, 16 bytes; an answer is its size, then the bytes. The parent treats a request as two untrusted
+numbers, and reads at most `MOST_BYTES` for it.
 """
 
 import fcntl
@@ -29,7 +29,7 @@ ReadAt = Callable[[int, int], bytes]
 
 @dataclass(frozen=True)
 class PipedRanges:
-    """The child's side: `ByteRanges` (`stone_files/byte_ranges.py`) by the pipes in the folder. Picklable."""
+    """The child's side: `ByteRanges` (`stone_files/byte_ranges.py`) through the pipes in the folder. Picklable."""
 
     path: Path
     size_bytes: int
@@ -37,7 +37,7 @@ class PipedRanges:
     folder: Path
 
     def read_at(self, offset: int, count: int) -> bytes:
-        """Raises `ranges_unavailable`: its parent knows why."""
+        """Return the bytes. Raises `ranges_unavailable`; the parent has the reason."""
         stop, found = min(offset + count, self.size_bytes), list[bytes]()
         with (self.folder / ASKED).open("wb", buffering=0) as asked, (self.folder / ANSWERED).open("rb") as answered:
             fcntl.flock(asked, fcntl.LOCK_EX)
@@ -55,9 +55,9 @@ class PipedRanges:
 
 @contextmanager
 def served_ranges(read_at: ReadAt, place: RecordingPlace, folder: Path) -> Iterator[PipedRanges]:
-    """Ranges of the one file of the place, for a child that may write in the folder.
+    """Yield ranges of the place's single file, for a child that may write to the folder.
 
-    Raises what `read_at` raised, instead of what the block did.
+    Raises what `read_at` raised, instead of the block's error.
     """
     (file,), where = place.files, folder.resolve()
     for name in (ASKED, ANSWERED):
@@ -119,7 +119,7 @@ class _RangeServer:
             left = left[os.write(self.answered, left) :]
 
     def _is_ready(self, number: int, event: int) -> bool:
-        """Wait for the pipe; whether the block has not ended meanwhile."""
+        """Wait for the pipe; return False if the block has ended meanwhile."""
         poll = select.poll()
         poll.register(number, event)
         poll.register(self.ending, 0)  # poll reports a closed pipe in any case

@@ -1,6 +1,6 @@
 """The Alembic environment: runs revisions on the given connection, else on the configured database.
 
-**Conventions.** The transaction belongs to whoever made the connection, so that an upgrade is whole or absent.
+**Conventions.** The transaction belongs to the creator of the connection, so that an upgrade is atomic.
 """
 
 from alembic import context
@@ -12,7 +12,7 @@ from services.runtime.settings import Settings
 
 
 def run_on(connection: Connection) -> None:
-    """Run what was asked for, in the connection's transaction."""
+    """Run the requested revisions, in the connection's transaction."""
     context.configure(connection=connection, target_metadata=Base.metadata, render_as_batch=True)
     context.run_migrations()
 

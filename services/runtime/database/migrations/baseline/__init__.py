@@ -1,4 +1,4 @@
-"""The schema of the first release: what revision 0030 creates in an empty database.
+"""The schema of the first release, which revision 0030 creates in an empty database.
 
 **Conventions.** The tables are written out once more beside `services/runtime/orm/`, in modules of the same names: the
 ORM follows the newest revision, and these modules never change.

@@ -1,4 +1,4 @@
-"""The audit log, quotas, replies to repeated requests, and what processes count."""
+"""The audit log, quotas, replies to repeated requests, and counters of processes."""
 
 from sqlalchemy import JSON, BigInteger, ForeignKey, Index, Integer, LargeBinary, String
 

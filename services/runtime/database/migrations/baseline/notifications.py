@@ -1,4 +1,4 @@
-"""Notification events, who wants them where, each delivery."""
+"""Notification events, users' choices and addresses, deliveries."""
 
 from sqlalchemy import JSON, BigInteger, ForeignKey, Index, Integer, String
 

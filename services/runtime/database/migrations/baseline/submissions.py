@@ -1,4 +1,4 @@
-"""Submissions, their scores, the ledger of what teams had scored, alarms."""
+"""Submissions, their scores, the ledger of the teams' scorings, alarms."""
 
 from sqlalchemy import JSON, BigInteger, CheckConstraint, Double, ForeignKey, Index, Integer, LargeBinary, String, Text
 

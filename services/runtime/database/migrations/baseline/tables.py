@@ -1,7 +1,7 @@
 """Constructors of the baseline's tables, columns and indexes, which name every constraint.
 
-**Conventions.** A table's indexes are created in the order in which they stand: of two that serve a query equally well
-SQLite takes the later.
+**Conventions.** A table's indexes are created in the order of their definition: if two serve a query equally well,
+SQLite uses the later one.
 """
 
 from typing import Any
@@ -30,7 +30,7 @@ def table(name: str, *parts: SchemaItem) -> None:
 
 
 def key(name: str, type_: Type, *more: SchemaItem) -> Column[Any]:
-    """A column of the primary key."""
+    """Return a column of the primary key."""
     return Column(name, type_, *more, primary_key=True, autoincrement=False)
 
 
@@ -43,15 +43,15 @@ def optional(name: str, type_: Type, *more: SchemaItem, **options: Any) -> Colum
 
 
 def part_of(column: str) -> ForeignKey:
-    """A reference to a row that takes this one with it when it is deleted."""
+    """Return a reference to a row whose deletion deletes this row too."""
     return ForeignKey(column, ondelete="CASCADE")
 
 
 def indexes(*columns: str) -> list[Index]:
-    """One index for each column."""
+    """Return one index for each column."""
     return [Index(None, column) for column in columns]
 
 
 def partial_index(name: str, where: str, *columns: str | TextClause, unique: bool = False) -> Index:
-    """An index of the rows for which `where` holds, in literals that both databases understand."""
+    """Return an index of the rows that match `where`, in literals that both databases understand."""
     return Index(name, *columns, unique=unique, sqlite_where=text(where), postgresql_where=text(where))

@@ -1,4 +1,4 @@
-"""Triggers by which the database refuses changes; PostgreSQL calls a function from each."""
+"""Triggers by which the database refuses changes; on PostgreSQL each calls a function."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""The kind of reported rows: results that others published, and ceilings."""
+"""The kind of reported rows: published results, and ceilings."""
 
 import sqlalchemy as sa
 from alembic import op

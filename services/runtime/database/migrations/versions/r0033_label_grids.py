@@ -1,4 +1,4 @@
-"""The grid of label sets and of dataset versions: JSON, null if it is the paper's, as that of all earlier ones is."""
+"""The grid of label sets and of dataset versions: JSON, null for the paper's grid, which all earlier ones have."""
 
 import sqlalchemy as sa
 from alembic import op

@@ -1,4 +1,4 @@
-"""Tracks of label sets, by which drives are found; the drive and the first stamp of sequences of dataset versions."""
+"""Tracks of label sets, from which drives are computed; drive and first stamp of sequences of dataset versions."""
 
 import sqlalchemy as sa
 from alembic import op

@@ -1,4 +1,4 @@
-"""The place of a recording that is read where it lies."""
+"""The place of a recording that is read in place."""
 
 import sqlalchemy as sa
 from alembic import op
