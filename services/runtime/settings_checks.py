@@ -60,7 +60,8 @@ def unknown_setting(names: Sequence[str], known: Iterable[str]) -> Refused:
     meant = {name: [RETIRED[name]] for name in names if name in RETIRED}
     nearest = {name: meant.get(name) or get_close_matches(name.upper(), known, n=1) for name in names}
     return Refused(
-        "unknown_setting", "; ".join(f"there is no setting {name}{_meant(found)}" for name, found in nearest.items())
+        "unknown_setting",
+        "; ".join(f"there is no setting {name}{_meant(similar)}" for name, similar in nearest.items()),
     )
 
 
@@ -130,7 +131,7 @@ def variables_of(settings: "type[Settings]") -> Iterator[str]:
     """Yield the name of every environment variable that is a setting."""
     for name, field in settings.model_fields.items():
         if is_dataclass(field.default):
-            yield from (variable_of(f"{name}.{one.name}") for one in fields(field.default))
+            yield from (variable_of(f"{name}.{setting.name}") for setting in fields(field.default))
         else:
             yield variable_of(name)
 
@@ -199,37 +200,37 @@ def _contradictions(settings: "Settings") -> Iterator[str]:
 
 def _unsendable(settings: "Settings") -> Iterator[str]:
     """Yield the faults of notification settings that prevent sending."""
-    told = settings.notifications
-    if told.smtp_host and not EMAIL.fullmatch(told.sender):
+    notifications = settings.notifications
+    if notifications.smtp_host and not EMAIL.fullmatch(notifications.sender):
         yield (
             "STONE_NOTIFICATIONS__SMTP_HOST requires STONE_NOTIFICATIONS__SENDER, an address such as stone@example.org"
         )
-    if told.smtp_user and told.smtp_security == "none":
+    if notifications.smtp_user and notifications.smtp_security == "none":
         yield "STONE_NOTIFICATIONS__SMTP_USER requires STARTTLS or TLS: otherwise the password is sent unencrypted"
-    for one in told.networks:
+    for network in notifications.networks:
         try:
-            ip_network(one)
+            ip_network(network)
         except ValueError as error:
             yield (
-                f"STONE_NOTIFICATIONS__WEBHOOK_NETWORKS has {one[:80]!r}, which is not a network such as 10.1.0.0/16: "
-                f"{error}"
+                f"STONE_NOTIFICATIONS__WEBHOOK_NETWORKS has {network[:80]!r}, which is not a network such as "
+                f"10.1.0.0/16: {error}"
             )
 
 
 def _untrustworthy(proxies: Iterable[str]) -> Iterator[str]:
     """Yield the faults of proxies: names that match no address, and networks that trust every client."""
-    for one in proxies:
+    for proxy in proxies:
         try:
-            is_everybody = ip_network(one).prefixlen == 0
+            is_everybody = ip_network(proxy).prefixlen == 0
         except ValueError as error:
             yield (
-                f"STONE_API__TRUSTED_PROXIES has {one[:80]!r}, which is neither an address nor a network such as "
+                f"STONE_API__TRUSTED_PROXIES has {proxy[:80]!r}, which is neither an address nor a network such as "
                 f"10.1.0.0/16: {error}"
             )
             continue
         if is_everybody:
             yield (
-                f"STONE_API__TRUSTED_PROXIES has {one}, with which any client can forge its address; list only the "
+                f"STONE_API__TRUSTED_PROXIES has {proxy}, with which any client can forge its address; list only the "
                 "proxies"
             )
 

@@ -142,8 +142,10 @@ class Reach:
 
     def digest(self) -> str:
         """Return the sha256 over all computations and data files; equal ones count once."""
-        labels = _refined({one: (made.text, made.references) for one, made in self.computations.items()})
-        data = (line for one, made in self.computations.items() for line in self._data(one.module, made.data))
+        labels = _refined({definition: (made.text, made.references) for definition, made in self.computations.items()})
+        data = (
+            line for definition, made in self.computations.items() for line in self._data(definition.module, made.data)
+        )
         return sha256("\n".join(sorted({*labels.values(), *data})).encode()).hexdigest()
 
     def _data(self, module: str, packages: set[str]) -> list[str]:
@@ -161,20 +163,22 @@ def _refined(computations: Mapping[Definition, tuple[str, Sequence[Definition]]]
 
     References may be circular, so labels are refined until they distinguish no more definitions (colour refinement).
     """
-    texts = {one: sha256(text.encode()).hexdigest() for one, (text, _) in computations.items()}
+    texts = {definition: sha256(text.encode()).hexdigest() for definition, (text, _) in computations.items()}
     labels, distinct = texts, 0
     while len(set(labels.values())) > distinct:
         distinct = len(set(labels.values()))
         labels = {
-            one: sha256(" ".join([texts[one], *(labels[other] for other in references)]).encode()).hexdigest()
-            for one, (_, references) in computations.items()
+            definition: sha256(
+                " ".join([texts[definition], *(labels[other] for other in references)]).encode()
+            ).hexdigest()
+            for definition, (_, references) in computations.items()
         }
     return labels
 
 
 def record_of(digests: Digests) -> dict[str, dict[str, object]]:
     """Return the digests as plain JSON values, which `services/runtime/code_version.py` reads."""
-    return {kind: {"sha256": one.sha256, "libraries": dict(one.libraries)} for kind, one in digests.items()}
+    return {kind: {"sha256": digest.sha256, "libraries": dict(digest.libraries)} for kind, digest in digests.items()}
 
 
 def reaches(places: Mapping[str, Path]) -> dict[ResultKind, Reach]:
@@ -183,10 +187,10 @@ def reaches(places: Mapping[str, Path]) -> dict[ResultKind, Reach]:
     Raises `unresolved_name`, `sources_missing`.
     """
     tree, known = SourceTree(places, OUTSIDE), dict[Definition, Computation]()
-    found = {kind: Reach(tree, known) for kind in ENTRIES}
-    for kind, reach in found.items():
+    by_kind = {kind: Reach(tree, known) for kind in ENTRIES}
+    for kind, reach in by_kind.items():
         reach.add([Definition(*entry.split(":")) for entry in ENTRIES[kind]])
-    return found
+    return by_kind
 
 
 def installed_places() -> dict[str, Path]:

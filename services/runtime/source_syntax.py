@@ -139,11 +139,11 @@ class _Writer:
         self._node(node)
 
     def _name(self, name: str) -> None:
-        found = self._meaning(name)
-        if isinstance(found, str):
-            self.words.append(found)
+        meaning = self._meaning(name)
+        if isinstance(meaning, str):
+            self.words.append(meaning)
         else:
-            self._target(found)
+            self._target(meaning)
 
     def _meaning(self, name: str) -> Target | str:
         """Return the target of a name, or its word if it is a local variable or an attribute of a class body."""
@@ -187,8 +187,8 @@ class _Writer:
     def _module_member(self, node: ast.expr) -> Target | None:
         """Return the target of `module.name`, or None for an attribute of something else."""
         if isinstance(node, ast.Name):
-            found = self._meaning(node.id)
-            return None if isinstance(found, str) else found
+            meaning = self._meaning(node.id)
+            return None if isinstance(meaning, str) else meaning
         if not isinstance(node, ast.Attribute):
             return None
         base = self._module_member(node.value)
@@ -272,11 +272,11 @@ class _Writer:
 def _body_scope(body: Sequence[ast.AST], parameters: set[str], *, is_class: bool = False) -> _Scope:
     """Return the scope of a body with these parameters, without global and nonlocal names."""
     names = names_in(body)
-    imports = {name: target for one in names.imports for name, target, _ in imports_of(one)}
+    imports = {name: target for statement in names.imports for name, target, _ in imports_of(statement)}
     return _Scope((names.bound | parameters | set(imports)) - names.declared, imports, is_class)
 
 
 def _arguments(arguments: ast.arguments) -> list[ast.arg]:
     """Return all parameters, always in the same order."""
-    single = [one for one in (arguments.vararg, arguments.kwarg) if one is not None]
+    single = [argument for argument in (arguments.vararg, arguments.kwarg) if argument is not None]
     return [*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs, *single]

@@ -108,17 +108,17 @@ class SourceTree:
 
     def is_inside(self, name: str) -> bool:
         """Return whether the module called `name` is opened."""
-        is_outside = any(name == one or name.startswith(f"{one}.") for one in self._outside)
+        is_outside = any(name == package or name.startswith(f"{package}.") for package in self._outside)
         return not is_outside and name.partition(".")[0] in self._places
 
     def resolved(self, module: str, name: str) -> Target:
         """Return the target of `name` in a module; imports are followed. Raises `unresolved_name`."""
-        found = self.module(module)
-        if name in found.statements:
+        parsed = self.module(module)
+        if name in parsed.statements:
             return Definition(module, name)
-        if name in found.imports:
-            return self.imported(found.imports[name])
-        if found.is_package and self.path_of(f"{module}.{name}") is not None:
+        if name in parsed.imports:
+            return self.imported(parsed.imports[name])
+        if parsed.is_package and self.path_of(f"{module}.{name}") is not None:
             return ModuleObject(f"{module}.{name}")
         if hasattr(builtins, name) or (name.startswith("__") and name.endswith("__")):
             return External(name)
@@ -126,14 +126,20 @@ class SourceTree:
             "unresolved_name", f"{module} defines no {name}; was it renamed or moved without updating its users?"
         )
 
-    def imported(self, found: Import) -> Target:
+    def imported(self, imported_name: Import) -> Target:
         """Return the target of an import. Raises `unresolved_name`, `sources_missing`."""
-        root = found.module.partition(".")[0]
+        root = imported_name.module.partition(".")[0]
         if root not in self._places:
-            return External(f"{found.module}.{found.name}" if found.name else found.module, root)
-        if not self.is_inside(found.module):
-            return External(found.name or found.module.rpartition(".")[2])
-        return self.resolved(found.module, found.name) if found.name else ModuleObject(found.module)
+            return External(
+                f"{imported_name.module}.{imported_name.name}" if imported_name.name else imported_name.module, root
+            )
+        if not self.is_inside(imported_name.module):
+            return External(imported_name.name or imported_name.module.rpartition(".")[2])
+        return (
+            self.resolved(imported_name.module, imported_name.name)
+            if imported_name.name
+            else ModuleObject(imported_name.module)
+        )
 
 
 def place_of(root: str) -> Path:
@@ -176,7 +182,7 @@ def names_in(nodes: Iterable[ast.AST]) -> ScopeNames:
             case ast.Lambda():
                 continue
             case ast.ListComp() | ast.SetComp() | ast.DictComp() | ast.GeneratorExp():
-                names.bound |= {one.target.id for one in ast.walk(node) if isinstance(one, ast.NamedExpr)}
+                names.bound |= {walrus.target.id for walrus in ast.walk(node) if isinstance(walrus, ast.NamedExpr)}
                 continue
             case ast.Name(ctx=ast.Store() | ast.Del()):
                 names.bound.add(node.id)
@@ -213,13 +219,13 @@ def _defined(statement: ast.stmt, bound: set[str]) -> set[str]:
         case ast.Import() | ast.ImportFrom() | ast.Expr(value=ast.Constant()) | ast.Pass():
             return set()
         case ast.FunctionDef() | ast.AsyncFunctionDef() | ast.ClassDef():
-            is_pure = all(_name_of(one) in PURE_DECORATORS for one in statement.decorator_list)
+            is_pure = all(_name_of(decorator) in PURE_DECORATORS for decorator in statement.decorator_list)
             return {statement.name} if is_pure else {statement.name, EFFECTS}
         case ast.If(test=ast.Compare(left=ast.Name(id="__name__"))):  # the file's main program
             return set()
     is_definition = isinstance(statement, ast.Assign | ast.AnnAssign | ast.AugAssign) and bool(bound)
     is_condition_of_imports = isinstance(statement, ast.If) and all(
-        isinstance(one, ast.Import | ast.ImportFrom) for one in (*statement.body, *statement.orelse)
+        isinstance(inner, ast.Import | ast.ImportFrom) for inner in (*statement.body, *statement.orelse)
     )
     return (bound if is_definition or is_condition_of_imports else bound | {EFFECTS}) - UNNAMED
 

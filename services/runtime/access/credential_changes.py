@@ -38,7 +38,7 @@ def _note_statement(state: ORMExecuteState) -> None:
 
 @event.listens_for(Session, "after_flush")
 def _note_objects(session: Session, _context: object) -> None:
-    if any(isinstance(one, _CREDENTIALS) for one in (*session.dirty, *session.deleted)):
+    if any(isinstance(changed, _CREDENTIALS) for changed in (*session.dirty, *session.deleted)):
         session.info[_CHANGED] = True
 
 

@@ -78,9 +78,9 @@ def begin_grant(session: Session, request: DeviceRequest) -> DeviceCodes:
 
 def find_waiting(session: Session, user_code: str, is_locked: bool = False) -> DeviceGrant | None:
     """Return the undecided, unexpired grant with this code; case, blanks and dashes are ignored."""
-    letters = "".join(one for one in user_code.upper() if one in LETTERS)
-    found = select(DeviceGrant).where(DeviceGrant.user_hash == hash_of(letters))
-    row = session.scalars(found.with_for_update(of=DeviceGrant) if is_locked else found).one_or_none()
+    letters = "".join(letter for letter in user_code.upper() if letter in LETTERS)
+    grants = select(DeviceGrant).where(DeviceGrant.user_hash == hash_of(letters))
+    row = session.scalars(grants.with_for_update(of=DeviceGrant) if is_locked else grants).one_or_none()
     is_waiting = row and row.expires_ns > now_ns() and row.user_id is None and not row.is_denied
     return row if is_waiting else None
 
@@ -98,12 +98,12 @@ def approve(grant: DeviceGrant, authority: Authority, session_id: str) -> None:
 
 def poll(session: Session, device_code: str, token_s: float) -> DevicePoll:
     """Return the state of the grant with this device code; an approved grant becomes a token of `token_s`, once."""
-    found = select(DeviceGrant).where(DeviceGrant.device_hash == hash_of(device_code))
-    seen = session.scalars(found).one_or_none()
+    grants = select(DeviceGrant).where(DeviceGrant.device_hash == hash_of(device_code))
+    seen = session.scalars(grants).one_or_none()
     approver_id = seen.user_id if seen else None
     if approver_id:
         lock_user(session, approver_id)  # same lock order as `end_all`
-    locked = found.with_for_update(of=DeviceGrant).execution_options(populate_existing=True)
+    locked = grants.with_for_update(of=DeviceGrant).execution_options(populate_existing=True)
     row = session.scalars(locked).one_or_none()
     now = now_ns()
     if row is None or row.expires_ns <= now:

@@ -57,13 +57,16 @@ def prune_backups(folder: BackupFolder, keep: int) -> BackupOutcome:
 
 def list_backups(folder: BackupFolder) -> BackupOutcome:
     """Return one line and one record for each snapshot, the oldest first."""
-    found = []
+    records = []
     for name in folder.snapshots():
         snapshot, _files = read_snapshot(folder.snapshot(name))
         rows = sum(table.rows for table in snapshot.tables)
-        found.append({"name": name, "revision": snapshot.revision, "rows": rows, "flaws": len(snapshot.flaws)})
-    lines = (f"{one['name']}  revision {one['revision']}  {one['rows']} rows  {one['flaws']} flaws" for one in found)
-    return BackupOutcome(tuple(lines), {"snapshots": found})
+        records.append({"name": name, "revision": snapshot.revision, "rows": rows, "flaws": len(snapshot.flaws)})
+    lines = (
+        f"{record['name']}  revision {record['revision']}  {record['rows']} rows  {record['flaws']} flaws"
+        for record in records
+    )
+    return BackupOutcome(tuple(lines), {"snapshots": records})
 
 
 @contextmanager
@@ -85,13 +88,13 @@ def of_backup(taken: BackupResult) -> tuple[str, ...]:
 
 
 def of_restored(restored: BackupRestoreResult) -> tuple[str, ...]:
-    said = [
+    lines = [
         f"restored {restored.rows} rows, {restored.objects - restored.flawed} objects and {restored.uploads} "
         f"unfinished uploads; {restored.queued_again} interrupted jobs are queued again"
     ]
     if restored.flawed:
-        said.append(f"LOST before the backup was taken: {restored.flawed} objects")
-    return (*said, *(f"LOST: {flaw}" for flaw in restored.snapshot.flaws))
+        lines.append(f"LOST before the backup was taken: {restored.flawed} objects")
+    return (*lines, *(f"LOST: {flaw}" for flaw in restored.snapshot.flaws))
 
 
 def of_verified(verified: BackupVerification) -> tuple[str, ...]:

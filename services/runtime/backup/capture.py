@@ -76,10 +76,10 @@ def _uploads(connection: Connection) -> list[BackupUpload]:
         and_(used, Upload.purpose == "submission", Upload.id.in_(submitted)),
         and_(used, Upload.purpose == "dataset", Upload.id.in_(imported)),
     )
-    found = connection.execute(
+    rows = connection.execute(
         select(Upload.id, Upload.sha256).where(Upload.backend != STORE, needed).order_by(Upload.id)
     )
-    return [BackupUpload(upload_id, sha256) for upload_id, sha256 in found]
+    return [BackupUpload(upload_id, sha256) for upload_id, sha256 in rows]
 
 
 COPIES = 4
@@ -189,13 +189,15 @@ def make_backup(platform: Platform, folder: BackupFolder) -> BackupResult:
     Raises `backup_busy`, `schema_not_current`, `HoldLostError`, `store_unavailable`, `StorageFullError`, `OSError`.
     """
     writer = _BackupWriter(platform, folder)
-    with folder.writing(), gc_hold(platform.database, "backup") as hold, folder.new_snapshot() as place:
+    with folder.writing(), gc_hold(platform.database, "backup") as hold, folder.new_snapshot() as snapshot_folder:
         made_ns = now_ns()
-        tables, named = _frozen(platform, place)
-        contents = partial(dumped_rows, place, _named(tables, Blob), ("sha256", "object_key", "size_bytes"))
+        tables, named = _frozen(platform, snapshot_folder)
+        contents = partial(dumped_rows, snapshot_folder, _named(tables, Blob), ("sha256", "object_key", "size_bytes"))
         _require_room(platform, folder, contents())
         writer.bring_blobs(contents())
-        writer.bring_upload_parts(dumped_rows(place, _named(tables, UploadPartRow), ("object_key", "blob_sha256")))
+        writer.bring_upload_parts(
+            dumped_rows(snapshot_folder, _named(tables, UploadPartRow), ("object_key", "blob_sha256"))
+        )
         writer.bring_work(named.runs)
         for upload in named.uploads:
             writer.bring_upload(upload)
@@ -204,11 +206,11 @@ def make_backup(platform: Platform, folder: BackupFolder) -> BackupResult:
             RELEASE,
             made_ns,
             tables,
-            write_files(place, tuple(writer.files)),
+            write_files(snapshot_folder, tuple(writer.files)),
             tuple(writer.flaws),
             tuple(writer.given_up),
         )
-        write_snapshot(place, snapshot)
+        write_snapshot(snapshot_folder, snapshot)
         hold.check()
     return BackupResult(folder.snapshot(), snapshot, writer.blobs, writer.brought, writer.brought_bytes)
 
@@ -225,10 +227,10 @@ def _named(tables: tuple[TableFacts, ...], row: type[Base]) -> TableFacts:
     return next(table for table in tables if table.name == row.__tablename__)
 
 
-def _frozen(platform: Platform, place: Path) -> tuple[tuple[TableFacts, ...], BackupReferences]:
+def _frozen(platform: Platform, snapshot_folder: Path) -> tuple[tuple[TableFacts, ...], BackupReferences]:
     """Dump the current database; the transaction ends before anything slow is copied."""
     with snapshot_of(platform.database) as connection:
-        return dump(connection, place), backup_references(connection)
+        return dump(connection, snapshot_folder), backup_references(connection)
 
 
 def _few_ahead(

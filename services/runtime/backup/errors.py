@@ -17,7 +17,7 @@ class DamagedBackupError(StoneError):
 class SourceDamagedError(PlatformFaultError):
     """The store's object differs from its row."""
 
-    def __init__(self, name: str, found: str, expected: str) -> None:
+    def __init__(self, name: str, actual: str, expected: str) -> None:
         super().__init__(
-            "object_damaged", f"{name} has sha256 {found}, but its row has {expected}; the store's disk may be failing"
+            "object_damaged", f"{name} has sha256 {actual}, but its row has {expected}; the store's disk may be failing"
         )

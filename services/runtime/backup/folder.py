@@ -91,11 +91,11 @@ class BackupFolder:
                     size_bytes += file.write(piece)
                 file.flush()
                 os.fsync(file.fileno())
-            found = hashed.hexdigest()
-            if expected_sha256 not in ("", found):
-                raise SourceDamagedError(name, found, expected_sha256)
-            self._place(staging, self.path_of(found))
-            return BackupContent(found, size_bytes)
+            digest = hashed.hexdigest()
+            if expected_sha256 not in ("", digest):
+                raise SourceDamagedError(name, digest, expected_sha256)
+            self._place(staging, self.path_of(digest))
+            return BackupContent(digest, size_bytes)
         finally:
             staging.unlink(missing_ok=True)
 
@@ -139,6 +139,6 @@ def pieces_of(path: Path, size_bytes: int | None = None) -> Iterator[bytes]:
             yield piece
 
 
-def snapshot_missing(folder: Path, name: str, found: list[str]) -> Refused:
+def snapshot_missing(folder: Path, name: str, existing: list[str]) -> Refused:
     wanted = f"snapshot {name!r}" if name else "snapshot"
-    return Refused("snapshot_missing", f"{folder} has no {wanted}; it has {', '.join(found[-5:]) or 'none'}")
+    return Refused("snapshot_missing", f"{folder} has no {wanted}; it has {', '.join(existing[-5:]) or 'none'}")

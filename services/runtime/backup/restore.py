@@ -50,11 +50,11 @@ def restore(platform: Platform, folder: BackupFolder, name: str = "") -> BackupR
     Raises `snapshot_missing`, `DamagedBackupError`, `target_not_empty`, `schema_newer`, `schema_older`,
     `StoreFullError`, `store_unavailable`.
     """
-    place = folder.snapshot(name)
-    snapshot, files = read_snapshot(place)
+    snapshot_folder = folder.snapshot(name)
+    snapshot, files = read_snapshot(snapshot_folder)
     _refuse(platform, snapshot)
-    checked_tables(place, snapshot.tables)
-    wanted = dict(_wanted(place, snapshot, files))
+    checked_tables(snapshot_folder, snapshot.tables)
+    wanted = dict(_wanted(snapshot_folder, snapshot, files))
     present = {stored.key: stored for stored in platform.store.listed("")}
     _refuse_foreign(platform, wanted, present, files)
     missing = {key: content for key, content in wanted.items() if key not in present}
@@ -63,7 +63,7 @@ def restore(platform: Platform, folder: BackupFolder, name: str = "") -> BackupR
     for file in uploads:
         _place_upload(platform, folder, file)
     with schema_connection(platform.settings) as connection:
-        load(connection, place, snapshot.revision, snapshot.tables)
+        load(connection, snapshot_folder, snapshot.revision, snapshot.tables)
     queued_again = _settle(platform, snapshot)
     rows = sum(table.rows for table in snapshot.tables)
     return BackupRestoreResult(snapshot, rows, len(wanted), len(uploads), queued_again, flawed)
@@ -76,10 +76,10 @@ def _refuse(platform: Platform, snapshot: BackupSnapshot) -> None:
 
 
 def _wanted(
-    place: Path, snapshot: BackupSnapshot, files: tuple[BackupFile, ...]
+    snapshot_folder: Path, snapshot: BackupSnapshot, files: tuple[BackupFile, ...]
 ) -> Iterator[tuple[str, BackupContent]]:
     """Yield the objects of the snapshot by key."""
-    rows = dumped_rows(place, snapshot.table(Blob.__tablename__), ("object_key", "sha256", "size_bytes"))
+    rows = dumped_rows(snapshot_folder, snapshot.table(Blob.__tablename__), ("object_key", "sha256", "size_bytes"))
     yield from ((key, BackupContent(sha256, size_bytes)) for key, sha256, size_bytes in rows)
     yield from ((file.name, file.content) for file in files if file.place == "object")
 
@@ -141,5 +141,5 @@ def _settle(platform: Platform, snapshot: BackupSnapshot) -> int:
     return queued_again
 
 
-def target_not_empty(place: str, found: str) -> Refused:
-    return Refused("target_not_empty", f"{place} contains {found}; restore a backup only onto an empty platform")
+def target_not_empty(place: str, content: str) -> Refused:
+    return Refused("target_not_empty", f"{place} contains {content}; restore a backup only onto an empty platform")

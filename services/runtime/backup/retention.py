@@ -67,11 +67,11 @@ def prune(folder: BackupFolder, kept: int) -> BackupPruneResult:
         return BackupPruneResult(len(leaving), len(gone), size_bytes)
 
 
-def contents_of(place: Path) -> set[BackupContent]:
+def contents_of(snapshot_folder: Path) -> set[BackupContent]:
     """Return the contents of a snapshot, except those the platform had lost. Raises `DamagedBackupError`."""
-    snapshot, files = read_snapshot(place)
-    checked_tables(place, snapshot.tables)
+    snapshot, files = read_snapshot(snapshot_folder)
+    checked_tables(snapshot_folder, snapshot.tables)
     flawed = " ".join(snapshot.flaws)
-    rows = dumped_rows(place, snapshot.table(Blob.__tablename__), ("object_key", "sha256", "size_bytes"))
+    rows = dumped_rows(snapshot_folder, snapshot.table(Blob.__tablename__), ("object_key", "sha256", "size_bytes"))
     named = {BackupContent(sha256, size_bytes) for key, sha256, size_bytes in rows if key not in flawed}
     return named | {file.content for file in files}

@@ -154,7 +154,7 @@ def dumped_rows(folder: Path, table: TableFacts, names: Sequence[str]) -> Iterat
     places = [[column.name for column in table.columns].index(name) for name in names]
     for line in _lines(_path(folder, table)):
         row = row_of(line, table.kinds)
-        yield [row[place] for place in places]
+        yield [row[index] for index in places]
 
 
 def checked_tables(folder: Path, tables: Sequence[TableFacts]) -> None:
@@ -198,28 +198,28 @@ def _dump(connection: Connection, folder: Path, table: Table) -> TableFacts:
 
 def _written(connection: Connection, table: TableFacts) -> Iterator[bytes]:
     """Yield the table's rows as text, in pieces."""
-    names, place = _quoted(connection, table)
+    names, target = _quoted(connection, table)
     if connection.dialect.name == "sqlite":
-        rows = connection.exec_driver_sql(f"SELECT {names} FROM {place}")
+        rows = connection.exec_driver_sql(f"SELECT {names} FROM {target}")
         for batch in rows.partitions(BATCH):
             yield "".join(line_of(row, table.kinds) + "\n" for row in batch).encode("utf-8")
         return
-    with _cursor(connection).copy(f"COPY (SELECT {names} FROM {place}) TO STDOUT") as copy:
+    with _cursor(connection).copy(f"COPY (SELECT {names} FROM {target}) TO STDOUT") as copy:
         for piece in copy:
             yield bytes(piece)
 
 
 def _load(connection: Connection, folder: Path, table: TableFacts) -> None:
-    names, place = _quoted(connection, table)
+    names, target = _quoted(connection, table)
     path = _path(folder, table)
     if connection.dialect.name != "sqlite":
-        with _cursor(connection).copy(f"COPY {place} ({names}) FROM STDIN") as copy:
+        with _cursor(connection).copy(f"COPY {target} ({names}) FROM STDIN") as copy:
             for piece in _unpacked(path):
                 copy.write(piece)
         return
     marks = ", ".join("?" * len(table.columns))
     for batch in _batches(path, table.kinds):
-        connection.exec_driver_sql(f"INSERT INTO {place} ({names}) VALUES ({marks})", batch)
+        connection.exec_driver_sql(f"INSERT INTO {target} ({names}) VALUES ({marks})", batch)
 
 
 def _batches(path: Path, kinds: Sequence[Kind]) -> Iterator[list[tuple[Any, ...]]]:

@@ -28,12 +28,12 @@ def places_for(count: int) -> int:
 
 def numbered_parameters(places: int) -> list[BindParameter[Any]]:
     """Return the parameters of an IN with this number of values."""
-    return [parameter(f"place_{place}") for place in range(places)]
+    return [parameter(f"place_{number}") for number in range(places)]
 
 
 def numbered(values: Sequence[str]) -> Values:
     """Return the values by number; missing values are NULL, which equals nothing."""
-    return {f"place_{place}": value for place, value in enumerate(values)}
+    return {f"place_{number}": value for number, value in enumerate(values)}
 
 
 class KeptSelect:
@@ -62,9 +62,9 @@ class KeptSelect:
 
 def _constants(compiled: SQLCompiler) -> dict[str, Any]:
     """Return the statement's own values in the driver's form, for example the path into a JSON column."""
-    told = dict(compiled.params)
+    values = dict(compiled.params)
     for bound, name in compiled.bind_names.items():
         convert = bound.type.dialect_impl(compiled.dialect).bind_processor(compiled.dialect)
         if convert is not None and not bound.expanding:
-            told[name] = convert(told[name])
-    return told
+            values[name] = convert(values[name])
+    return values

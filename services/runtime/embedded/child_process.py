@@ -44,10 +44,10 @@ class Program:
 class Child:
     """A program that is kept running. Used by one thread at a time."""
 
-    def __init__(self, program: Program, logs: Path, told: ReportCallback) -> None:
+    def __init__(self, program: Program, logs: Path, report: ReportCallback) -> None:
         self.program = program
         self.log = logs / f"{program.name}.log"
-        self._told = told
+        self._report = report
         self._process: subprocess.Popen[bytes] | None = None
         self._pause_s = FIRST_PAUSE_S
         self._started_s = self._due_s = 0.0
@@ -93,11 +93,11 @@ class Child:
                 self._pause_s = FIRST_PAUSE_S
             self._due_s = now_s + self._pause_s
             fate = f"{self.program.name} {fate_of(self.exit_code)}; it is restarted in {self._pause_s:g} s"
-            self._told(f"{fate} (log: {self.log})")
+            self._report(f"{fate} (log: {self.log})")
             self._pause_s = min(2 * self._pause_s, LONGEST_PAUSE_S)
         elif now_s >= self._due_s:
             self.start()
-            self._told(f"{self.program.name} was restarted, process {self.pid}")
+            self._report(f"{self.program.name} was restarted, process {self.pid}")
 
     def forgive(self) -> None:
         """Reset the pause, because its next death is deliberate, for example in a test."""

@@ -22,5 +22,5 @@ class StartFailedError(StoneError):
     code = "start_failed"
 
     def __init__(self, name: str, fate: str, log: Path, last_words: str) -> None:
-        said = f": {last_words}" if last_words else ""
-        super().__init__(f"{name} {fate}{said}; its log is {log}")
+        quoted = f": {last_words}" if last_words else ""
+        super().__init__(f"{name} {fate}{quoted}; its log is {log}")

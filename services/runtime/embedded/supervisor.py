@@ -74,7 +74,7 @@ def logs_of(settings: Settings) -> Path:
 
 @contextmanager
 def running_platform(
-    settings: Settings, told: ReportCallback = lambda line: None, *, is_awaited: bool = True
+    settings: Settings, report: ReportCallback = lambda line: None, *, is_awaited: bool = True
 ) -> Iterator[RunningPlatform]:
     """Yield the platform when it is ready; drain and end it afterwards. `told` is called with the children's events.
 
@@ -86,16 +86,16 @@ def running_platform(
         stack.callback(os.umask, keep_private())
         lock = stack.enter_context(hold_folder(settings.root))
         if warning := open_data_folder(settings.root):
-            told(f"{warning.code}: {warning}")
+            report(f"{warning.code}: {warning}")
         listener = listen(settings.api)
         stack.callback(close, listener)
-        broker = start_redis(settings.root / "redis", logs_of(settings), told)
+        broker = start_redis(settings.root / "redis", logs_of(settings), report)
         stack.callback(broker.child.kill)
         settings = _completed(settings, broker.url, reached_at(settings.api, listener).url, listener.getsockname()[1])
         upgrade(settings)
         platform = open_platform(settings)
         stack.callback(platform.database.close)
-        keys = _prepare(platform, told)
+        keys = _prepare(platform, report)
         if platform.database.is_sqlite:
             Ballast(settings).make()
         programs = (
@@ -103,8 +103,8 @@ def running_platform(
             api_program(settings, listener.fileno()),
             sweeper_program(settings),
         )
-        worker, api, sweeper = (Child(program, logs_of(settings), told) for program in programs)
-        watched = SupervisedChildren((broker.child, worker, api, sweeper), told, Pulse(broker, told))
+        worker, api, sweeper = (Child(program, logs_of(settings), report) for program in programs)
+        watched = SupervisedChildren((broker.child, worker, api, sweeper), report, Pulse(broker, report))
         stack.callback(watched.kill)
         for child in (worker, api, sweeper):
             child.start()
@@ -117,7 +117,7 @@ def running_platform(
         finally:
             watched.stop()
             close(listener)
-            _drain(platform, (api, sweeper), worker, told)
+            _drain(platform, (api, sweeper), worker, report)
             broker.child.stop()
 
 
@@ -126,7 +126,7 @@ def _completed(settings: Settings, broker_url: str, url: str, port: int) -> Sett
     return settings.model_copy(update={"broker": broker, "api": replace(settings.api, url=url, port=port)})
 
 
-def _prepare(platform: Platform, told: ReportCallback) -> FirstStartKeys:
+def _prepare(platform: Platform, report: ReportCallback) -> FirstStartKeys:
     """Queue the interrupted jobs of an earlier platform and create the keys, before any worker starts.
 
     A SQLite database belongs to this platform alone; a database server may have other workers, whose jobs the sweeper
@@ -136,7 +136,7 @@ def _prepare(platform: Platform, told: ReportCallback) -> FirstStartKeys:
         interrupted = give_back_running(platform, CRASHED, is_counted=True)
         forget_silent(platform, older_than_s=0.0)
         if interrupted:
-            told(f"{interrupted} interrupted job(s) queued again")
+            report(f"{interrupted} interrupted job(s) queued again")
     return ensure_keys(platform)
 
 
@@ -165,7 +165,7 @@ def _answers(address: tuple[str, int]) -> bool:
         connection.close()
 
 
-def _drain(platform: Platform, quick: tuple[Child, ...], worker: Child, told: ReportCallback) -> None:
+def _drain(platform: Platform, quick: tuple[Child, ...], worker: Child, report: ReportCallback) -> None:
     """Stop all children at once; the worker has longest. Its unfinished jobs are queued for the next start."""
     for child in (*quick, worker):
         child.ask_to_stop()
@@ -173,11 +173,11 @@ def _drain(platform: Platform, quick: tuple[Child, ...], worker: Child, told: Re
     for child in quick:
         child.stop()
     if not worker.stop(until_s - time.monotonic()):
-        told(f"worker did not finish within {worker.program.stop_s:g} s and was killed")
+        report(f"worker did not finish within {worker.program.stop_s:g} s and was killed")
     if platform.database.is_sqlite:
         interrupted = give_back_running(platform, STOPPED, is_counted=False)
         if interrupted:
-            told(f"{interrupted} unfinished job(s) resume at the next start")
+            report(f"{interrupted} unfinished job(s) resume at the next start")
 
 
 class SupervisedChildren:
@@ -186,10 +186,10 @@ class SupervisedChildren:
     Processes started by the thread die with it, so it stays, idle, until all of them have ended.
     """
 
-    def __init__(self, children: tuple[Child, ...], told: ReportCallback, pulse: Pulse) -> None:
+    def __init__(self, children: tuple[Child, ...], report: ReportCallback, pulse: Pulse) -> None:
         self.children = children
         self._pulse = pulse
-        self._told = told
+        self._report = report
         self._leaving, self._idle, self._released = Event(), Event(), Event()
         self._thread = Thread(target=self._watch, name="supervisor", daemon=True)
 
@@ -221,7 +221,7 @@ class SupervisedChildren:
         try:
             child.revive()
         except OSError as error:  # no process, memory or disk available: the next check tries again
-            self._told(f"{child.program.name} could not be started: {error}")
+            self._report(f"{child.program.name} could not be started: {error}")
 
 
 # Command lines, environments and stop timeouts of the child processes. Every process reads its settings from the

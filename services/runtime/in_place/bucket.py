@@ -45,8 +45,8 @@ class PlacedObject:
     def file(self) -> PlacedFile:
         """Return the object's current state. Raises `recording_vanished`, `store_unavailable`."""
         with self._translated():
-            found = self._client.head_object(Bucket=self._bucket, Key=self._key)
-        return PlacedFile(self._place.name, int(found["ContentLength"]), found["ETag"].strip('"'))
+            head = self._client.head_object(Bucket=self._bucket, Key=self._key)
+        return PlacedFile(self._place.name, int(head["ContentLength"]), head["ETag"].strip('"'))
 
     def fetch(self, ranges: Sequence[Range], target: Path) -> None:
         """Write these ranges of the object to the same offsets of the file.

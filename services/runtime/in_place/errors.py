@@ -6,12 +6,12 @@ from stone_recordings.sync.stored_recording import PlacedFile, RecordingPlace
 ANEW = "remove the recording or import and add the file again (labels made from it stay)"
 
 
-def changed_in_place(place: RecordingPlace, found: PlacedFile, known: PlacedFile | None) -> Refused:
+def changed_in_place(place: RecordingPlace, current: PlacedFile, known: PlacedFile | None) -> Refused:
     was = f"was registered with {known.size_bytes} bytes in version {known.version}" if known else "came since"
     return Refused(
         "recording_changed_in_place",
-        f"{found.name} of {place} has {found.size_bytes} bytes in version {found.version}, and {was}; restore the "
-        f"file, or {ANEW}",
+        f"{current.name} of {place} has {current.size_bytes} bytes in version {current.version}, and {was}; restore "
+        f"the file, or {ANEW}",
     )
 
 

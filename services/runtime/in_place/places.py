@@ -70,9 +70,9 @@ def refuse_changed(settings: InPlaceSettings, place: RecordingPlace) -> None:
     refuse_other(place, found_place(settings, place))
 
 
-def refuse_other(place: RecordingPlace, found: RecordingPlace) -> None:
+def refuse_other(place: RecordingPlace, current: RecordingPlace) -> None:
     """Do as `refuse_changed`, for files that were found."""
-    now: Mapping[str, PlacedFile] = {file.name: file for file in found.files}
+    now: Mapping[str, PlacedFile] = {file.name: file for file in current.files}
     known = {file.name: file for file in place.files}
     for name in (*known, *(name for name in now if name not in known)):
         if name not in now:

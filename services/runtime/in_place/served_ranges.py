@@ -38,16 +38,16 @@ class PipedRanges:
 
     def read_at(self, offset: int, count: int) -> bytes:
         """Return the bytes. Raises `ranges_unavailable`; the parent has the reason."""
-        stop, found = min(offset + count, self.size_bytes), list[bytes]()
-        with (self.folder / ASKED).open("wb", buffering=0) as asked, (self.folder / ANSWERED).open("rb") as answered:
-            fcntl.flock(asked, fcntl.LOCK_EX)
+        stop, chunks = min(offset + count, self.size_bytes), list[bytes]()
+        with (self.folder / ASKED).open("wb", buffering=0) as requests, (self.folder / ANSWERED).open("rb") as answered:
+            fcntl.flock(requests, fcntl.LOCK_EX)
             for at in range(offset, stop, MOST_BYTES):
-                asked.write(REQUEST.pack(at, min(MOST_BYTES, stop - at)))
+                requests.write(REQUEST.pack(at, min(MOST_BYTES, stop - at)))
                 (size,) = SIZE.unpack(answered.read(SIZE.size))
                 if size == FAILED:
                     raise Refused("ranges_unavailable", f"{self.path} could not be read from byte {at} on")
-                found.append(answered.read(size))
-        return b"".join(found)
+                chunks.append(answered.read(size))
+        return b"".join(chunks)
 
     def identity(self) -> list[str | int]:
         return [str(self.path), self.version, self.size_bytes]
@@ -62,9 +62,9 @@ def served_ranges(read_at: ReadAt, place: RecordingPlace, folder: Path) -> Itera
     (file,), where = place.files, folder.resolve()
     for name in (ASKED, ANSWERED):
         os.mkfifo(where / name, 0o600)
-    asked, answered = (os.open(where / name, os.O_RDWR | os.O_NONBLOCK) for name in (ASKED, ANSWERED))
+    requests, answered = (os.open(where / name, os.O_RDWR | os.O_NONBLOCK) for name in (ASKED, ANSWERED))
     ending, ended = os.pipe()
-    server = _RangeServer(read_at, file.size_bytes, asked, answered, ending)
+    server = _RangeServer(read_at, file.size_bytes, requests, answered, ending)
     thread = Thread(target=server.serve, name="ranges", daemon=True)
     thread.start()
     try:
@@ -76,7 +76,7 @@ def served_ranges(read_at: ReadAt, place: RecordingPlace, folder: Path) -> Itera
     finally:
         os.close(ended)
         thread.join()
-        for number in (asked, answered, ending):
+        for number in (requests, answered, ending):
             os.close(number)
         for name in (ASKED, ANSWERED):
             (where / name).unlink(missing_ok=True)
