@@ -110,7 +110,7 @@ def test_postgresql_writes_what_we_read_and_reads_what_we_write(
 
 
 def test_a_file_without_an_end_is_no_file() -> None:
-    with pytest.raises(ValueError, match="end"):
+    with pytest.raises(ValueError, match="incomplete"):
         list(lines_of([b"a\nb"]))
 
 

@@ -90,7 +90,7 @@ def test_a_child_that_keeps_dying_is_started_ever_more_rarely(make: Callable[...
     child = make("false")
     child.start()
     until(lambda: child.revive() or sum("ended with exit code 1" in line for line in told) == 3)
-    pauses = [line.partition(" again in ")[2].partition(" s")[0] for line in told if "ended" in line]
+    pauses = [line.partition(" restarted in ")[2].partition(" s")[0] for line in told if "ended" in line]
     assert pauses == ["0.5", "1", "2"]
 
 
