@@ -1,7 +1,7 @@
-"""Log lines of an attempt as rows: written once however often they are sent.
+"""Log lines of an attempt as rows, each written once even if sent repeatedly.
 
-**Conventions.** A line has its number from the moment it is said, and (job, attempt, number) is its key: after a commit
-whose answer was lost the same lines are sent again, and those that are there stay as they are.
+**Conventions.** A line is numbered when it is logged, and (job, attempt, number) is its key. After a commit whose
+answer was lost, the same lines are sent again, and existing rows stay unchanged.
 """
 
 import json
@@ -16,7 +16,7 @@ from services.runtime.database.inserts import insert_new
 from services.runtime.orm import JobLine
 from services.runtime.orm.base import now_ns
 
-# What a running attempt has to say: how far it is, and its log lines.
+# Reports of a running attempt: progress and log lines.
 
 
 LONGEST_STAGE = 64
@@ -26,7 +26,7 @@ AttemptKey = tuple[str, int]
 
 @dataclass(frozen=True)
 class JobProgress:
-    """`done` of `total` in a stage, as it was said at `told_ns`."""
+    """`done` of `total` in a stage, as reported at `told_ns`."""
 
     stage: str
     done: int
@@ -35,11 +35,11 @@ class JobProgress:
 
     @property
     def fits(self) -> bool:
-        """Whether the columns take it: a sandboxed child says what it likes."""
+        """Return whether the columns accept it, since a sandboxed child may report any value."""
         return _is_text(self.stage, LONGEST_STAGE) and self.done in INTEGERS and self.total in INTEGERS
 
     def columns(self) -> dict[str, Any]:
-        """Of the job's row."""
+        """Return the columns of the job's row."""
         return {"stage": self.stage, "done": self.done, "total": self.total, "progress_ns": self.told_ns}
 
 
@@ -56,7 +56,7 @@ class AttemptLine:
 
 @dataclass(frozen=True)
 class AttemptWords:
-    """What attempt `attempt` of a job says in one turn; that it says anything means that it lives."""
+    """The report of attempt `attempt` of a job in one turn, which is also a heartbeat."""
 
     job_id: str
     attempt: int
@@ -68,7 +68,7 @@ class AttemptWords:
         return self.job_id, self.attempt
 
     def columns(self) -> dict[str, Any]:
-        """What its progress changes in the job's row; nothing where there is none, or none that fits."""
+        """Return the changed columns of the job's row; empty without valid progress."""
         return self.progress.columns() if self.progress and self.progress.fits else {}
 
 
@@ -84,19 +84,21 @@ AT_A_TIME = 500
 LONGEST_PLAIN = 900
 LONGEST_LEVEL = 8
 OUTAGES = (OperationalError, InterfaceError, TimeoutError)
-"""The database did not answer, or had no time: the same statement may pass the next time. What else it raises is of
-what was to be written (a number that no column holds, a character that no text may have), and comes again."""
+"""Errors without an answer from the database in time: the same statement may succeed next time.
+
+Other errors are caused by the values (an oversized number, an invalid character) and recur.
+"""
 
 
 def write_lines(session: Session, words: Sequence[AttemptWords]) -> None:
-    """Insert those lines that are not there yet, of several attempts at once."""
+    """Insert the lines of several attempts that are not stored yet."""
     rows = [_row(one, line) for one in words for line in one.lines]
     for first in range(0, len(rows), AT_A_TIME):
         insert_new(session, JobLine, rows[first : first + AT_A_TIME])
 
 
 def write_lines_singly(session: Session, words: AttemptWords) -> None:
-    """As `write_lines`, after the database refused one of them: that one's row says so instead of what it said."""
+    """Insert lines one by one after the database rejected one; its row then contains the error instead."""
     for line in words.lines:
         try:
             with session.begin_nested():
@@ -109,7 +111,7 @@ def write_lines_singly(session: Session, words: AttemptWords) -> None:
 
 
 def write_lines_beside(session: Session, words: AttemptWords) -> None:
-    """As `write_lines`, in a transaction that is about something else and that no line may make fail."""
+    """Insert lines as `write_lines` within another transaction, which no line may make fail."""
     if all(_is_plain(line) for line in words.lines):
         write_lines(session, [words])
         return
@@ -123,7 +125,7 @@ def write_lines_beside(session: Session, words: AttemptWords) -> None:
 
 
 def _is_plain(line: AttemptLine) -> bool:
-    """Whether every database takes it for sure: short, of ASCII without control characters, numbers finite."""
+    """Return whether every database accepts the line: short, ASCII without control characters, finite numbers."""
     try:
         said = json.dumps([line.level, line.event, line.facts], allow_nan=False)
     except (TypeError, ValueError, RecursionError):

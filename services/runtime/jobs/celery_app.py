@@ -1,10 +1,10 @@
 """The Celery application: one queue per service, prefork workers, messages that only wake them up.
 
-**The pool is prefork**, on evidence (Celery 5.7, Open3D 0.20): thread pools enforce no time limits and share a GIL with
-Open3D's bindings; memory, filesystem and SQL brokers lose running work on kill −9. A parent that *used* Open3D
-before forking leaves its children with one thread for ever, one that only imported it does not, so the parent imports
-the kernels (children start in milliseconds) and never calls them. Each child has one thread per library: the
-parallelism is over jobs. `worker_cancel_long_running_tasks_on_connection_loss` stays off: it loses jobs.
+**The pool is prefork**, on evidence (Celery 5.7, Open3D 0.20). Thread pools enforce no time limits and share a GIL with
+Open3D's bindings. Memory, filesystem and SQL brokers lose running work on kill −9. If a parent has *used* Open3D before
+forking, its children are limited to one thread; importing it is harmless. The parent therefore imports the kernels
+(children start in milliseconds) and never calls them. Each child has one thread per library: the parallelism is over
+jobs. `worker_cancel_long_running_tasks_on_connection_loss` stays off: it loses jobs.
 """
 
 import os
@@ -25,20 +25,18 @@ from services.runtime.settings import Settings
 from services.runtime.telemetry.log_lines import speak_json
 from services.runtime.telemetry.tracing import close_tracing, setup_tracing
 
-# A worker's room for a further wake-up is free again whether or not the broker heard that one was taken.
-#
-# **Conventions.** A worker has room for as many wake-ups as it has processes, and does not listen to the broker while
-# it has none left. kombu 5.7 frees the room of a message once Redis has answered to its acknowledgement. If Redis ends
-# in that moment, the room is never free again; the worker, not listening, does not learn that the connection is gone
-# either, and takes no job any more. A wake-up that is delivered twice finds nothing to do, so nothing is lost by
-# freeing its room in any case.
+# A worker's slot for a wake-up is released even if the broker did not receive the acknowledgement. A worker has as many
+# slots as processes, and does not listen to the broker while all are taken. kombu 5.7 releases a slot after Redis has
+# answered the acknowledgement. If Redis ends at that time, the slot is never released; and since the worker does not
+# listen, it does not notice the lost connection and takes no more jobs. Releasing the slot in any case loses nothing,
+# because a duplicate wake-up finds nothing to do.
 
 
 class WakeUpQoS(redis.QoS):
-    """What a channel holds that was delivered and not acknowledged yet."""
+    """The delivered but unacknowledged messages of a channel."""
 
     def ack(self, delivery_tag: str) -> None:
-        """Raises what the connection raises."""
+        """Acknowledge a message and release its slot. Raises what the connection raises."""
         try:
             super().ack(delivery_tag)  # type: ignore[no-untyped-call]
         finally:
@@ -46,7 +44,7 @@ class WakeUpQoS(redis.QoS):
 
 
 def free_room_in_any_case() -> None:
-    """Have channels of this process hold wake-ups so."""
+    """Make channels of this process use `WakeUpQoS`."""
     redis.Channel.QoS = WakeUpQoS
 
 
@@ -57,13 +55,13 @@ _HERE: list[WorkerHeartbeat] = []
 
 @worker_process_init.connect
 def _end_with_the_worker(**_: object) -> None:
-    """A pool process whose worker was killed would work on, and hold its job by its heartbeats, until the job ends."""
+    """End with the worker: otherwise a pool process of a killed worker continues its job and its heartbeats."""
     die_with(os.getppid())
 
 
 @worker_process_init.connect
 def _say_here(**_: object) -> None:
-    setup_tracing("stone-worker")  # here: a process that forks takes no exporter with it
+    setup_tracing("stone-worker")  # in the child: a fork inherits no exporter
     queues = list(current_app.amqp.queues.consume_from)  # first: the platform's sender is an application too
     presence = WorkerHeartbeat(platform(), queues)
     presence.start()
@@ -79,26 +77,27 @@ def _say_gone(**_: object) -> None:
 
 @worker_init.connect
 def _prepare_pool(**_: object) -> None:
-    """What all processes of the pool find: the tables, of which a signal for the first job might leave a child half,
-    and a lease keeper."""
+    """Prepare the pool's common state: a lease keeper, and the tables.
+
+    A signal for the first job could otherwise leave a child with half of the tables.
+    """
     configure_mappers()
     start_keeper(Settings())
 
 
 @setup_logging.connect
 def _speak(**_: object) -> None:
-    """Celery's lines and ours in one shape, instead of a format of its own."""
+    """Log Celery's lines in the platform's format."""
     speak_json()
 
 
-# How a worker reads a wake-up: the time limit is the application's, whatever the message says.
-#
-# **Conventions.** A header `timelimit` is anybody's who can write to the broker; with it each wake-up would kill the
-# process that works for it, and with three of them the job.
+# Reads a wake-up with the application's time limit and ignores the message's. Anyone with write access to the broker
+# can set a header `timelimit`; with it each wake-up would kill the process that works for it, and three of them the
+# job.
 
 
 class WakeUpRequest(Request):  # type: ignore[misc]
-    """A message as a worker holds it, without limits of its own."""
+    """A message in a worker, without limits of its own."""
 
     @property
     def time_limits(self) -> tuple[None, None]:
@@ -106,4 +105,4 @@ class WakeUpRequest(Request):  # type: ignore[misc]
 
     @time_limits.setter
     def time_limits(self, _said: Any) -> None:
-        """Celery sets what the message says; it is not kept."""
+        """Ignore the message's limits, which Celery sets."""

@@ -16,17 +16,17 @@ LOCKED = (
 
 
 def rows_changed(session: Session, statement: Update | Delete) -> int:
-    """The number of rows it changed; 0 means that somebody else was first."""
+    """Return the number of rows it changed; 0 means that another transaction was first."""
     result = session.execute(statement.execution_options(synchronize_session=False))
     return cast("CursorResult[None]", result).rowcount
 
 
 def lock_run(session: Session, root_id: str) -> Job:
-    """The run's row, locked until the end of the transaction: endings within one run come one after another."""
+    """Return the run's row, locked until the end of the transaction, which serialises endings within a run."""
     return session.scalars(LOCKED, {"root": root_id}).one()
 
 
 def revise_run(session: Session, root_id: str) -> Job:
-    """As `lock_run`, and its revision has grown: one statement for both."""
+    """Lock the run as `lock_run` and increment its revision, in one statement."""
     revised = update(Job).where(Job.id == root_id).values(revision=Job.revision + 1).returning(Job)
     return session.scalars(revised, execution_options={"populate_existing": True, "synchronize_session": False}).one()

@@ -1,4 +1,6 @@
-"""Claims the next job of a queue: most urgent first, then the owner with the least running, then the oldest run."""
+"""Claims the next job of a queue: most urgent first, then the owner with the fewest running jobs, then the oldest
+run.
+"""
 
 import os
 import socket
@@ -20,7 +22,7 @@ from services.runtime.telemetry.process_usage import used_cpu_s
 
 @dataclass(frozen=True)
 class JobOrigin:
-    """The origin of a job, and how long it was ready before it was claimed (None: not known)."""
+    """The origin of a job, and how long it was ready before its claim (None: unknown)."""
 
     traceparent: str = ""
     request_id: str = ""
@@ -29,10 +31,11 @@ class JobOrigin:
 
 @dataclass(frozen=True)
 class Claim:
-    """A job that is ours to run: nobody else holds this (job, attempt).
+    """A claimed job: only this process holds this (job, attempt).
 
-    `tries_left` after this one; `begun_cpu_s` is what the process had used when it claimed, None where another speaks;
-    `begins_run`: its run has not begun yet.
+    - `tries_left`: after this attempt
+    - `begun_cpu_s`: CPU time of the process at the claim, None if another process reports it
+    - `begins_run`: the run has not started yet
     """
 
     job_id: str
@@ -48,7 +51,7 @@ class Claim:
 
 
 def claim(session: Session, queue: str) -> Claim | None:
-    """Take the next ready job of `queue`; None when there is none, or when the queue is paused."""
+    """Claim the next ready job of `queue`; None if there is none, or if the queue is paused."""
     found = take_next(session, queue)
     if found is None:
         return None
@@ -63,44 +66,43 @@ def claim(session: Session, queue: str) -> Claim | None:
 
 
 def worker_name() -> str:
-    """Host and pid: enough for an administrator to find the process."""
+    """Return host and pid, with which an administrator finds the process."""
     return f"{socket.gethostname()}:{os.getpid()}"
 
 
 def start_run(session: Session, taken: Claim) -> None:
-    """Note that the run of this job has begun, where `begins_run`.
+    """Record that the run of this job has started, if `begins_run`.
 
-    A transaction of its own: with the job's row still locked, it would wait crosswise for somebody who cancels the run.
+    Needs its own transaction: with the job's row still locked, it could deadlock with a cancellation of the run.
     """
     waiting = update(Job).where(Job.id == taken.root_id, Job.queue == "", Job.state == "queued")
     rows_changed(session, waiting.values(state="running", started_ns=now_ns(), revision=Job.revision + 1))
 
 
-# Finds and takes the next ready job of a queue by index, however many jobs wait.
-#
-# **Conventions.** First the owners who have a ready job, hopped to one after another, each with the urgency of its
-# most urgent job and how many of its jobs run; then the oldest job of the first of them that nobody else is just
-# taking (`SKIP LOCKED` on PostgreSQL; SQLite has one writer at a time). Of equal urgency the job of the older run goes
-# first, so that runs are finished before others are begun. Predicates of partial indexes are literals (`orm/jobs.py`).
+# Finds and takes the next ready job of a queue by index, however many jobs wait. First it finds the owners with a ready
+# job by hopping along the index, with the urgency of their most urgent job and the number of their running jobs. Then
+# it takes the oldest job of the first owner that is not being taken (`SKIP LOCKED` on PostgreSQL; SQLite has one writer
+# at a time). With equal urgency the older run goes first, so that runs finish before others start. Predicates of
+# partial indexes are literals (`orm/jobs.py`).
 
 
 MOST_WAKE_UPS = 10_000
-"""More wake-ups than this for one queue wake nobody: the sweeper sends others as they are received."""
+"""More wake-ups than this per queue are useless: the sweeper sends others as they are received."""
 MOST_QUEUES = 64
-"""Statements are kept for so many queues: one takes longer to write than to run."""
+"""Statements are cached for this many queues: compiling one takes longer than running it."""
 QUEUED: ColumnElement[str] = literal_column("'queued'")
 RUNNING: ColumnElement[str] = literal_column("'running'")
 NONE: ColumnElement[int] = literal_column("0")
 ONE: ColumnElement[int] = literal_column("1")
-"""A LIMIT too is a literal: for an unknown one PostgreSQL plans a statement anew at each execution."""
+"""A literal, because PostgreSQL plans a statement with an unknown LIMIT again at each execution."""
 
 
 def take_next(session: Session, queue: str) -> tuple[Job, str] | None:
-    """The job of `queue` whose turn it is, from now on running, and the state of its run (its own where it is one).
+    """Take the next job of `queue`; return it and the state of its run (its own if it is a run).
 
-    None where the queue is paused, and where each that is ready is being taken.
+    None if the queue is paused, or if all ready jobs are being taken.
     """
-    session.flush()  # kept statements see what was written, not what is to be
+    session.flush()  # cached statements see only flushed rows
     now = {"now": now_ns()}
     if (found := session.execute(_taking_of_first(queue), now).first()) is not None:
         return found[0], found[1]
@@ -114,7 +116,7 @@ def take_next(session: Session, queue: str) -> tuple[Job, str] | None:
 
 
 def wake_ups_wanted(session: Session, queue: str) -> int:
-    """The number of ready jobs of `queue`, at most `MOST_WAKE_UPS`."""
+    """Return the number of ready jobs of `queue`, at most `MOST_WAKE_UPS`."""
     return session.scalar(_counting(queue)) or 0
 
 
@@ -130,7 +132,7 @@ def _is_ready(job: type[Job], queue: str) -> ColumnElement[bool]:
 
 @lru_cache(MOST_QUEUES)
 def _taking_of_first(queue: str) -> ReturningUpdate[Job, str]:
-    """As `_taking_of_owner`, of the owner whose turn it is: as a rule one of their jobs is free."""
+    """Take a job as `_taking_of_owner`, for the owner whose turn it is; usually one is free."""
     turn = _served(queue).limit(ONE).cte("turn")
     owner, urgency = (select(column).scalar_subquery() for column in (turn.c.owner_id, turn.c.priority))
     return _taken(_untaken(queue, Job.owner_id == owner, Job.priority == urgency).order_by(Job.root_id, Job.id))
@@ -138,7 +140,7 @@ def _taking_of_first(queue: str) -> ReturningUpdate[Job, str]:
 
 @lru_cache(MOST_QUEUES)
 def _taking_of_owner(queue: str) -> ReturningUpdate[Job, str]:
-    """Take the oldest run's of the jobs of `owner` with `urgency`."""
+    """Take the job of the oldest run among the jobs of `owner` with `urgency`."""
     of_owner = (Job.owner_id == bindparam("owner"), Job.priority == bindparam("urgency"))
     return _taken(_untaken(queue, *of_owner).order_by(Job.root_id, Job.id))
 
@@ -154,7 +156,7 @@ def _untaken(queue: str, *claims: ColumnElement[bool]) -> Select[str]:
 
 
 def _taken(free: Select[str]) -> ReturningUpdate[Job, str]:
-    """Take the one that is found, at `now`; its row, and the state of its run."""
+    """Take the selected job, at `now`; return its row, and the state of its run."""
     run = aliased(Job)
     state_of_run = select(run.state).where(run.id == Job.root_id).correlate(Job).scalar_subquery()
     taken = update(Job).where(Job.id == free.correlate(None).scalar_subquery(), Job.state == QUEUED)
@@ -166,7 +168,7 @@ def _taken(free: Select[str]) -> ReturningUpdate[Job, str]:
 
 @lru_cache(MOST_QUEUES)
 def owners_waiting(queue: str) -> KeptSelect:
-    """Of (owner, urgency, running jobs, oldest run) of every owner with a ready job: whose turn it is comes first."""
+    """Return the statement of (owner, urgency, running jobs, oldest run), the owner whose turn it is first."""
     return KeptSelect(_owners(queue))
 
 
@@ -176,7 +178,7 @@ def _owners_served(queue: str) -> KeptSelect:
 
 
 def _served(queue: str) -> Select[str, int, int, str]:
-    """As `_owners`; none where the queue is paused."""
+    """Select as `_owners`; nothing if the queue is paused."""
     return _owners(queue).where(~exists().where(Queue.name == queue, Queue.mode == "paused"))
 
 
@@ -189,9 +191,9 @@ def _owners(queue: str) -> Select[str, int, int, str]:
 
 
 def _heads(queue: str) -> CTE:
-    """The first ready job of every owner, its most urgent and of these the oldest run's; one step down the index each.
+    """Return the first ready job of every owner, most urgent and oldest run first, one index step each.
 
-    The order names every column of that index: by the smallest run alone, PostgreSQL walks all runs that ever were.
+    The order names every column of that index: by the smallest run alone, PostgreSQL scans all runs that ever existed.
     """
     first, following = aliased(Job), aliased(Job)
     begin = select(first.owner_id, first.priority, first.root_id).where(first.id == _head(queue).scalar_subquery())
@@ -202,7 +204,7 @@ def _heads(queue: str) -> CTE:
 
 
 def _head(queue: str, after: CTE | None = None) -> Select[str]:
-    """The id of the first ready job of the owner who follows those of `after`."""
+    """Select the id of the first ready job of the owner after the owners of `after`."""
     job = aliased(Job)
     ready = select(job.id).where(_is_ready(job, queue))
     if after is not None:

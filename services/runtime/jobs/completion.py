@@ -1,8 +1,8 @@
 """Ends jobs: succeeded (dependents become ready), failed or cancelled; and settles their run.
 
-**Conventions.** Each function is one transaction's worth and returns whether this attempt still held the job; when it
-did not, nothing was changed. The run's row is locked first, so two last jobs cannot both leave the run open. `words`
-are the last ones of the attempt, where its own process speaks; they are written with its end.
+**Conventions.** Each function needs one transaction and returns whether this attempt still held the job; otherwise it
+changes nothing. The run's row is locked first, so two last jobs cannot both leave the run open. `words` is the last
+report of the attempt, if its own process ends it; it is written with the end.
 """
 
 from dataclasses import dataclass
@@ -49,9 +49,9 @@ class Failure:
 def succeed(
     session: Session, claim: Claim, outcome: Outcome, max_attempts: int, words: AttemptWords | None = None
 ) -> bool:
-    """Record the success, the rows it brings and the jobs that follow; wake-ups are sent for ready dependents.
+    """Record the success, its rows and the following jobs; wake-ups are sent for ready dependents.
 
-    What follows in a run that was asked to stop is cancelled at once, not left out: a retry takes it up.
+    If the run was cancelled, the following jobs are created as cancelled, so that a retry runs them.
     """
     is_run = claim.job_id == claim.root_id
     run = (lock_run if is_run else revise_run)(session, claim.root_id)
@@ -78,7 +78,7 @@ def succeed(
 
 
 def fail(session: Session, claim: Claim, failure: Failure, words: AttemptWords | None = None) -> bool:
-    """Record the failure; its run fails with it, and what the run had queued is cancelled."""
+    """Record the failure; its run fails too, and the run's queued jobs are cancelled."""
     run = lock_run(session, claim.root_id)
     if not _leave(session, claim, "failed", **_told(words), **failure.columns()):
         return False
@@ -88,7 +88,7 @@ def fail(session: Session, claim: Claim, failure: Failure, words: AttemptWords |
 
 
 def cancelled(session: Session, claim: Claim, words: AttemptWords | None = None) -> bool:
-    """Record that the attempt stopped because it was asked to."""
+    """Record that the attempt stopped because of a cancellation."""
     run = lock_run(session, claim.root_id)
     if not _leave(session, claim, "cancelled", **_told(words)):
         return False
@@ -98,9 +98,9 @@ def cancelled(session: Session, claim: Claim, words: AttemptWords | None = None)
 
 
 def lose(session: Session, claim: Claim, failure: Failure, words: AttemptWords | None = None) -> bool:
-    """After an attempt that ended for no fault of the input: queue the job again, or end it when no try is left to it.
+    """Queue the job again after an attempt that failed for no fault of the input, or fail it without tries left.
 
-    A job that was asked to stop is not tried again: it ends cancelled.
+    A cancelled job is not tried again: it ends cancelled.
     """
     run = lock_run(session, claim.root_id)
     if run.cancel_reason:
@@ -114,7 +114,7 @@ def lose(session: Session, claim: Claim, failure: Failure, words: AttemptWords |
 
 
 def fail_run(session: Session, run: Job, job_id: str, failure: Failure) -> None:
-    """The run of a failed job: nothing more of it starts, what runs is asked to stop, and its reason is kept."""
+    """Fail the run of a failed job: no job starts, running jobs are cancelled, and the reason is stored."""
     if run.id == job_id:
         tell_run_failed(session, run, failure.code, failure.sentence)
         return
@@ -126,13 +126,13 @@ def fail_run(session: Session, run: Job, job_id: str, failure: Failure) -> None:
 
 
 def cancel_queued(session: Session, run: Job) -> None:
-    """Cancel the jobs of the run that have not started."""
+    """Cancel the unstarted jobs of the run."""
     queued = update(Job).where(Job.root_id == run.id, Job.id != run.id, Job.state == "queued")
     session.execute(queued.values(state="cancelled", finished_ns=now_ns(), revision=Job.revision + 1))
 
 
 def settle(session: Session, run: Job) -> None:
-    """End the run if nothing of it is left to end."""
+    """End the run if all its jobs have ended."""
     _finish_run(session, run)
 
 
@@ -145,7 +145,7 @@ def _finish_run(session: Session, run: Job) -> None:
 
 
 def _end_run(session: Session, run: Job) -> None:
-    """End a run that has not ended, if none of its jobs waits or runs."""
+    """End an unfinished run if none of its jobs waits or runs."""
     session.flush()
     if session.execute(ONE_LEFT, {"root": run.id}).first():
         return
@@ -160,9 +160,9 @@ def _end_run(session: Session, run: Job) -> None:
 
 
 def _release(session: Session, job_id: str) -> bool:
-    """Count this success off in every job that waits for it; wake-ups are sent for those that wait for nothing more.
+    """Count this success in every job that needs it, and send wake-ups for jobs that become ready.
 
-    Whether any is to be run yet.
+    Returns whether any dependent job is unfinished.
     """
     waiting = select(JobNeed.job_id).where(JobNeed.needed_id == job_id)
     counted_off = update(Job).where(Job.id.in_(waiting)).values(needs_left=Job.needs_left - 1, ready_ns=now_ns())
@@ -186,12 +186,12 @@ def _leave(session: Session, claim: Claim, state: str, **columns: object) -> boo
 
 
 def _told(words: AttemptWords | None) -> dict[str, Any]:
-    """What the last words change in the job's row."""
+    """Return the changes of the last report in the job's row."""
     return words.columns() if words else {}
 
 
 def _note(session: Session, claim: Claim, outcome: str, failure: Failure | None, words: AttemptWords | None) -> None:
-    """Close the attempt's own row; what it cost, children included, is kept when its own process speaks."""
+    """Close the attempt's row; resource usage with children is stored if its own process reports it."""
     attempt = update(JobAttempt).where(JobAttempt.job_id == claim.job_id, JobAttempt.number == claim.attempt)
     columns: dict[str, Any] = dict(failure.columns()) if failure else {}
     if claim.begun_cpu_s is not None:

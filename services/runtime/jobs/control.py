@@ -1,6 +1,6 @@
 """Control of jobs (cancel, terminate, retry) and of queues (pause, drain, open).
 
-**Conventions.** Control acts on runs: half a run is of no use to anyone. Each function is part of the caller's
+**Conventions.** Control applies to runs, because a partial run is useless. Each function is part of the caller's
 transaction.
 """
 
@@ -20,9 +20,9 @@ ALIVE = "queued or running"
 
 
 def cancel(session: Session, root_id: str, reason: str) -> Job:
-    """Stop a run softly: what is queued will not start, what runs stops at its next report of progress.
+    """Cancel a run: queued jobs do not start, running jobs stop at their next progress report.
 
-    Raises `JobStateError` when it has ended already.
+    Raises `JobStateError` if it has already ended.
     """
     run = _alive(session, root_id, "cancelled")
     run.cancel_reason = reason or "requested by its owner"
@@ -35,9 +35,9 @@ def cancel(session: Session, root_id: str, reason: str) -> Job:
 
 
 def terminate(session: Session, root_id: str, reason: str) -> Job:
-    """Stop a run at once: its attempts lose their jobs now, and their processes end at the next heartbeat.
+    """Stop a run at once: its attempts lose their leases, and their processes end at the next heartbeat.
 
-    Raises `JobStateError` when it has ended already.
+    Raises `JobStateError` if it has already ended.
     """
     run = _alive(session, root_id, "terminated")
     run.cancel_reason = reason or "terminated"
@@ -56,7 +56,7 @@ def terminate(session: Session, root_id: str, reason: str) -> Job:
 
 
 def retry(session: Session, root_id: str, max_attempts: int) -> Job:
-    """Queue again what failed or was cancelled of a run; what had succeeded stays done.
+    """Queue the failed and cancelled jobs of a run again; succeeded jobs stay done.
 
     Raises `JobStateError` for a run that has not failed and was not cancelled.
     """
@@ -74,17 +74,17 @@ def retry(session: Session, root_id: str, max_attempts: int) -> Job:
         if job.needs_left == 0:
             job.ready_ns = now_ns()
             wake_up_after_commit(session, job.queue)
-    settle(session, run)  # nothing was left to do where its last job succeeded though it was asked to stop
+    settle(session, run)  # if its last job succeeded despite the cancellation, nothing is left to do
     return run
 
 
 def give_up(session: Session, job_id: str) -> None:
-    """Take the attempts that are left from a running job whose failure will be final: it is a dead letter then."""
+    """Remove the remaining attempts of a running job, whose failure becomes final (a dead letter)."""
     rows_changed(session, update(Job).where(Job.id == job_id, Job.state == "running").values(attempts_left=0))
 
 
 def set_mode(session: Session, queue: str, mode: str) -> Queue:
-    """Switch a queue to open, paused or draining; wake-ups are sent for jobs that waited when it opens."""
+    """Switch a queue to open, paused or draining; opening sends wake-ups for waiting jobs."""
     row = session.get(Queue, queue) or Queue(name=queue)
     row.mode = mode
     session.add(row)
@@ -102,6 +102,6 @@ def _alive(session: Session, root_id: str, act: str) -> Job:
 
 
 def _needs_left(session: Session, job_id: str) -> int:
-    """The number of jobs it waits for that have not succeeded."""
+    """Return the number of its needed jobs that have not succeeded."""
     needed = select(func.count()).select_from(JobNeed).join(Job, Job.id == JobNeed.needed_id)
     return session.scalar(needed.where(JobNeed.job_id == job_id, Job.state != "succeeded")) or 0

@@ -13,7 +13,7 @@ from services.runtime.orm.base import now_ns
 
 
 def enqueue(session: Session, spec: JobSpec, context: Context, max_attempts: int = 3) -> Job:
-    """One job that is its own run. Raises `QueueDrainingError`."""
+    """Enqueue one job that is its own run. Raises `QueueDrainingError`."""
     refuse_draining(session, [spec])
     job = _job(spec, context, max_attempts)
     job.root_id = job.id
@@ -24,7 +24,7 @@ def enqueue(session: Session, spec: JobSpec, context: Context, max_attempts: int
 
 
 def enqueue_run(session: Session, kind: str, specs: Sequence[JobSpec], context: Context, max_attempts: int = 3) -> Job:
-    """A run of several jobs: it succeeds when all of them have, fails with the first. Raises `QueueDrainingError`."""
+    """Enqueue a run of several jobs, which succeeds with all and fails with the first. Raises `QueueDrainingError`."""
     if not specs:
         raise ValueError(f"run {kind!r} without jobs would never end")
     refuse_draining(session, specs)
@@ -37,15 +37,15 @@ def enqueue_run(session: Session, kind: str, specs: Sequence[JobSpec], context: 
 
 
 def add_jobs(session: Session, run: Job, specs: Sequence[JobSpec], max_attempts: int) -> list[Job]:
-    """More jobs for a run, in the order in which they are to be taken; `needs` refer to keys within `specs`.
+    """Add jobs to a run, in the order in which they are taken; `needs` refer to keys within `specs`.
 
-    Of a run that has begun the caller holds the row's lock: a job named in `after` does not end meanwhile.
+    For a started run, the caller holds the row's lock, so that a job named in `after` does not end meanwhile.
     """
     before = _jobs_before(session, run.id, specs)
     context = Context(run.owner_id, run.sequence_id, run.priority)
     jobs = [_job(spec, context, max_attempts, run.id) for spec in specs]
     for job, job_id in zip(jobs, sorted(job.id for job in jobs), strict=True):
-        job.id = job_id  # made in one millisecond they would sort by chance
+        job.id = job_id  # ids of the same millisecond would sort randomly
     id_of = {spec.key: job.id for spec, job in zip(specs, jobs, strict=True) if spec.key}
     needed = {job.id: _needed_ids(spec, id_of, before) for spec, job in zip(specs, jobs, strict=True)}
     for job in jobs:
@@ -55,7 +55,7 @@ def add_jobs(session: Session, run: Job, specs: Sequence[JobSpec], max_attempts:
     session.flush()
     rows = [{"job_id": job_id, "needed_id": needed_id} for job_id, ids in needed.items() for needed_id in ids]
     if rows:
-        session.execute(insert(JobNeed).returning(JobNeed.job_id), rows)  # many rows a statement
+        session.execute(insert(JobNeed).returning(JobNeed.job_id), rows)  # many rows per statement
     for job in jobs:
         if not job.needs_left:
             wake_up_after_commit(session, job.queue)
@@ -63,9 +63,9 @@ def add_jobs(session: Session, run: Job, specs: Sequence[JobSpec], max_attempts:
 
 
 def _jobs_before(session: Session, root_id: str, specs: Sequence[JobSpec]) -> dict[str, dict[str, bool]]:
-    """By kind named in `after`, the jobs of the run so far, and whether they are still to succeed.
+    """Return the run's jobs of each kind named in `after`, and whether they still have to succeed.
 
-    Raises `ValueError` for a kind of which the run has none: nobody would know what was waited for.
+    Raises `ValueError` for a kind without jobs in the run.
     """
     kinds = {kind for spec in specs for kind in spec.after}
     if not kinds:
@@ -80,13 +80,13 @@ def _jobs_before(session: Session, root_id: str, specs: Sequence[JobSpec]) -> di
 
 
 def _needed_ids(spec: JobSpec, id_of: Mapping[str, str], before: Mapping[str, Mapping[str, bool]]) -> dict[str, bool]:
-    """The jobs that it needs, and whether each is still to succeed."""
+    """Return the needed jobs, and whether each still has to succeed."""
     of_batch = {id_of[key]: True for key in spec.needs}
     return of_batch | {job_id: waits for kind in spec.after for job_id, waits in before[kind].items()}
 
 
 def refuse_draining(session: Session, specs: Sequence[JobSpec]) -> None:
-    """Raises `QueueDrainingError` when any of these would go to a queue that takes nothing new."""
+    """Raise `QueueDrainingError` if a job's queue accepts no new jobs."""
     queues = {spec.queue for spec in specs}
     draining = select(Queue.name).where(Queue.name.in_(queues), Queue.mode == "draining")
     for name in session.scalars(draining):

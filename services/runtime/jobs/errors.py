@@ -4,7 +4,7 @@ from stone.errors import StoneError
 
 
 class JobCancelledError(StoneError):
-    """The job was asked to stop; raised inside its attempt at the next report of progress."""
+    """The job was cancelled; raised inside its attempt at the next progress report."""
 
     code = "cancelled"
 
@@ -13,7 +13,7 @@ class JobCancelledError(StoneError):
 
 
 class LostAttemptError(StoneError):
-    """The job is no longer this attempt's: it was terminated, or given to another worker after silence."""
+    """The attempt lost its lease: it was terminated, or requeued after missing heartbeats."""
 
     code = "attempt_lost"
 
@@ -22,7 +22,7 @@ class LostAttemptError(StoneError):
 
 
 class JobStateError(StoneError):
-    """The job is not in a state in which this can be done."""
+    """The job's state does not allow the action."""
 
     code = "wrong_state"
 

@@ -1,14 +1,14 @@
-"""Runs attempts at jobs: claim, call the handler, record the outcome and claim the next job with it.
+"""Runs attempts of jobs: claim, call the handler, record the outcome and claim the next job with it.
 
-**Conventions.** A wake-up is for one job. Whoever has done it takes the next one in the transaction that ends it, and
-takes a wake-up back for that, as long as its row of jobs has lasted less than `ROW_S`: a transaction more weighs most
-for short jobs, and other queues of the same worker have their turn after it.
+**Conventions.** A wake-up is for one job. A worker that has finished a job takes the next one in the same transaction,
+and takes a wake-up back for it, until its series of jobs has lasted `ROW_S`. An additional transaction is relatively
+expensive for short jobs. The limit gives the worker's other queues their turn.
 
-A `StoneError` is a refusal of the input: the job fails at once, with its code. Anything else, and a
-`PlatformFaultError`, is a fault of ours or of the machine: the worker rests a little longer each time, then the job is
-queued again until its attempts are used up; then it fails with that code, or as `internal_error` with the exception's
-own words. The traceback is in the attempt's log. Jobs of `RETICENT` queues have seen what their owners may not: of what
-raises there, administrators alone read the words.
+A `StoneError` is a refusal of the input: the job fails at once, with its code. Any other error, and a
+`PlatformFaultError`, is a fault of the platform or the machine. The worker pauses a little longer each time, then the
+job is queued again until its attempts are used up. Then it fails with that code, or as `internal_error` with the
+exception's message. The traceback is in the attempt's log. Jobs of `RETICENT` queues have read data that their owners
+may not see, so only administrators can read their error messages.
 """
 
 import mmap
@@ -39,15 +39,13 @@ from services.runtime.store.own_names import called_as_uploaded, without_paths
 from services.runtime.telemetry.tracing import StageSpans
 from stone.errors import PlatformFaultError, Refused, StoneError
 
-# The reporter of a running attempt: sends heartbeats, progress and log lines, receives cancellation.
-#
-# **Conventions.** A thread takes a turn at most once every `progress_s` and at least once every `heartbeat_s`; the
-# handler only touches memory. What is said in a turn is a compare-and-set (`leases`): an attempt that no longer holds
-# its job (terminated, or taken over after silence) ends its whole process at once, whatever library it is in, so that
-# no zombie works on. No error of the database ends the thread: the attempt goes on in silence and says it all again,
-# and only a heartbeat that was answered says that the job is held no more. If the database stays away from this
-# process alone for longer than a lease, another worker takes over. The last words are written by the transaction that
-# ends the attempt.
+# The reporter of a running attempt: sends heartbeats, progress and log lines, receives cancellation. A thread takes a
+# turn at most once every `progress_s` and at least once every `heartbeat_s`; the handler only writes to memory. A
+# report is a compare-and-set (`leases`). An attempt without its lease (terminated, or requeued after missing
+# heartbeats) ends its whole process at once, whatever library it is in, so that no zombie continues. Database errors do
+# not end the thread: the attempt continues and sends the report again, and only an answered heartbeat can report the
+# lost lease. If this process alone cannot reach the database for longer than a lease, another worker takes over. The
+# transaction that ends the attempt writes its last report.
 
 
 LONGEST_EVENT = 1000
@@ -55,7 +53,7 @@ LOST = 70  # EX_SOFTWARE: the exit code of a worker process that ended itself
 
 
 class Reporter:
-    """`with Reporter(platform, claim) as attempt: handler(attempt)`; the `Attempt` that handlers see."""
+    """`with Reporter(platform, claim) as attempt: handler(attempt)`; the handlers' `Attempt`."""
 
     def __init__(self, platform: Platform, claim: Claim) -> None:
         self._platform, self._claim = platform, claim
@@ -70,7 +68,7 @@ class Reporter:
         self._leaving = Event()
         self._line = LeaseLine(platform.database, self._limits.lease_s / 4)
         self._stages = StageSpans()
-        # With this attempt's context, so that what the thread says is told as this attempt's too.
+        # With this attempt's context, so that the thread's log lines belong to this attempt.
         name, in_context = f"reporter-{claim.job_id[:8]}", copy_context().run
         self._thread = Thread(target=in_context, args=(self._speak,), name=name, daemon=True)
 
@@ -107,28 +105,28 @@ class Reporter:
             self.require_room()
 
     def stop_if_asked(self) -> None:
-        """Raises `JobCancelledError` when somebody asked the job to stop."""
+        """Raise `JobCancelledError` if the job was cancelled."""
         if self._cancel_reason:
             raise JobCancelledError(self._cancel_reason)
 
     def require_room(self) -> None:
-        """Raises `StorageFullError` if the reserve is in use and the job writes files without a limit."""
+        """Raise `StorageFullError` if the reserve is in use and the job writes files without a limit."""
         if queue_of(self._claim.kind) in BULK:
             require_room(self._platform.settings.root, 0, self._platform.settings.store.reserve_bytes)
 
     def end(self) -> None:
-        """The handler is through: fall silent. Whoever records the end writes the last words with it."""
+        """Stop reporting after the handler; the transaction that records the end writes the last report."""
         self._stages.enter("")
         self._fall_silent()
 
     def last_words(self) -> AttemptWords:
-        """What was not written yet; the same again until the attempt's end is recorded."""
+        """Return the report that is not written yet; the same until the attempt's end is recorded."""
         return self._words()
 
     def rest(self) -> None:
-        """Wait before a fault of the machine is met again, twice as long each time; not where no try is left.
+        """Pause after a fault of the machine, twice as long each time, unless no try is left.
 
-        Raises `JobCancelledError` when the job is to stop.
+        Raises `JobCancelledError` if the job must stop.
         """
         if self._claim.tries_left <= 0:
             return
@@ -138,7 +136,7 @@ class Reporter:
             time.sleep(min(0.1, self._limits.rest_s))
 
     def log(self, event: str, level: str = "info", **facts: Any) -> None:
-        """Keep a line; beyond the limit of lines per attempt the last one says that there were more."""
+        """Store a line; beyond the limit of lines per attempt, the last line reports the omission."""
         with self._lock:
             self._logged += 1
             limit = self._limits.log_lines_per_attempt
@@ -153,7 +151,7 @@ class Reporter:
         while not self._leaving.wait(self._limits.progress_s):
             try:
                 self._take_turn()
-            except Exception as error:  # this thread is what holds the job: it goes on, whatever is raised
+            except Exception as error:  # this thread holds the lease: it continues after any error
                 self._warn("a progress report failed; the job continues", error)
 
     def _fall_silent(self) -> None:
@@ -173,7 +171,7 @@ class Reporter:
         words = self._words()
         try:
             answer = self._line.renew(words)
-        except EOFError:  # it ends, and says its last words with its end
+        except EOFError:  # interrupted: the end writes the last report
             return
         except Exception as error:
             self._warn("heartbeat not written; the job continues", error)
@@ -193,14 +191,14 @@ class Reporter:
             return AttemptWords(self.job_id, self._claim.attempt, self._progress, tuple(self._lines))
 
     def _forget(self, written: AttemptWords) -> None:
-        """What is written is not said again; newer words stay."""
+        """Drop the written part of the report; newer parts stay."""
         with self._lock:
             del self._lines[: len(written.lines)]
             if self._progress is written.progress:
                 self._progress = None
 
     def _time_out(self) -> None:
-        """Raises what the database raises; the next turn tries again."""
+        """End an attempt after its time limit. Raises what the database raises; the next turn tries again."""
         limit_s = self._limits.time_limit_s
         sentence = (
             f"ran longer than {limit_s:.0f} s and was stopped; stages normally take minutes: is the input unusual?"
@@ -213,7 +211,7 @@ class Reporter:
         log.warning(event, job_id=self.job_id, reason=f"{type(error).__name__}: {error}"[:500])
 
     def _end_process(self, reason: str) -> None:
-        """The handler may be inside a library that hears nothing; a process that ends stops surely."""
+        """End the process, because the handler may be in a library that cannot be interrupted."""
         log.warning("process ends itself", job_id=self.job_id, attempt=self._claim.attempt, reason=reason)
         os._exit(LOST)
 
@@ -225,7 +223,7 @@ log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True)
 class JobRow:
-    """Jobs of `queue` that one process runs one after another while `goes_on()`, until `until_s` (monotonic)."""
+    """Jobs of `queue` that one process runs in series while `goes_on()`, until `until_s` (monotonic)."""
 
     platform: Platform
     queue: str
@@ -238,7 +236,7 @@ class JobRow:
             return claim(session, self.queue)
 
     def following(self, session: Session) -> Claim | None:
-        """The next one, taken in the transaction that ends the one before."""
+        """Return the next job, claimed in the transaction that ends the previous one."""
         if time.monotonic() > self.until_s or not self.goes_on():
             return None
         if (taken := claim(session, self.queue)) is not None:
@@ -248,7 +246,7 @@ class JobRow:
 
 @dataclass(frozen=True)
 class AttemptEnd:
-    """How an attempt ended, with the code of its failure; `following` is what its success took."""
+    """The end of an attempt, with the code of its failure; `following` is the next claimed job."""
 
     outcome: str
     code: str = ""
@@ -256,12 +254,12 @@ class AttemptEnd:
 
 
 def run_next(platform: Platform, queue: str, handlers: Handlers) -> bool:
-    """Run the next ready job of `queue` to its end; False when there was none (another worker took it)."""
+    """Run the next ready job of `queue`; return False if there was none (another worker took it)."""
     return run_row(platform, queue, handlers, lambda: False) > 0
 
 
 def run_row(platform: Platform, queue: str, handlers: Handlers, goes_on: Callable[[], bool]) -> int:
-    """Run the next ready job of `queue`, then the next one and so on while `goes_on()`; how many attempts it were."""
+    """Run ready jobs of `queue` in series while `goes_on()`; return the number of attempts."""
     row, attempts = JobRow(platform, queue, handlers, goes_on, time.monotonic() + ROW_S), 0
     taken = row.first()
     while taken is not None:
@@ -271,7 +269,7 @@ def run_row(platform: Platform, queue: str, handlers: Handlers, goes_on: Callabl
 
 
 def _run(row: JobRow, taken: Claim) -> Claim | None:
-    """Run the attempt; the next one, where its success took it."""
+    """Run the attempt; return the next claimed job, if any."""
     if taken.begins_run:
         with row.platform.database.transaction() as session:
             start_run(session, taken)
@@ -306,7 +304,7 @@ def _attempt(row: JobRow, taken: Claim, reporter: Reporter) -> AttemptEnd:
 
 
 def _answer(taken: Claim, handlers: Handlers, reporter: Reporter) -> Outcome:
-    """The handler's answer. Raises what it raises, `unknown_kind`, `JobCancelledError`."""
+    """Return the handler's outcome. Raises what it raises, `unknown_kind`, `JobCancelledError`."""
     try:
         if taken.kind not in handlers:
             raise Refused(
@@ -328,12 +326,12 @@ def _answer(taken: Claim, handlers: Handlers, reporter: Reporter) -> Outcome:
 
 
 def is_refusal(error: Exception) -> bool:
-    """Whether trying again is of no use: the input is refused, or the job is to stop."""
+    """Return whether a retry is useless: the input is refused, or the job must stop."""
     return isinstance(error, StoneError) and not isinstance(error, PlatformFaultError)
 
 
 def _failure_of(platform: Platform, error: Exception, taken: Claim) -> Failure:
-    """The failure as its owner sees it: the words of what raised, unless they might quote what is hidden from them."""
+    """Return the failure for the job's owner: the error's message, unless it could quote hidden data."""
     is_said = isinstance(error, StoneError) or queue_of(taken.kind) not in RETICENT
     words = str(error) if is_said else "the attempt's log has the message"
     with platform.database.reading() as session:
@@ -344,9 +342,9 @@ def _failure_of(platform: Platform, error: Exception, taken: Claim) -> Failure:
 
 
 def _succeed(row: JobRow, taken: Claim, outcome: Outcome, reporter: Reporter) -> Claim | None:
-    """Record the success; what follows is taken with it.
+    """Record the success and claim the next job with it.
 
-    Raises `LostAttemptError` when the job went to somebody else meanwhile; nothing is written then.
+    Raises `LostAttemptError` if the lease was lost meanwhile; nothing is written then.
     """
     with row.platform.database.transaction() as session:
         if not succeed(session, taken, outcome, row.platform.settings.jobs.max_attempts, reporter.last_words()):
@@ -360,17 +358,15 @@ def _fail(platform: Platform, taken: Claim, reporter: Reporter, failure: Failure
         fail(session, taken, failure, reporter.last_words())
 
 
-# Whether this worker was told to stop: said once by its parent, seen by every process of its pool.
-#
-# **Conventions.** One byte of memory that is shared with whoever is forked after this module was loaded. It is never
-# taken back.
+# Whether this worker must stop: set once by its parent, visible to every process of its pool. One byte of memory is
+# shared with all processes forked after this module was imported. It is never reset.
 
 
 _TOLD = mmap.mmap(-1, 1)
 
 
 def tell_to_stop() -> None:
-    """No process of this worker takes a further job."""
+    """Make all processes of this worker stop claiming jobs."""
     _TOLD[0] = 1
 
 

@@ -1,8 +1,8 @@
 """Instrumentation of job attempts: log context, span and counters.
 
-**Conventions.** The span is a child of the one the job was queued in, however long ago and in whatever process that
-was; what an attempt queues is a child of its own. An attempt whose process is killed leaves no span: the sweeper, which
-gives its job back, leaves one that says so.
+**Conventions.** The span is a child of the span in which the job was queued, regardless of time and process; jobs
+queued by an attempt are children of its own span. An attempt whose process is killed leaves no span: the sweeper, which
+requeues its job, records a span for it.
 """
 
 import time
@@ -32,13 +32,13 @@ from services.runtime.telemetry.tracing import mark_failed, span
 
 @dataclass
 class JobInstrumentation:
-    """`ended` says how; what ends without a word was lost."""
+    """`ended` records the outcome; without it the attempt was lost."""
 
     span: Span
     outcome: str = field(default="lost", init=False)
 
     def ended(self, outcome: str, code: str = "") -> None:
-        """`outcome` as the attempt's row has it; `code` of its failure, empty without one."""
+        """Set `outcome` as in the attempt's row, and the `code` of its failure, if any."""
         self.outcome = outcome
         if code:
             mark_failed(self.span, code)
@@ -46,7 +46,7 @@ class JobInstrumentation:
 
 @contextmanager
 def instrumented(taken: Claim) -> Iterator[JobInstrumentation]:
-    """Instrument what is done inside as this attempt's."""
+    """Instrument the block as this attempt."""
     queue, begun_s, cpu_s, origin = queue_of(taken.kind), time.monotonic(), used_cpu_s(), taken.origin
     if origin.waited_s is not None:
         process_counters().observe(JOB_WAIT_SECONDS, (queue,), origin.waited_s)
@@ -64,7 +64,7 @@ def instrumented(taken: Claim) -> Iterator[JobInstrumentation]:
 
 
 def record_lost_attempt(job: Job) -> None:
-    """An attempt was given up after silence for a lease."""
+    """Record an attempt that was lost after a lease without heartbeats."""
     process_counters().add(LEASES_EXPIRED, (job.kind,))
     claim = Claim(job.id, job.root_id, job.sequence_id, job.kind, job.attempt, {})
     with _span(claim, job.traceparent) as made:
@@ -78,7 +78,7 @@ def _span(taken: Claim, traceparent: str) -> AbstractContextManager[Span]:
 
 
 def _log_context(taken: Claim) -> Mapping[str, Any]:
-    """The fields of the attempt in each log line."""
+    """Return the attempt's fields for each log line."""
     words = {"job_id": taken.job_id, "run_id": taken.root_id, "kind": taken.kind, "attempt": taken.attempt}
     return words if taken.sequence_id is None else {**words, "sequence_id": taken.sequence_id}
 

@@ -1,12 +1,12 @@
 """The lease keeper of a worker: a process that renews the leases of all its attempts together.
 
-Without it each process of a worker beats for its own job. With it they say what they have to say to the keeper, which
-writes what has come within `progress_s` in one transaction, and answers each.
+Without it each process of a worker sends heartbeats for its own job. With it the processes send their reports to the
+keeper, which writes all reports of `progress_s` in one transaction, and answers each.
 
-**Conventions.** An attempt is beaten for when its own process has said so, and never otherwise: one that hangs or was
-killed falls silent as it does without a keeper. Where no keeper answers, a process speaks to the database itself. The
-keeper is forked before the pool, hears no signal that is meant for the worker, and ends with the worker's parent. Its
-address is an abstract socket (unix(7)), which needs no file; who is not of its own user is not heard.
+**Conventions.** The keeper sends a heartbeat for an attempt only after a report of its own process: a hanging or killed
+process loses its lease as without a keeper. If no keeper answers, a process writes to the database itself. The keeper
+is forked before the pool, ignores the worker's signals, and ends with the worker's parent. Its address is an abstract
+socket (unix(7)), which needs no file; connections of other users are refused.
 """
 
 import json
@@ -39,12 +39,12 @@ from services.runtime.telemetry.counters import Counts, ProcessCounters
 from services.runtime.telemetry.log_lines import speak_json
 from stone.errors import PlatformFaultError
 
-# Rows of worker processes: what each tells of itself, of any number of processes in one statement.
+# Rows of worker processes, of any number of processes in one statement.
 
 
 @dataclass(frozen=True)
 class ProcessPresence:
-    """A process and what it and its machine hold, as in the row of that name."""
+    """A process and its resources and those of its machine, as in the row of that name."""
 
     name: str
     queues: str
@@ -57,8 +57,8 @@ class ProcessPresence:
 
 
 def write_presence(session: Session, present: Sequence[ProcessPresence]) -> None:
-    """Insert or update their rows; a row of another process, whose pid came round again, begins anew."""
-    ordered = sorted(present, key=lambda one: one.name)  # one order, in which no two sessions wait for each other
+    """Insert or update their rows; the row of another process with a reused pid starts again."""
+    ordered = sorted(present, key=lambda one: one.name)  # a common order prevents deadlocks
     rows = [{**asdict(one), "beat_ns": database_ns(), "beats": 1} for one in ordered]
     dialect = sqlite if session.get_bind().dialect.name == "sqlite" else postgresql
     inserted = dialect.insert(Worker).values(rows)
@@ -67,10 +67,9 @@ def write_presence(session: Session, present: Sequence[ProcessPresence]) -> None
     session.execute(inserted.on_conflict_do_update(index_elements=[Worker.name], set_={**told, "beats": beats}))
 
 
-# Messages between the processes of a worker and its lease keeper: JSON, its length before it.
-#
-# **Conventions.** Both ends are processes of one worker and of one user. JSON keeps what a database may refuse (lone
-# surrogates, NaN), so that it is refused there and said so.
+# Messages between the processes of a worker and its lease keeper: JSON, preceded by its length. The two ends belong to
+# one worker and one user. JSON preserves values that a database may reject (lone surrogates, NaN), so that the
+# rejection is reported.
 
 
 LENGTH = struct.Struct(">I")
@@ -78,21 +77,21 @@ LONGEST_BYTES = 64 * 2**20
 
 
 class MessageStream:
-    """Whole messages of a socket; each end's partial one is kept between two calls."""
+    """Whole messages of a socket; partial messages of each end are kept between calls."""
 
     def __init__(self, connected: socket.socket) -> None:
         self.socket = connected
         self._held = bytearray()
 
     def send(self, message: Any) -> None:
-        """Raises `OSError`; `TypeError` and `ValueError` for what is no JSON."""
+        """Send a message. Raises `OSError`; `TypeError` and `ValueError` for values that JSON cannot represent."""
         content = json.dumps(message).encode("ascii")
         self.socket.sendall(LENGTH.pack(len(content)) + content)
 
     def receive(self) -> list[Any]:
-        """What has come, after one read; empty where no message is whole yet.
+        """Return the messages after one read; empty if none is complete yet.
 
-        Raises `EOFError` at the end, `OSError`, `ValueError` for what is no message.
+        Raises `EOFError` at the end, `OSError`, `ValueError` for an invalid message.
         """
         if not (more := self.socket.recv(2**16)):
             raise EOFError
@@ -103,7 +102,7 @@ class MessageStream:
         return found
 
     def first(self) -> Any:
-        """The next message, waited for. Raises as `receive`."""
+        """Wait for the next message and return it. Raises as `receive`."""
         while not (found := self.receive()):
             pass
         return found[0]
@@ -127,7 +126,7 @@ def message_of(words: AttemptWords) -> dict[str, Any]:
 
 
 def words_of(message: dict[str, Any]) -> AttemptWords:
-    """Raises `TypeError` and `KeyError` for what `message_of` did not make."""
+    """Return the report. Raises `TypeError` and `KeyError` for messages not from `message_of`."""
     progress = message["progress"]
     lines = tuple(AttemptLine(**line) for line in message["lines"])
     told = None if progress is None else JobProgress(**progress)
@@ -149,9 +148,9 @@ log = structlog.get_logger(__name__)
 
 @dataclass
 class LeaseKeeper:
-    """`serve()` for ever; a turn is taken at most once every `turn_s`.
+    """`serve()` runs forever; a turn is taken at most once every `turn_s`.
 
-    That a process is there waits for a turn of attempts, or for `presence_s`.
+    The presence of a process is written with the next turn of attempts, or after `presence_s`.
     """
 
     database: Database
@@ -177,14 +176,14 @@ class LeaseKeeper:
         self._selector.register(self.listener, selectors.EVENT_READ)
 
     def close(self) -> None:
-        """Hear nobody any more."""
+        """Close all connections."""
         for key in list(self._selector.get_map().values()):
             if key.fileobj is not self.listener:
                 self._drop(key.data)
         self._selector.close()
 
     def step(self, patience_s: float | None = None) -> None:
-        """Hear what comes until the next turn is due, or for `patience_s`; or take it."""
+        """Receive messages until the next turn is due, or for `patience_s`; or take the turn."""
         due_s = self._due_s()
         if due_s is not None and due_s <= 0:
             self._take_turn()
@@ -197,7 +196,7 @@ class LeaseKeeper:
                 self._hear(key.data)
 
     def _due_s(self) -> float | None:
-        """In how many seconds a turn is due; None where nothing was said."""
+        """Return the seconds until the next turn; None if nothing was received."""
         now_s = time.monotonic()
         dues = [self._turned_s + self.turn_s] if self._said else []
         if self._present:
@@ -210,7 +209,7 @@ class LeaseKeeper:
         if user != os.geteuid():
             connected.close()
             return
-        connected.settimeout(self.turn_s)  # who does not take its answer holds nobody else up
+        connected.settimeout(self.turn_s)  # a process that does not read its answer must not delay others
         self._selector.register(connected, selectors.EVENT_READ, MessageStream(connected))
 
     def _hear(self, stream: MessageStream) -> None:
@@ -259,7 +258,7 @@ class LeaseKeeper:
             self._answer(stream, asdict(answer))
 
     def _told(self, present: Sequence[ProcessPresence], committed: Sequence[Callable[[], None]]) -> None:
-        """Their rows are written; where words were refused they are told in the next turn."""
+        """Confirm written rows; processes whose reports were rejected are written in the next turn."""
         for noted in committed:
             noted()
         if committed:
@@ -281,12 +280,12 @@ _ADDRESS: list[str] = []
 
 
 def keeper_address() -> str | None:
-    """Where the keeper of this worker listens; None where there is none."""
+    """Return the address of this worker's keeper; None if there is none."""
     return _ADDRESS[0] if _ADDRESS else None
 
 
 def start_keeper(settings: Settings) -> int:
-    """Fork the keeper of this worker, whose processes find it from then on; its pid."""
+    """Fork the keeper of this worker, to which its processes connect from then on; return its pid."""
     address = f"\0stone-leases-{os.getpid()}-{token_hex(16)}"
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     listener.bind(address)
@@ -300,7 +299,7 @@ def start_keeper(settings: Settings) -> int:
 
 
 def _keep(settings: Settings, listener: socket.socket, parent: int) -> None:
-    """All that the forked process does."""
+    """Run the forked process."""
     try:
         die_with(parent)
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGQUIT, signal.SIGHUP):
@@ -315,13 +314,12 @@ def _keep(settings: Settings, listener: socket.socket, parent: int) -> None:
         os._exit(1)
 
 
-# How a worker's process speaks to its lease keeper: what its attempt says, and that it is there.
-#
-# **Conventions.** Where no keeper answers, the process writes to the database itself.
+# The connection of a worker's process to its lease keeper, for reports of its attempt and for its presence. If no
+# keeper answers, the process writes to the database itself.
 
 
 class LeaseLine:
-    """`renew(words)` and `close()` by one thread; another may `interrupt()` it."""
+    """`renew(words)` and `close()` are for one thread; another may `interrupt()` it."""
 
     def __init__(self, database: Database, patience_s: float) -> None:
         self._database, self._patience_s = database, patience_s
@@ -330,7 +328,10 @@ class LeaseLine:
         self._is_interrupted = False
 
     def renew(self, words: AttemptWords) -> LeaseAnswer:
-        """Raises `lease_not_renewed`, what the database raises, `EOFError` once it is interrupted."""
+        """Send a report and return the answer.
+
+        Raises `lease_not_renewed`, what the database raises, `EOFError` after an interruption.
+        """
         if self._address is not None:
             try:
                 return self._asked(words)
@@ -344,7 +345,7 @@ class LeaseLine:
         return answer
 
     def interrupt(self) -> None:
-        """Whoever waits for an answer waits no more."""
+        """Stop a thread that waits for an answer."""
         self._is_interrupted = True
         if (stream := self._stream) is not None:
             with suppress(OSError):
@@ -368,7 +369,7 @@ class LeaseLine:
 
 
 class PresenceLine:
-    """`tell(present, counts)`: whether the keeper has it and will write it. Used by one thread."""
+    """`tell(present, counts)` returns whether the keeper will write the presence. For one thread."""
 
     def __init__(self, patience_s: float) -> None:
         self._patience_s = patience_s
@@ -378,7 +379,7 @@ class PresenceLine:
         return self._is_heard(presence_message(present, counts))
 
     def leave(self, name: str) -> None:
-        """The keeper writes the row of this process no more."""
+        """Make the keeper stop writing this process's row."""
         self._is_heard({"gone": name})
         self.close()
 
@@ -403,7 +404,7 @@ class PresenceLine:
 
 
 def opened(address: str, patience_s: float) -> MessageStream:
-    """A stream to who listens there. Raises `OSError`."""
+    """Return a stream to the listener at the address. Raises `OSError`."""
     connecting = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     connecting.settimeout(patience_s)
     try:

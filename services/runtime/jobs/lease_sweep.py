@@ -1,9 +1,9 @@
 """Recovery of jobs: requeues attempts with expired leases, resends lost wake-ups.
 
-**Conventions.** A sweeper remembers when, on its own monotonic clock, it last saw the heartbeats of an attempt change;
-one that stood still for a lease is given back, or failed as `worker_lost` when no attempt is left. No two clocks are
-ever compared. A sweeper that could not look has seen nobody stand still: after an outage every attempt has a lease more
-in which to be heard. Several sweepers may run; each change is a compare-and-set, so they do nothing twice.
+**Conventions.** A sweeper stores when, on its own monotonic clock, the heartbeats of an attempt last changed. If they
+did not change for a lease, the job is requeued, or fails as `worker_lost` if no attempt is left. Clocks of different
+machines are never compared. After a database outage every attempt gets a new lease, because the sweeper could not see
+its heartbeats. Several sweepers may run; each change is a compare-and-set, so they do nothing twice.
 """
 
 import time
@@ -32,7 +32,7 @@ RUNNING = select(Job).where(Job.state == "running", Job.queue != "")
 
 @dataclass
 class Sweeper:
-    """`sweep()` every second or so; `waiting(queue)` counts wake-ups not yet received, `ring` sends more."""
+    """`sweep()` runs about every second; `waiting(queue)` counts wake-ups not yet received, `ring` sends more."""
 
     platform: Platform
     waiting: Callable[[str], int]
@@ -47,7 +47,7 @@ class Sweeper:
         self.resend_wake_ups()
 
     def recover(self) -> int:
-        """Give back every attempt whose heartbeats stood still for a lease; how many there were."""
+        """Requeue every attempt without heartbeats for a lease; return their number."""
         now_s = self.monotonic_s()
         running = self._look()
         pulses = {(job.id, job.attempt): job.heartbeats for job in running}
@@ -60,7 +60,7 @@ class Sweeper:
         return sum(self._lose(job) for job in silent)
 
     def resend_wake_ups(self) -> None:
-        """Send wake-ups for ready jobs without one: seen twice in a row, so that one under way is not doubled."""
+        """Send wake-ups for jobs that were ready without one twice in a row, so that none in transit is duplicated."""
         with self.platform.database.reading() as session:
             ready = _ready(session)
         missing = {}
@@ -95,9 +95,9 @@ class Sweeper:
 
 
 def lose_silent(session: Session, seen: Job, lease_s: float) -> bool:
-    """Take the attempt from whom it was seen with for `lease_s`; false when it was heard since, or has ended.
+    """Requeue an attempt that was silent for `lease_s`; return False if it sent a heartbeat or ended since.
 
-    The job's row is locked before it is looked at: no heartbeat comes between the look and the loss.
+    The job's row is locked before the check, so that no heartbeat comes between check and requeueing.
     """
     lock_run(session, seen.root_id)
     now = session.get_one(Job, seen.id, with_for_update={"key_share": True}, populate_existing=True)
@@ -108,17 +108,15 @@ def lose_silent(session: Session, seen: Job, lease_s: float) -> bool:
 
 
 def _ready(session: Session) -> dict[str, int]:
-    """Ready jobs per queue that is not paused, as many as are worth a wake-up."""
+    """Return the ready jobs per open queue, limited to the useful number of wake-ups."""
     paused = set(session.scalars(select(Queue.name).where(Queue.mode == "paused")))
     counted = {queue: wake_ups_wanted(session, queue) for queue in QUEUES if queue not in paused}
     return {queue: jobs for queue, jobs in counted.items() if jobs}
 
 
-# Requeues jobs that a stopped platform left running, without waiting for their leases.
-#
-# **Conventions.** Only for whoever knows that the workers in question have ended: the embedded supervisor, which holds
-# the data folder and has seen its worker end, and a worker that has killed its own processes. An attempt cut off by an
-# orderly stop is given back to the job; one cut off by a crash counts.
+# Requeues jobs that a stopped platform left running, without waiting for their leases. Use it only if the workers have
+# certainly ended. The embedded supervisor holds the data folder and has seen its worker end; a worker may have killed
+# its own processes. An attempt interrupted by an orderly stop does not count; an attempt interrupted by a crash counts.
 
 
 STOPPED = Failure("platform_stopped", "the platform was stopped while this attempt ran")
@@ -127,9 +125,9 @@ CRASHED = Failure("worker_lost", "the platform ended while this attempt ran")
 
 
 def give_back_running(platform: Platform, failure: Failure, *, is_counted: bool) -> int:
-    """Queue every running job again; `is_counted`: against its attempts. How many there were.
+    """Queue every running job again; `is_counted`: count the attempt. Return the number of jobs.
 
-    A job without attempts left fails with `failure`; one that was asked to stop is cancelled.
+    A job without attempts left fails with `failure`; a cancelled job ends as cancelled.
     """
     with platform.database.reading() as session:
         running = session.scalars(RUNNING).all()
@@ -137,7 +135,7 @@ def give_back_running(platform: Platform, failure: Failure, *, is_counted: bool)
 
 
 def give_back_of(platform: Platform, workers: Sequence[str], failure: Failure) -> int:
-    """Queue again what these processes ran, which have ended; it costs no attempt. How many there were.
+    """Queue the jobs of these ended processes again without counting the attempt; return their number.
 
     `workers` are their names (`worker_name`).
     """

@@ -1,9 +1,8 @@
 """Renews the leases of running attempts: heartbeats, progress and log lines of all of them in one transaction.
 
-**Conventions.** A row that somebody else holds locked just now (who ends the job, or judges it) is passed over and not
-waited for, so that one job never delays the heartbeats of the others: its attempt says the same again in the next turn.
-Words that the database refuses take no heartbeat with them: the heartbeats are written without them, then each
-attempt's lines alone.
+**Conventions.** A row that another transaction has locked (to end or to requeue the job) is skipped, so that one job
+never delays the heartbeats of the others. Its attempt sends the same report in the next turn. Rejected reports do not
+prevent heartbeats: these are written first, then each attempt's lines separately.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +17,7 @@ from services.runtime.jobs.attempt_lines import OUTAGES, AttemptKey, AttemptWord
 from services.runtime.jobs.specs import nothing
 from services.runtime.orm import Job
 
-# Written once: to write one of these takes longer than to run it. `keys` are (job, attempt).
+# Built once, because building one of these takes longer than running it. `keys` are (job, attempt).
 KEY = tuple_(Job.id, Job.attempt)
 AMONG = KEY.in_(bindparam("keys", expanding=True))
 RUN = aliased(Job)
@@ -33,7 +32,7 @@ REASONS = (
 
 @dataclass(frozen=True)
 class LeaseAnswer:
-    """Whether the attempt still holds its job, why it is to stop if it is, and whether its words are written."""
+    """Whether the attempt still holds its job, the reason to stop if it must, and whether its report is written."""
 
     is_held: bool
     cancel_reason: str = ""
@@ -43,9 +42,9 @@ class LeaseAnswer:
 def renew(
     database: Database, words: Sequence[AttemptWords], beside: Callable[[Session], None] = nothing
 ) -> list[LeaseAnswer]:
-    """The answer to each, in order; `beside` writes something else in the same transaction, where nothing is refused.
+    """Return the answer to each report, in order; `beside` writes other rows in the same transaction.
 
-    Raises what the database raises where not even heartbeats could be written.
+    If a report is rejected, `beside` is not called. Raises what the database raises if no heartbeat could be written.
     """
     try:
         with database.transaction() as session:
@@ -81,7 +80,7 @@ def _beat(session: Session, words: Sequence[AttemptWords]) -> list[LeaseAnswer]:
 
 
 def _reasons(session: Session, words: Sequence[AttemptWords]) -> dict[AttemptKey, str]:
-    """Why each is to stop, or nothing, of those that run; as far as anybody knows what somebody has locked runs."""
+    """Return the reason to stop ("" for none) of each running attempt; locked rows count as running."""
     found = session.execute(REASONS, _keys(words))
     return {(job_id, attempt): own or of_run for job_id, attempt, own, of_run in found}
 
@@ -91,7 +90,7 @@ def _keys(words: Sequence[AttemptWords]) -> dict[str, list[AttemptKey]]:
 
 
 def _progress(words: Sequence[AttemptWords]) -> Mapping[str, Any]:
-    """The new value of each column of progress, where an attempt said anything."""
+    """Return the new value of each column of progress, for attempts with a report."""
     said = [(KEY.in_([one.key]), columns) for one in words if (columns := one.columns())]
     if not said:
         return {}

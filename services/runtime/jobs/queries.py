@@ -1,6 +1,6 @@
 """Progress of jobs for people and pages: stages with counts and times.
 
-How long a run has left is estimated in `services/domain/runs`.
+`services/domain/runs` estimates the remaining time of a run.
 """
 
 from collections.abc import Mapping
@@ -14,9 +14,9 @@ from services.runtime.orm import Job
 
 @dataclass(frozen=True)
 class StageProgress:
-    """Jobs of one kind in a run: how many there are, how many succeeded, failed and are running.
+    """Jobs of one kind in a run: the numbers of all, succeeded, failed and running jobs.
 
-    `began_ns` is the first beginning, `ended_ns` the last end; `busy_ns` is the time of those that succeeded together.
+    `began_ns` is the first start, `ended_ns` the last end; `busy_ns` is the total time of the succeeded jobs.
     """
 
     kind: str
@@ -31,7 +31,7 @@ class StageProgress:
 
 @dataclass(frozen=True)
 class Progress:
-    """`done` of `total` in units of the job (or jobs of the run); `rate_per_s` of a single job that runs, else None."""
+    """`done` of `total` in units of the job (or jobs of the run); `rate_per_s` of a running single job, else None."""
 
     stage: str
     done: int
@@ -41,7 +41,7 @@ class Progress:
 
 
 def progress_of(session: Session, job: Job) -> Progress:
-    """A job's own progress; of a run, that of its jobs."""
+    """Return a job's own progress; for a run, the progress of its jobs."""
     if job.queue:
         return Progress(job.stage, job.done, job.total, _rate_per_s(job))
     stages = tuple(StageProgress(*row) for row in session.execute(_stages(job.id)))
@@ -50,7 +50,7 @@ def progress_of(session: Session, job: Job) -> Progress:
 
 
 def _rate_per_s(job: Job) -> float | None:
-    """Units a second since it began, by its last report."""
+    """Return the units per second since its start, by its last report."""
     if job.state != "running" or not job.started_ns or not job.done:
         return None
     until_ns = job.progress_ns or 0
@@ -71,10 +71,8 @@ def _stages(root_id: str) -> Select[str, int, int, int, int, int | None, int | N
     )
 
 
-# Titles of runs and jobs for people, by kind.
-#
-# **Conventions.** A title says what is done, in the words of the glossary. Stages of one run stand in the order in
-# which they begin. Of a kind that is not here the kind is shown.
+# Titles of runs and jobs for people, by kind, in the imperative and in the terms of the glossary. Stages of one run are
+# in the order in which they start. The title of other kinds is the kind.
 
 
 TITLES: Mapping[str, str] = {
@@ -111,5 +109,5 @@ TITLES: Mapping[str, str] = {
 
 
 def title_of(kind: str) -> str:
-    """The title of jobs of this kind."""
+    """Return the title of jobs of this kind."""
     return TITLES.get(kind, kind)

@@ -1,4 +1,4 @@
-"""Job specs, the attempt that a handler is given, and the outcome it returns.
+"""Job specs, the attempt that a handler receives, and the outcome it returns.
 
 **Conventions.** `kind` is `<queue>.<stage>`. Arguments and results are small JSON objects; data goes through the store.
 """
@@ -7,24 +7,28 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
-if TYPE_CHECKING:  # a graph of jobs is also run where there is no database
+if TYPE_CHECKING:  # a graph of jobs can run without a database
     from sqlalchemy.orm import Session
 
 TERMINAL = ("succeeded", "failed", "cancelled")
 RETICENT = ("eval",)
 BULK = ("ingest", "labeler")
-"""Queues whose jobs write files without a limit of their own; these jobs stop at the disk's reserve."""
+"""Queues whose jobs write files without their own limit; these jobs stop at the disk's reserve."""
 
 
 def queue_of(kind: str) -> str:
-    """The queue in which jobs of this kind wait."""
+    """Return the queue in which jobs of this kind wait."""
     return kind.partition(".")[0]
 
 
 @dataclass(frozen=True)
 class JobSpec:
-    """A job to be. `key` names it among its batch; `needs` are keys of that batch that must succeed before it, `after`
-    kinds of jobs that its run has already, which must succeed too."""
+    """A job to create.
+
+    - `key`: its name within its batch
+    - `needs`: keys of the batch's jobs that must succeed first
+    - `after`: kinds of existing jobs of its run that must succeed first
+    """
 
     kind: str
     arguments: Mapping[str, Any] = field(default_factory=dict)
@@ -39,7 +43,7 @@ class JobSpec:
 
 @dataclass(frozen=True)
 class Context:
-    """For whom a job works and how urgently (higher first)."""
+    """The owner of a job and its urgency (higher first)."""
 
     owner_id: str
     sequence_id: str | None = None
@@ -54,9 +58,8 @@ def nothing(_session: "Session") -> None:
 class Outcome:
     """The result of a handler that succeeds.
 
-    `then` are jobs of the same run that come to life with this success; `commit` writes rows in the same transaction as
-    the success itself, so both happen or neither. An attempt that lost the race
-    never commits.
+    `then` are jobs of the same run that are created with this success; `commit` writes rows in the transaction of the
+    success, so both happen or neither. An attempt that has lost its lease never commits.
     """
 
     result: Mapping[str, Any] = field(default_factory=dict)
@@ -65,7 +68,7 @@ class Outcome:
 
 
 class Attempt(Protocol):
-    """One attempt as its handler sees it: its ids, its arguments, and ways to report while it works."""
+    """One attempt as its handler sees it: its ids, its arguments, and methods to report."""
 
     @property
     def job_id(self) -> str: ...
@@ -80,11 +83,11 @@ class Attempt(Protocol):
     def arguments(self) -> Mapping[str, Any]: ...
 
     def progress(self, stage: str, done: int, total: int) -> None:
-        """Say how far it is, as often as it likes. Raises `JobCancelledError` when the job is to stop."""
+        """Report progress, as often as necessary. Raises `JobCancelledError` if the job must stop."""
         ...
 
     def log(self, event: str, level: str = "info", **facts: Any) -> None:
-        """Keep a line with the attempt, readable while it runs."""
+        """Store a log line of the attempt, readable while it runs."""
         ...
 
 

@@ -1,8 +1,9 @@
-"""Wake-ups: tell a queue's workers that a job is ready. They may fail; the sweeper sends them again.
+"""Wake-ups notify a queue's workers that a job is ready. They may fail; the sweeper sends them again.
 
-**Conventions.** Sending happens after the commit, so it must not raise: the job is safe in the database. One wake-up is
-as good as another, so whoever took a job without one takes any of that queue back, or somebody would look in vain.
-A caller waits `DEADLINE_S` at most. After a failure no caller tries again for the same time, so that none queue up.
+**Conventions.** Sending happens after the commit, so it must not raise: the job is safe in the database. Wake-ups are
+interchangeable, so a worker that took a job without a wake-up takes any wake-up of that queue back; otherwise a worker
+would search in vain. A caller waits at most `DEADLINE_S`. After a failure no caller tries again for the same time, so
+that calls do not queue up.
 """
 
 import time
@@ -21,15 +22,15 @@ log = structlog.get_logger(__name__)
 
 
 def wake_up_sender(settings: Settings) -> Callable[[str, int], None]:
-    """The function that sends `times` wake-ups to a queue in the broker of `settings`, or takes some back."""
+    """Return the function that sends `times` wake-ups to a queue in the broker of `settings`, or takes some back."""
     app = make_app(settings)
-    # kombu would try again after 2 s and after 4 s, while whoever made the commit waits.
+    # kombu would try again after 2 s and after 4 s, while the committing caller waits.
     app.conf.broker_transport_options |= {"max_retries": 0, "socket_timeout": DEADLINE_S}
     resting_until_s = 0.0
 
     def send_wake_ups(queue: str, times: int) -> None:
         nonlocal resting_until_s
-        if queue not in QUEUES:  # of the sweeper itself, which looks by the clock
+        if queue not in QUEUES:  # a queue of the sweeper itself, which polls
             return
         try:
             with app.producer_pool.acquire(block=True, timeout=DEADLINE_S) as producer:
@@ -47,7 +48,7 @@ def wake_up_sender(settings: Settings) -> Callable[[str, int], None]:
 
 
 def wake_up_counter(settings: Settings) -> Callable[[str], int]:
-    """The function that counts wake-ups of a queue not yet received. Raises `redis.RedisError` without a broker."""
+    """Return the function that counts wake-ups not yet received. Raises `redis.RedisError` without a broker."""
     client = Redis.from_url(settings.broker.address, socket_connect_timeout=2, socket_timeout=5)
 
     def waiting_in(queue: str) -> int:

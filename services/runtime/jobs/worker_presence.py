@@ -1,9 +1,9 @@
 """Worker heartbeats: one row per worker process, updated every few seconds.
 
-**Conventions.** For people who look, and for nothing else: who holds a job is decided by
-`services/runtime/jobs/claims.py`, whether an attempt lives by `services/runtime/jobs/lease_sweep.py`. A row is aged by
-the database's clock alone. A process that is idle tells as one that works; one that ends in order takes its row away,
-one that was killed falls silent and is forgotten after `FORGOTTEN_S`.
+**Conventions.** The rows are only for display: `services/runtime/jobs/claims.py` decides which worker holds a job,
+`services/runtime/jobs/lease_sweep.py` whether an attempt is alive. Only the database's clock determines the age of a
+row. Idle and busy processes send heartbeats alike. A process that ends in order deletes its row; the row of a killed
+process is deleted after `FORGOTTEN_S`.
 """
 
 import time
@@ -29,14 +29,14 @@ from services.runtime.telemetry.process_usage import disk, held_bytes, memory
 
 FORGOTTEN_S = 3600.0
 MISSED_BEATS = 4
-"""So many heartbeats in a row make a process silent."""
+"""A process counts as silent after this many missed heartbeats."""
 
 log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True)
 class WorkerPresence:
-    """A process and how long ago it was heard."""
+    """A process and the age of its last heartbeat."""
 
     worker: Worker
     age_s: float
@@ -44,7 +44,7 @@ class WorkerPresence:
 
 
 class WorkerHeartbeat:
-    """`start()` tells at once and then every `heartbeat_s` from a thread; `leave()` takes the row away."""
+    """`start()` writes at once and then every `heartbeat_s` from a thread; `leave()` deletes the row."""
 
     def __init__(self, platform: Platform, queues: Sequence[str]) -> None:
         self._platform = platform
@@ -72,7 +72,7 @@ class WorkerHeartbeat:
             log.warning("worker presence not deleted; it will expire", reason=str(error)[:200])
 
     def tell(self) -> None:
-        """Write the row as the process is now, and what it counted; by the worker's keeper where one answers."""
+        """Write the process's current row and its counters, through the worker's keeper if one answers."""
         present = self._present()
         grown, handed_over = self._counters.handed_over()
         if self._line.tell(present, grown):
@@ -101,7 +101,7 @@ class WorkerHeartbeat:
 
 
 def workers_seen(session: Session, heartbeat_s: float, limit: int) -> list[WorkerPresence]:
-    """All processes that are not forgotten yet, the silent ones first, then by name."""
+    """Return all processes with a row, the silent ones first, then by name."""
     age_ns = (database_ns() - Worker.beat_ns).label("age_ns")
     rows = session.execute(select(Worker, age_ns).order_by(Worker.name).limit(limit)).all()
     found = [WorkerPresence(row, max(0, age) / 1e9, age / 1e9 > MISSED_BEATS * heartbeat_s) for row, age in rows]
@@ -109,17 +109,14 @@ def workers_seen(session: Session, heartbeat_s: float, limit: int) -> list[Worke
 
 
 def forget_silent(platform: Platform, older_than_s: float = FORGOTTEN_S) -> int:
-    """Drop the rows of processes that were not heard for so long; how many there were."""
+    """Delete the rows of processes silent for this long; return their number."""
     with platform.database.transaction() as session:
         gone = delete(Worker).where(Worker.beat_ns < database_ns() - int(older_than_s * 1e9))
         return session.execute(gone).rowcount  # type: ignore[attr-defined,no-any-return]
 
 
-# Running attempts, by the database.
-
-
 def running_attempts(session: Session, limit: int) -> list[tuple[Job, JobAttempt]]:
-    """Jobs that a worker holds, the oldest attempt first."""
+    """Return the jobs that a worker holds, the oldest attempt first."""
     running = (
         select(Job, JobAttempt)
         .join(JobAttempt, (JobAttempt.job_id == Job.id) & (JobAttempt.number == Job.attempt))
