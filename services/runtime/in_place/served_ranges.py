@@ -90,15 +90,15 @@ class _RangeServer:
 
     read_at: ReadAt
     size_bytes: int
-    asked: int
+    requests: int
     answered: int
     ending: int
     failed: list[Exception] = field(default_factory=list)
 
     def serve(self) -> None:
         request = b""
-        while self._is_ready(self.asked, select.POLLIN):
-            request += os.read(self.asked, REQUEST.size - len(request))
+        while self._is_ready(self.requests, select.POLLIN):
+            request += os.read(self.requests, REQUEST.size - len(request))
             if len(request) == REQUEST.size:
                 self._answer(*REQUEST.unpack(request))
                 request = b""

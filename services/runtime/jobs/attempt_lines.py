@@ -76,8 +76,10 @@ def progress_now(stage: str, done: int, total: int) -> JobProgress:
     return JobProgress(stage, done, total, now_ns())
 
 
-def _is_text(said: str, longest: int) -> bool:
-    return len(said) <= longest and "\x00" not in said and not any("\ud800" <= one <= "\udfff" for one in said)
+def _is_text(text: str, longest: int) -> bool:
+    return (
+        len(text) <= longest and "\x00" not in text and not any("\ud800" <= character <= "\udfff" for character in text)
+    )
 
 
 AT_A_TIME = 500
@@ -92,7 +94,7 @@ Other errors are caused by the values (an oversized number, an invalid character
 
 def write_lines(session: Session, words: Sequence[AttemptWords]) -> None:
     """Insert the lines of several attempts that are not stored yet."""
-    rows = [_row(one, line) for one in words for line in one.lines]
+    rows = [_row(report, line) for report in words for line in report.lines]
     for first in range(0, len(rows), AT_A_TIME):
         insert_new(session, JobLine, rows[first : first + AT_A_TIME])
 
@@ -127,10 +129,10 @@ def write_lines_beside(session: Session, words: AttemptWords) -> None:
 def _is_plain(line: AttemptLine) -> bool:
     """Return whether every database accepts the line: short, ASCII without control characters, finite numbers."""
     try:
-        said = json.dumps([line.level, line.event, line.facts], allow_nan=False)
+        text = json.dumps([line.level, line.event, line.facts], allow_nan=False)
     except (TypeError, ValueError, RecursionError):
         return False
-    return len(said) <= LONGEST_PLAIN and len(line.level) <= LONGEST_LEVEL and "\\" not in said
+    return len(text) <= LONGEST_PLAIN and len(line.level) <= LONGEST_LEVEL and "\\" not in text
 
 
 def _row(words: AttemptWords, line: AttemptLine) -> dict[str, Any]:

@@ -52,10 +52,10 @@ class Claim:
 
 def claim(session: Session, queue: str) -> Claim | None:
     """Claim the next ready job of `queue`; None if there is none, or if the queue is paused."""
-    found = take_next(session, queue)
-    if found is None:
+    taken = take_next(session, queue)
+    if taken is None:
         return None
-    job, state_of_run = found
+    job, state_of_run = taken
     begun_ns = job.started_ns or now_ns()
     session.add(JobAttempt(job_id=job.id, number=job.attempt, worker=worker_name(), started_ns=begun_ns))
     at = (job.id, job.root_id, job.sequence_id, job.kind, job.attempt)
@@ -104,15 +104,15 @@ def take_next(session: Session, queue: str) -> tuple[Job, str] | None:
     """
     session.flush()  # cached statements see only flushed rows
     now = {"now": now_ns()}
-    if (found := session.execute(_taking_of_first(queue), now).first()) is not None:
-        return found[0], found[1]
+    if (row := session.execute(_taking_of_first(queue), now).first()) is not None:
+        return row[0], row[1]
     owners = _owners_served(queue).rows(session, {})
     for owner_id, priority, _running, _oldest in owners:
-        found = session.execute(_taking_of_owner(queue), {"owner": owner_id, "urgency": priority, **now}).first()
-        if found is not None:
-            return found[0], found[1]
-    found = session.execute(_taking(queue), now).first() if owners else None
-    return None if found is None else (found[0], found[1])
+        row = session.execute(_taking_of_owner(queue), {"owner": owner_id, "urgency": priority, **now}).first()
+        if row is not None:
+            return row[0], row[1]
+    row = session.execute(_taking(queue), now).first() if owners else None
+    return None if row is None else (row[0], row[1])
 
 
 def wake_ups_wanted(session: Session, queue: str) -> int:
@@ -162,8 +162,8 @@ def _taken(free: Select[str]) -> ReturningUpdate[Job, str]:
     taken = update(Job).where(Job.id == free.correlate(None).scalar_subquery(), Job.state == QUEUED)
     values = {"state": "running", "attempt": Job.attempt + 1, "attempts_left": Job.attempts_left - 1}
     clean = {"started_ns": bindparam("now"), "stage": "", "done": 0, "total": 0, "heartbeats": 0}
-    found = taken.values(**values, **clean, revision=Job.revision + 1).returning(Job, state_of_run)
-    return found.execution_options(populate_existing=True, synchronize_session=False)
+    statement = taken.values(**values, **clean, revision=Job.revision + 1).returning(Job, state_of_run)
+    return statement.execution_options(populate_existing=True, synchronize_session=False)
 
 
 @lru_cache(MOST_QUEUES)
@@ -186,8 +186,8 @@ def _owners(queue: str) -> Select[str, int, int, str]:
     heads, busy = _heads(queue).c, aliased(Job)
     at_work = select(func.count()).where(busy.queue == queue, busy.state == RUNNING, busy.owner_id == heads.owner_id)
     running = at_work.scalar_subquery().label("running")
-    found = select(heads.owner_id, heads.priority, running, heads.root_id)
-    return found.order_by(heads.priority.desc(), running, heads.root_id)
+    owners = select(heads.owner_id, heads.priority, running, heads.root_id)
+    return owners.order_by(heads.priority.desc(), running, heads.root_id)
 
 
 def _heads(queue: str) -> CTE:

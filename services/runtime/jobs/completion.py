@@ -55,9 +55,12 @@ def succeed(
     """
     is_run = claim.job_id == claim.root_id
     run = (lock_run if is_run else revise_run)(session, claim.root_id)
-    told = _told(words)
+    changes = _changes_of(words)
     if not _leave(
-        session, claim, "succeeded", **{**told, "result": dict(outcome.result), "done": told.get("total", Job.total)}
+        session,
+        claim,
+        "succeeded",
+        **{**changes, "result": dict(outcome.result), "done": changes.get("total", Job.total)},
     ):
         return False
     _note(session, claim, "succeeded", None, words)
@@ -80,7 +83,7 @@ def succeed(
 def fail(session: Session, claim: Claim, failure: Failure, words: AttemptWords | None = None) -> bool:
     """Record the failure; its run fails too, and the run's queued jobs are cancelled."""
     run = lock_run(session, claim.root_id)
-    if not _leave(session, claim, "failed", **_told(words), **failure.columns()):
+    if not _leave(session, claim, "failed", **_changes_of(words), **failure.columns()):
         return False
     _note(session, claim, "failed", failure, words)
     fail_run(session, run, claim.job_id, failure)
@@ -90,7 +93,7 @@ def fail(session: Session, claim: Claim, failure: Failure, words: AttemptWords |
 def cancelled(session: Session, claim: Claim, words: AttemptWords | None = None) -> bool:
     """Record that the attempt stopped because of a cancellation."""
     run = lock_run(session, claim.root_id)
-    if not _leave(session, claim, "cancelled", **_told(words)):
+    if not _leave(session, claim, "cancelled", **_changes_of(words)):
         return False
     _note(session, claim, "cancelled", None, words)
     _finish_run(session, run)
@@ -106,7 +109,7 @@ def lose(session: Session, claim: Claim, failure: Failure, words: AttemptWords |
     if run.cancel_reason:
         return cancelled(session, claim, words)
     held, again = _held(claim).where(Job.attempts_left > 0), {"state": "queued", "ready_ns": now_ns()}
-    if not rows_changed(session, held.values(**again, **_told(words), revision=Job.revision + 1)):
+    if not rows_changed(session, held.values(**again, **_changes_of(words), revision=Job.revision + 1)):
         return fail(session, claim, failure, words)
     _note(session, claim, "lost", failure, words)
     wake_up_after_commit(session, claim.kind.partition(".")[0])
@@ -185,7 +188,7 @@ def _leave(session: Session, claim: Claim, state: str, **columns: object) -> boo
     return rows_changed(session, _held(claim).values(**values)) == 1
 
 
-def _told(words: AttemptWords | None) -> dict[str, Any]:
+def _changes_of(words: AttemptWords | None) -> dict[str, Any]:
     """Return the changes of the last report in the job's row."""
     return words.columns() if words else {}
 

@@ -70,13 +70,13 @@ def _jobs_before(session: Session, root_id: str, specs: Sequence[JobSpec]) -> di
     kinds = {kind for spec in specs for kind in spec.after}
     if not kinds:
         return {}
-    found: dict[str, dict[str, bool]] = {kind: {} for kind in kinds}
+    by_kind: dict[str, dict[str, bool]] = {kind: {} for kind in kinds}
     jobs = select(Job.id, Job.kind, Job.state).where(Job.root_id == root_id, Job.kind.in_(kinds))
     for job_id, kind, state in session.execute(jobs):
-        found[kind][job_id] = state != "succeeded"
-    for kind in (kind for kind in sorted(kinds) if not found[kind]):
+        by_kind[kind][job_id] = state != "succeeded"
+    for kind in (kind for kind in sorted(kinds) if not by_kind[kind]):
         raise ValueError(f"run {root_id} has no job {kind!r} to wait for")
-    return found
+    return by_kind
 
 
 def _needed_ids(spec: JobSpec, id_of: Mapping[str, str], before: Mapping[str, Mapping[str, bool]]) -> dict[str, bool]:

@@ -100,11 +100,11 @@ class Reporter:
         self._stages.enter(stage)
         with self._lock:
             self._progress = progress_now(stage, done, total)
-        self.stop_if_asked()
+        self.stop_if_cancelled()
         if self._is_short_of_room:
             self.require_room()
 
-    def stop_if_asked(self) -> None:
+    def stop_if_cancelled(self) -> None:
         """Raise `JobCancelledError` if the job was cancelled."""
         if self._cancel_reason:
             raise JobCancelledError(self._cancel_reason)
@@ -132,7 +132,7 @@ class Reporter:
             return
         until_s = time.monotonic() + self._limits.rest_s * 2 ** (self._claim.attempt - 1)
         while time.monotonic() < until_s:
-            self.stop_if_asked()
+            self.stop_if_cancelled()
             time.sleep(min(0.1, self._limits.rest_s))
 
     def log(self, event: str, level: str = "info", **facts: Any) -> None:
@@ -314,7 +314,7 @@ def _answer(taken: Claim, handlers: Handlers, reporter: Reporter) -> Outcome:
             )
         reporter.require_room()
         outcome = handlers[taken.kind](reporter)
-        reporter.stop_if_asked()
+        reporter.stop_if_cancelled()
         return outcome
     except Exception as error:
         if not is_refusal(error):
@@ -362,13 +362,13 @@ def _fail(platform: Platform, taken: Claim, reporter: Reporter, failure: Failure
 # shared with all processes forked after this module was imported. It is never reset.
 
 
-_TOLD = mmap.mmap(-1, 1)
+_STOP = mmap.mmap(-1, 1)
 
 
-def tell_to_stop() -> None:
+def stop_claiming() -> None:
     """Make all processes of this worker stop claiming jobs."""
-    _TOLD[0] = 1
+    _STOP[0] = 1
 
 
 def takes_jobs() -> bool:
-    return _TOLD[0] == 0
+    return _STOP[0] == 0

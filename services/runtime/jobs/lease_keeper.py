@@ -58,13 +58,13 @@ class ProcessPresence:
 
 def write_presence(session: Session, present: Sequence[ProcessPresence]) -> None:
     """Insert or update their rows; the row of another process with a reused pid starts again."""
-    ordered = sorted(present, key=lambda one: one.name)  # a common order prevents deadlocks
-    rows = [{**asdict(one), "beat_ns": database_ns(), "beats": 1} for one in ordered]
+    ordered = sorted(present, key=lambda process: process.name)  # a common order prevents deadlocks
+    rows = [{**asdict(process), "beat_ns": database_ns(), "beats": 1} for process in ordered]
     dialect = sqlite if session.get_bind().dialect.name == "sqlite" else postgresql
     inserted = dialect.insert(Worker).values(rows)
-    told = {name: inserted.excluded[name] for name in rows[0] if name not in ("name", "beats")}
+    updated = {name: inserted.excluded[name] for name in rows[0] if name not in ("name", "beats")}
     beats = case((Worker.started_ns == inserted.excluded.started_ns, Worker.beats + 1), else_=1)
-    session.execute(inserted.on_conflict_do_update(index_elements=[Worker.name], set_={**told, "beats": beats}))
+    session.execute(inserted.on_conflict_do_update(index_elements=[Worker.name], set_={**updated, "beats": beats}))
 
 
 # Messages between the processes of a worker and its lease keeper: JSON, preceded by its length. The two ends belong to
@@ -96,16 +96,16 @@ class MessageStream:
         if not (more := self.socket.recv(2**16)):
             raise EOFError
         self._held += more
-        found = []
+        messages = []
         while (whole := self._taken()) is not None:
-            found.append(json.loads(whole))
-        return found
+            messages.append(json.loads(whole))
+        return messages
 
     def first(self) -> Any:
         """Wait for the next message and return it. Raises as `receive`."""
-        while not (found := self.receive()):
+        while not (messages := self.receive()):
             pass
-        return found[0]
+        return messages[0]
 
     def _taken(self) -> bytes | None:
         if len(self._held) < LENGTH.size:
@@ -129,8 +129,8 @@ def words_of(message: dict[str, Any]) -> AttemptWords:
     """Return the report. Raises `TypeError` and `KeyError` for messages not from `message_of`."""
     progress = message["progress"]
     lines = tuple(AttemptLine(**line) for line in message["lines"])
-    told = None if progress is None else JobProgress(**progress)
-    return AttemptWords(message["job_id"], message["attempt"], told, lines)
+    reported = None if progress is None else JobProgress(**progress)
+    return AttemptWords(message["job_id"], message["attempt"], reported, lines)
 
 
 def presence_message(present: ProcessPresence, counts: Counts) -> dict[str, Any]:
@@ -158,7 +158,7 @@ class LeaseKeeper:
     turn_s: float
     presence_s: float
     _selector: selectors.DefaultSelector = field(default_factory=selectors.DefaultSelector)
-    _said: list[tuple[MessageStream, AttemptWords]] = field(default_factory=list)
+    _reports: list[tuple[MessageStream, AttemptWords]] = field(default_factory=list)
     _present: dict[str, ProcessPresence] = field(default_factory=dict)
     _present_s: float = 0.0
     _turned_s: float = float("-inf")
@@ -188,7 +188,7 @@ class LeaseKeeper:
         if due_s is not None and due_s <= 0:
             self._take_turn()
             return
-        patient = [one for one in (due_s, patience_s) if one is not None]
+        patient = [wait_s for wait_s in (due_s, patience_s) if wait_s is not None]
         for key, _ in self._selector.select(min(patient, default=None)):
             if key.fileobj is self.listener:
                 self._accept()
@@ -198,7 +198,7 @@ class LeaseKeeper:
     def _due_s(self) -> float | None:
         """Return the seconds until the next turn; None if nothing was received."""
         now_s = time.monotonic()
-        dues = [self._turned_s + self.turn_s] if self._said else []
+        dues = [self._turned_s + self.turn_s] if self._reports else []
         if self._present:
             dues.append(max(self._turned_s + self.turn_s, self._present_s + self.presence_s))
         return min(dues) - now_s if dues else None
@@ -221,7 +221,7 @@ class LeaseKeeper:
 
     def _take(self, stream: MessageStream, message: dict[str, Any]) -> None:
         if "job_id" in message:
-            self._said.append((stream, words_of(message)))
+            self._reports.append((stream, words_of(message)))
             return
         if "present" in message:
             self._note(ProcessPresence(**message["present"]), message["counts"])
@@ -236,8 +236,8 @@ class LeaseKeeper:
         self._counters.merge(counts)
 
     def _take_turn(self) -> None:
-        said, self._said, self._turned_s = self._said, [], time.monotonic()
-        last = {(stream, words.key): words for stream, words in said}
+        reports, self._reports, self._turned_s = self._reports, [], time.monotonic()
+        last = {(stream, words.key): words for stream, words in reports}
         present, committed = list(self._present.values()), list[Callable[[], None]]()
 
         def beside(session: Session) -> None:
@@ -247,7 +247,7 @@ class LeaseKeeper:
 
         try:
             answers = renew(self.database, list(last.values()), beside)
-            self._told(present, committed)
+            self._confirm_written(present, committed)
         except Exception as error:
             log.warning("heartbeats not written; the jobs continue", jobs=len(last), reason=str(error)[:500])
             self._present_s = self._turned_s
@@ -257,12 +257,12 @@ class LeaseKeeper:
         for (stream, _), answer in zip(last, answers, strict=True):
             self._answer(stream, asdict(answer))
 
-    def _told(self, present: Sequence[ProcessPresence], committed: Sequence[Callable[[], None]]) -> None:
+    def _confirm_written(self, present: Sequence[ProcessPresence], committed: Sequence[Callable[[], None]]) -> None:
         """Confirm written rows; processes whose reports were rejected are written in the next turn."""
         for noted in committed:
             noted()
         if committed:
-            self._present = {name: one for name, one in self._present.items() if one not in present}
+            self._present = {name: process for name, process in self._present.items() if process not in present}
 
     def _answer(self, stream: MessageStream, message: dict[str, object]) -> None:
         try:
@@ -334,7 +334,7 @@ class LeaseLine:
         """
         if self._address is not None:
             try:
-                return self._asked(words)
+                return self._request(words)
             except (OSError, EOFError, ValueError, TypeError) as error:
                 self.close()
                 if self._is_interrupted:
@@ -356,7 +356,7 @@ class LeaseLine:
         if stream is not None:
             stream.socket.close()
 
-    def _asked(self, words: AttemptWords) -> LeaseAnswer:
+    def _request(self, words: AttemptWords) -> LeaseAnswer:
         if self._stream is None:
             self._stream = opened(self._address or "", self._patience_s)
         if self._is_interrupted:

@@ -61,10 +61,10 @@ def renew(
 def _renew_apart(database: Database, words: Sequence[AttemptWords]) -> list[LeaseAnswer]:
     with database.transaction() as session:
         answers = _beat(session, words)
-    for one in words:
-        if one.lines:
+    for report in words:
+        if report.lines:
             with database.transaction() as session:
-                write_lines_singly(session, one)
+                write_lines_singly(session, report)
     return answers
 
 
@@ -74,27 +74,27 @@ def _beat(session: Session, words: Sequence[AttemptWords]) -> list[LeaseAnswer]:
     written = {(job_id, attempt) for job_id, attempt in rows}
     reasons = _reasons(session, words)
     return [
-        LeaseAnswer(one.key in written or one.key in reasons, reasons.get(one.key, ""), one.key in written)
-        for one in words
+        LeaseAnswer(report.key in written or report.key in reasons, reasons.get(report.key, ""), report.key in written)
+        for report in words
     ]
 
 
 def _reasons(session: Session, words: Sequence[AttemptWords]) -> dict[AttemptKey, str]:
     """Return the reason to stop ("" for none) of each running attempt; locked rows count as running."""
-    found = session.execute(REASONS, _keys(words))
-    return {(job_id, attempt): own or of_run for job_id, attempt, own, of_run in found}
+    rows = session.execute(REASONS, _keys(words))
+    return {(job_id, attempt): own or of_run for job_id, attempt, own, of_run in rows}
 
 
 def _keys(words: Sequence[AttemptWords]) -> dict[str, list[AttemptKey]]:
-    return {"keys": [one.key for one in words]}
+    return {"keys": [report.key for report in words]}
 
 
 def _progress(words: Sequence[AttemptWords]) -> Mapping[str, Any]:
     """Return the new value of each column of progress, for attempts with a report."""
-    said = [(KEY.in_([one.key]), columns) for one in words if (columns := one.columns())]
-    if not said:
+    changes = [(KEY.in_([report.key]), columns) for report in words if (columns := report.columns())]
+    if not changes:
         return {}
     columns = {
-        name: case(*((is_its, of[name]) for is_its, of in said), else_=getattr(Job, name)) for name in said[0][1]
+        name: case(*((is_its, of[name]) for is_its, of in changes), else_=getattr(Job, name)) for name in changes[0][1]
     }
-    return {**columns, "revision": case(*((is_its, Job.revision + 1) for is_its, _ in said), else_=Job.revision)}
+    return {**columns, "revision": case(*((is_its, Job.revision + 1) for is_its, _ in changes), else_=Job.revision)}

@@ -104,8 +104,8 @@ def workers_seen(session: Session, heartbeat_s: float, limit: int) -> list[Worke
     """Return all processes with a row, the silent ones first, then by name."""
     age_ns = (database_ns() - Worker.beat_ns).label("age_ns")
     rows = session.execute(select(Worker, age_ns).order_by(Worker.name).limit(limit)).all()
-    found = [WorkerPresence(row, max(0, age) / 1e9, age / 1e9 > MISSED_BEATS * heartbeat_s) for row, age in rows]
-    return sorted(found, key=lambda one: (not one.is_silent, one.worker.name))
+    workers = [WorkerPresence(row, max(0, age) / 1e9, age / 1e9 > MISSED_BEATS * heartbeat_s) for row, age in rows]
+    return sorted(workers, key=lambda seen: (not seen.is_silent, seen.worker.name))
 
 
 def forget_silent(platform: Platform, older_than_s: float = FORGOTTEN_S) -> int:

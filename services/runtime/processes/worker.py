@@ -27,7 +27,7 @@ from celery.signals import worker_shutting_down
 from services.runtime.jobs.broker_app import QUEUES
 from services.runtime.jobs.celery_app import app
 from services.runtime.jobs.claims import worker_name
-from services.runtime.jobs.execution import tell_to_stop
+from services.runtime.jobs.execution import stop_claiming
 from services.runtime.jobs.lease_sweep import WORKER_STOPPED, give_back_of
 from services.runtime.platform import platform
 from services.runtime.processes.private_files import keep_private
@@ -83,7 +83,7 @@ def arguments(queues: Sequence[str], concurrency: int) -> list[str]:
 @worker_shutting_down.connect
 def _drain(**_: object) -> None:
     """Called within a signal handler: a thread does the waiting."""
-    tell_to_stop()
+    stop_claiming()
     Thread(target=_end_after, args=(Settings().jobs.drain_s,), name="drain", daemon=True).start()
 
 

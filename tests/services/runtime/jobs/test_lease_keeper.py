@@ -284,7 +284,7 @@ def test_a_keeper_is_a_process_that_ends_with_its_worker_and_by_no_lesser_signal
     if (worker := os.fork()) == 0:
         try:
             keeper = start_keeper(platform.settings)
-            is_held = LeaseLine(platform.database, PATIENCE_S)._asked(words).is_held
+            is_held = LeaseLine(platform.database, PATIENCE_S)._request(words).is_held
             os.write(tell, f"{keeper} {is_held}".encode())
             signal.pause()
         finally:
