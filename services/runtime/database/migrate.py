@@ -64,8 +64,8 @@ def refuse_unknown(revision: str) -> None:
     if revision < known[-1]:
         raise Refused(
             "schema_older",
-            f"the database or backup is at revision {revision!r}, but this version upgrades only from {known[-1]!r} "
-            f"on; restore and start it once with the sources of commit {LAST_OF_OLDER}, then start this version",
+            f"the database or backup is at revision {revision!r}, older than {known[-1]!r}. Restore and start it once "
+            f"with the sources of commit {LAST_OF_OLDER}, then with this version",
         )
     raise Refused(
         "schema_newer",

@@ -28,7 +28,7 @@ def requested_place(settings: InPlaceSettings, place: RecordingPlace) -> Recordi
     if is_by_ranges(settings, place) and not place.path.endswith(BY_RANGES):
         raise Refused(
             "not_by_ranges",
-            f"{place.name[:200]!r} is in a bucket, from which only an {BY_RANGES} can be read; mount the bucket below "
+            f"{place.name[:200]!r} is in a bucket, from which only an {BY_RANGES} can be read. Mount the bucket below "
             "a folder that is a root, convert the bag to MCAP, or upload it",
         )
     return place
