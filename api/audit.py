@@ -42,5 +42,5 @@ def record_admin_act(
 ) -> None:
     """Add a line for an act that only an administrator may do. Raises `reason_missing` for an empty reason."""
     if not reason.strip():
-        raise ApiError("reason_missing", f"{act} needs a reason, which is recorded in the audit log")
+        raise ApiError("reason_missing", f"{act} requires a reason for the audit log")
     record(session, caller, act, subject_id, reason.strip(), facts)

@@ -196,9 +196,9 @@ def require_one(scopes: tuple[str, ...], *accepted: str) -> Callable[..., Awaita
         check_csrf(request, caller)
         if not caller.scopes & set(scopes):
             wanted = " or ".join(map(repr, scopes))
-            raise ForbiddenError(f"this needs the scope {wanted}; yours are {sorted(caller.scopes)}")
+            raise ForbiddenError(f"this requires the scope {wanted}; your scopes are {sorted(caller.scopes)}")
         if not roles.allows(caller.role, accepted):
-            raise ForbiddenError(f"this needs the role {' or '.join(accepted)}; yours is {caller.role}")
+            raise ForbiddenError(f"this requires the role {' or '.join(accepted)}; your role is {caller.role}")
         return caller
 
     NEEDING_CALLER.add(caller_who_may)
@@ -227,7 +227,7 @@ async def look(
         caller = VISITOR
     request.state.caller = caller
     if "read" not in caller.scopes:
-        raise ForbiddenError(f"this needs the scope 'read'; yours are {sorted(caller.scopes)}")
+        raise ForbiddenError(f"this requires the scope 'read'; your scopes are {sorted(caller.scopes)}")
     return caller
 
 
@@ -257,11 +257,11 @@ def _looked_up(request: Request, shown: str) -> Caller:
 def _by_token(platform: Platform, header: str) -> Caller:
     scheme, _, secret = header.partition(" ")
     if scheme.lower() != "bearer":
-        raise UnauthenticatedError("only the scheme Bearer is understood")
+        raise UnauthenticatedError("only the Bearer scheme is supported")
     with platform.database.lookups() as session:
         token = tokens.find(session, secret.strip())
     if token is None:
-        raise UnauthenticatedError("the token is unknown, has expired or was revoked")
+        raise UnauthenticatedError("the token is unknown, expired or revoked")
     if tokens.is_use_due(token):
         _note_use(platform, tokens.note_use, token.id)
     user, held = token.user, roles.scopes_in_force(token.user.role, token.scopes)
@@ -274,7 +274,9 @@ def _note_use(platform: Platform, note: Callable[[Session, str], None], credenti
         with platform.database.transaction() as session:
             note(session, credential_id)
     except OperationalError as error:
-        log.warning("last use of a credential not noted", credential_id=credential_id, reason=str(error.orig))
+        log.warning(
+            "could not record the last use of a credential", credential_id=credential_id, reason=str(error.orig)
+        )
 
 
 def _by_session(platform: Platform, secret: str) -> Caller:

@@ -34,12 +34,12 @@ class ApiError(Refused):
 class UnauthenticatedError(ApiError):
     """Not signed in, or the token or session is no longer valid."""
 
-    def __init__(self, reason: str = "this needs a token or a session") -> None:
+    def __init__(self, reason: str = "this requires a token or a session") -> None:
         super().__init__("unauthenticated", f"{reason}; send 'Authorization: Bearer stone_…' or sign in", BEARER)
 
 
 def wrong_password() -> ApiError:
-    return ApiError("wrong_password", "there is no active user with this name and this password", BEARER)
+    return ApiError("wrong_password", "wrong name or password", BEARER)
 
 
 class ForbiddenError(ApiError):
@@ -53,7 +53,7 @@ class CsrfError(ForbiddenError):
     """The request lacks the CSRF token of the browser's session."""
 
     def __init__(self) -> None:
-        ApiError.__init__(self, "csrf", "X-CSRF-Token is missing or is not this session's; read it from GET /api/v1/me")
+        ApiError.__init__(self, "csrf", "X-CSRF-Token is missing or not of this session; read it from GET /api/v1/me")
 
 
 class NotFoundError(ApiError):
@@ -65,7 +65,7 @@ class NotFoundError(ApiError):
 
 def bad_cursor() -> ApiError:
     return ApiError(
-        "bad_cursor", "the cursor is not one of this list; take 'next' from its last page, or begin without one"
+        "bad_cursor", "the cursor does not belong to this list; use 'next' of the last page, or start without a cursor"
     )
 
 
@@ -76,7 +76,7 @@ def body_too_large(limit_bytes: int) -> ApiError:
 
 
 def body_too_slow(came_bytes: int, within_s: float) -> ApiError:
-    sentence = f"{came_bytes} bytes of the body arrived in {within_s:.0f} s, and then no more in time; send it again"
+    sentence = f"only {came_bytes} bytes of the body arrived in {within_s:.0f} s; send the request again"
     return ApiError("body_too_slow", sentence, {"Connection": "close"})
 
 
@@ -91,14 +91,14 @@ class RefusedBodyError(HTTPException):
 def no_json() -> ApiError:
     return ApiError(
         "unsupported_media_type",
-        "the body is read as JSON only if the header says so; send 'Content-Type: application/json'",
+        "the Content-Type is not JSON; send 'Content-Type: application/json'",
     )
 
 
 def rate_limited(per_minute: float, retry_after_s: int) -> ApiError:
     return ApiError(
         "rate_limited",
-        f"more than {per_minute:g} a minute; try again in {retry_after_s} s",
+        f"more than {per_minute:g} requests a minute; try again in {retry_after_s} s",
         {"Retry-After": str(retry_after_s)},
     )
 
@@ -115,7 +115,7 @@ NAMED = 8
 
 
 def split_refused(errors: tuple[RuleFinding, ...], names: Mapping[str, str]) -> ApiError:
-    sentence = f"{len(errors)} rule(s) are broken; see errors, or have splits proposed (/splits/proposal)"
+    sentence = f"the splits break {len(errors)} rule(s); see errors, or request a proposal (/splits/proposal)"
     findings = tuple({"code": error.code, "where": _where(error, names), "detail": error.message} for error in errors)
     return ApiError("split_refused", sentence, findings=findings)
 

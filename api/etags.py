@@ -30,9 +30,7 @@ def require_match(request: Request, revision: int | str) -> None:
     """Refuse a change that means another state. Raises `precondition_required`, `precondition_failed`."""
     given = request.headers.get("if-match")
     if given is None:
-        raise ApiError(
-            "precondition_required", "If-Match is missing; send the ETag of the resource as you last read it"
-        )
+        raise ApiError("precondition_required", "If-Match is missing; send the ETag of your last read")
     if given.strip() != "*" and ("", str(revision)) not in TAG.findall(given):
         raise ApiError(
             "precondition_failed",

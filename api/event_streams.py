@@ -53,7 +53,7 @@ Load = Callable[[Session, StreamSubject], tuple[str, bool]]
 def too_many_streams(limit: int, whose: str) -> ApiError:
     return ApiError(
         "too_many_streams",
-        f"{whose} follow {limit} event streams already; close one, or read the job itself",
+        f"{whose} already follow {limit} event streams; close a stream, or poll the job",
         {"Retry-After": str(RETRY_AFTER_S)},
     )
 
@@ -130,7 +130,7 @@ class Follower:
             try:
                 changes = await to_thread.run_sync(self._changes, known, limiter=self._thread)
             except SQLAlchemyError as error:
-                log.warning("cannot follow jobs; trying again", reason=str(error)[:200])
+                log.warning("cannot read job changes; trying again", reason=str(error)[:200])
                 changes = {}
             for subject, snapshot in changes.items():
                 self._tell(subject, snapshot)

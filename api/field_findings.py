@@ -31,7 +31,7 @@ TEXT, WHOLE, NUMBER, BOOLEAN, LIST, OBJECT = (
 MOMENT = "a date and time such as 2026-05-03T09:12:44Z"
 EXPECTED = {
     "missing": "a value",
-    "extra_forbidden": "a key of this body",
+    "extra_forbidden": "a known key",
     "json_invalid": "JSON",
     **dict.fromkeys(("string_type", "string_unicode", "string_sub_type"), TEXT),
     **dict.fromkeys(("int_type", "int_parsing", "int_from_float", "int_parsing_size"), WHOLE),
@@ -68,7 +68,7 @@ def field_finding(raw: Mapping[str, Any]) -> dict[str, str]:
     if not expected:  # a validator of our own, or a rule that the table lacks
         return {"code": code, "where": where, "detail": str(raw["msg"]).removeprefix(OWN)[:MOST_WORDS]}
     if code == "extra_forbidden":
-        detail = "no body of this route has such a key; the API reference lists its keys"
+        detail = "unknown key; the API reference lists the keys of this body"
         return {"code": code, "where": where, "expected": expected, "detail": detail}
     actual = _actual(code, raw)
     return {
@@ -93,7 +93,7 @@ def _actual(code: str, raw: Mapping[str, Any]) -> str:
     if code == "missing":
         return "nothing"
     if code == "json_invalid":
-        return f"text that is no JSON, at character {raw['loc'][-1]}"
+        return f"invalid JSON at character {raw['loc'][-1]}"
     sent = raw["input"]
     if code in NUMERIC and DIGITS.fullmatch(str(sent)):
         return str(sent)

@@ -89,8 +89,8 @@ def file_responses(*media_types: str) -> Responses:
     """The OpenAPI responses of a route that answers with a file."""
     content = {media_type: {"schema": OBJECT if media_type in STRUCTURED else BINARY} for media_type in media_types}
     whole = {"description": "The whole file", "content": content}
-    part = {"description": "The range asked for", "content": content}
-    return {200: whole, 206: part, 304: {"description": "The caller has it already"}, **refusals(404, 416)}
+    part = {"description": "The requested range", "content": content}
+    return {200: whole, 206: part, 304: {"description": "The caller's copy is current"}, **refusals(404, 416)}
 
 
 def answer_file(request: Request, store: Store, file: StoredFile) -> Response:
@@ -182,7 +182,7 @@ def _range(request: Request, file: ServedFile) -> tuple[int, int] | None:
     if start >= file.size_bytes:
         raise ApiError(
             "range_not_satisfiable",
-            f"the file has {file.size_bytes} bytes and the range begins behind them",
+            f"the file has {file.size_bytes} bytes; the range starts after its end",
             {"Content-Range": f"bytes */{file.size_bytes}", "Accept-Ranges": "bytes"},
         )
     return start, stop

@@ -223,9 +223,9 @@ def told(api: FastAPI) -> FastAPI:
 UNTOLD: TelemetryConfig = {"tracing": False, "metrics": False, "logs": False, "auto_configure": False}
 """FastAPI's own spans hold paths, queries and bodies' faults; ours are made in `entry`."""
 
-DESCRIPTION = """Recordings of field robots in, 3D traversability labels out.
+DESCRIPTION = """STONE turns recordings of field robots into 3D traversability labels.
 
-Refusals are `application/problem+json`. Lists are paged by `cursor`. Creating POSTs take an `Idempotency-Key`. Things
-that change carry an `ETag`, and changing them asks for `If-Match`. So do boards and the lists of sequences, jobs,
-submissions, exports and versions: to who sends it as `If-None-Match` an unchanged one is not sent again.
+Refusals are `application/problem+json`. Lists are paged by `cursor`. Creating POSTs accept an `Idempotency-Key`.
+Resources that can change have an `ETag`, and changing them requires `If-Match`. Boards and the lists of sequences,
+jobs, submissions, exports and versions have an `ETag` too: with `If-None-Match`, an unchanged list is not sent again.
 """

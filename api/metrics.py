@@ -97,12 +97,12 @@ class RequestMetrics:
             with self._platform.database.reading() as session:
                 counts, now = summed((counters_of_all_processes(session), own)), platform_status(session, heartbeat_s)
         except SQLAlchemyError as error:
-            log.warning("database away", reason=str(error)[:200])
-            yield GaugeMetricFamily("stone_database_up", "Whether the database answers", 0.0)
+            log.warning("database unreachable", reason=str(error)[:200])
+            yield GaugeMetricFamily("stone_database_up", "Whether the database responds", 0.0)
             return
         yield from counter_metrics(counts)
         yield from status_metrics(now)
-        yield GaugeMetricFamily("stone_database_up", "Whether the database answers", 1.0)
+        yield GaugeMetricFamily("stone_database_up", "Whether the database responds", 1.0)
 
     def _keep_writing(self) -> None:
         while True:
@@ -110,7 +110,7 @@ class RequestMetrics:
             try:
                 self.tell()
             except SQLAlchemyError as error:
-                log.warning("counts not told; they will be", reason=str(error)[:200])
+                log.warning("cannot write the counts; trying again", reason=str(error)[:200])
 
 
 class _MetricsCollector(Collector):
@@ -134,15 +134,15 @@ class _MetricsCollector(Collector):
         pool = self._platform.database.engine.pool
         if not isinstance(pool, QueuePool):
             return
-        family = GaugeMetricFamily("stone_database_connections", "Of this process, by use", labels=("state",))
+        family = GaugeMetricFamily("stone_database_connections", "Database connections, by use", labels=("state",))
         family.add_metric(("in_use",), pool.checkedout())
         family.add_metric(("idle",), pool.checkedin())
         yield family
-        yield GaugeMetricFamily("stone_database_pool_connections", "Connections that are kept open", pool.size())
+        yield GaugeMetricFamily("stone_database_pool_connections", "Database connections kept open", pool.size())
 
     def _disks(self) -> Iterator[Metric]:
-        free = GaugeMetricFamily("stone_disk_free_bytes", "Free disk of this process's folders", labels=("place",))
-        size = GaugeMetricFamily("stone_disk_bytes", "Size of the disks they are on", labels=("place",))
+        free = GaugeMetricFamily("stone_disk_free_bytes", "Free space on the disks used", labels=("place",))
+        size = GaugeMetricFamily("stone_disk_bytes", "Size of the disks used", labels=("place",))
         for place, folder in (("data", self._platform.settings.root), ("scratch", Path(gettempdir()))):
             room = disk(folder)
             if room.free_bytes is not None and room.total_bytes is not None:
@@ -158,10 +158,10 @@ class _MetricsCollector(Collector):
             for queue in QUEUES:
                 family.add_metric((queue,), self._waiting(queue))
         except (RedisError, OSError) as error:
-            log.warning("broker away", reason=str(error))
+            log.warning("broker unreachable", reason=str(error))
             is_up = False
         yield family
-        yield GaugeMetricFamily("stone_broker_up", "Whether the broker answers", float(is_up))
+        yield GaugeMetricFamily("stone_broker_up", "Whether the broker responds", float(is_up))
 
 
 # Counters and status figures as Prometheus metric families.
@@ -180,17 +180,17 @@ def counter_metrics(counts: Counts) -> Iterator[Metric]:
 
 def status_metrics(now: PlatformStatus) -> Iterator[Metric]:
     """Jobs, queues, uploads, workers, chores, and what the store holds."""
-    jobs = GaugeMetricFamily("stone_jobs", f"Jobs that have not ended; {MOST}: at least", labels=("queue", "state"))
+    jobs = GaugeMetricFamily("stone_jobs", f"Unfinished jobs; {MOST} means at least {MOST}", labels=("queue", "state"))
     for (queue, state), count in now.jobs.items():
         jobs.add_metric((queue, state), count)
     yield jobs
-    yield _gauges("stone_queue_age_seconds", "How long the oldest ready job is ready", "queue", now.oldest_ready_s)
+    yield _gauges("stone_queue_age_seconds", "Waiting time of the oldest ready job", "queue", now.oldest_ready_s)
     paused = {queue: float(queue in now.paused) for queue in now.oldest_ready_s}
-    yield _gauges("stone_queue_paused", "Whether nothing new of a queue is started", "queue", paused)
-    yield GaugeMetricFamily("stone_uploads_open", f"Uploads under way; {MOST}: at least", now.uploads_open)
-    yield _gauges("stone_chore_age_seconds", "Since when a chore of the sweeper was not done", "chore", now.chores_s)
+    yield _gauges("stone_queue_paused", "Whether the queue starts no new jobs", "queue", paused)
+    yield GaugeMetricFamily("stone_uploads_open", f"Unfinished uploads; {MOST} means at least {MOST}", now.uploads_open)
+    yield _gauges("stone_chore_age_seconds", "Time since a chore of the sweeper last ran", "chore", now.chores_s)
     if STORED_BYTES in now.figures:
-        yield GaugeMetricFamily("stone_stored_bytes", "Bytes of all blobs", now.figures[STORED_BYTES])
+        yield GaugeMetricFamily("stone_stored_bytes", "Total size of all blobs", now.figures[STORED_BYTES])
         yield GaugeMetricFamily("stone_stored_blobs", "Blobs in the store", now.figures[STORED_BLOBS])
     yield GaugeMetricFamily("stone_store_faulty_objects", "Objects known to be damaged or lost", now.scrub.faults)
     yield GaugeMetricFamily("stone_scrub_pass_bytes", "Bytes read in the current scrub pass", now.scrub.size_bytes)
@@ -222,10 +222,18 @@ def _workers(seen: Iterable[WorkerPresence], queues: Iterable[str]) -> Iterator[
             family.add_metric((queue, state), sum(queue in worker.queues.split(",") for worker in workers))
     yield family
     held = sum(worker.held_bytes or 0 for worker in alive)
-    yield GaugeMetricFamily("stone_workers_held_bytes", "Memory that workers hold (resident), together", held)
+    yield GaugeMetricFamily("stone_workers_held_bytes", "Total resident memory of all workers", held)
     for name, told, free in (
-        ("stone_workers_disk_free_bytes", "Least free disk of any worker", [one.disk_free_bytes for one in alive]),
-        ("stone_workers_memory_free_bytes", "Least free memory of any", [one.memory_free_bytes for one in alive]),
+        (
+            "stone_workers_disk_free_bytes",
+            "Least free disk of any worker",
+            [worker.disk_free_bytes for worker in alive],
+        ),
+        (
+            "stone_workers_memory_free_bytes",
+            "Least free memory of any worker",
+            [one.memory_free_bytes for one in alive],
+        ),
     ):
         known = [size_bytes for size_bytes in free if size_bytes is not None]
         if known:

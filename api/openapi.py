@@ -30,7 +30,7 @@ KEY = {
     "name": "Idempotency-Key",
     "in": "header",
     "required": False,
-    "description": "Sent again within a day, the request is not worked on twice but answered the same.",
+    "description": "A repetition within 24 hours has no further effect and returns the first response.",
     "schema": {"type": "string", "pattern": "^[!-~]{1,128}$"},
     "example": "5f3a9c1e-first-try",
 }
@@ -38,7 +38,7 @@ MATCH = {
     "name": "If-Match",
     "in": "header",
     "required": False,
-    "description": "The ETag of the thing as it was last read.",
+    "description": "ETag from the last read of the resource.",
     "schema": {"type": "string"},
     "example": '"3"',
 }

@@ -38,7 +38,7 @@ class PageQuery:
 
 async def page_query(
     cursor: Annotated[str | None, Query(max_length=LONGEST_CURSOR, description="`next` of the previous page.")] = None,
-    limit: Annotated[int, Query(ge=1, le=MOST, description="Largest number of items in the answer.")] = 50,
+    limit: Annotated[int, Query(ge=1, le=MOST, description="Maximum number of items in the response.")] = 50,
 ) -> PageQuery:
     return PageQuery(cursor, limit)
 

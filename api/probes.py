@@ -69,7 +69,7 @@ class Probes:
         kept = b"".join(store.read(self._key))
         store.delete(self._key)
         if kept != sent:
-            raise OSError("the store gave back other bytes than were written")
+            raise OSError("the store returned bytes that differ from the written ones")
 
 
 def _timed(question: Callable[[], object]) -> float:
@@ -86,6 +86,6 @@ def _state(name: str, asked: Future[float], deadline_s: float) -> PartState:
     except TooSlowError:
         state = "away"
     except Exception as error:  # whatever a driver raises, the part is away; the reason is for the log only
-        log.warning("part away", part=name, reason=str(error)[:300])
+        log.warning("part unavailable", part=name, reason=str(error)[:300])
         state, took_ms = "away", 0.0
     return PartState(state=state, took_ms=round(took_ms, 2))

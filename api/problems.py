@@ -89,7 +89,7 @@ def answer(body: Problem, headers: Mapping[str, str] | None = None) -> JSONRespo
 def answer_to(error: StoneError) -> JSONResponse:
     """The answer to a refusal, by the table."""
     if error.code not in PROBLEM_TYPES:
-        log.error("refusal without a status", code=error.code, sentence=str(error))
+        log.error("refusal code without a problem type", code=error.code, sentence=str(error))
         return internal_error()
     body = problem(error.code, without_paths(str(error)))
     if isinstance(error, ExhaustedError):
@@ -112,7 +112,7 @@ def _exhausted(body: Problem, error: ExhaustedError) -> JSONResponse:
 
 def internal_error() -> JSONResponse:
     """A fault of ours: the response holds the request's id and nothing more."""
-    return answer(problem("internal_error", "internal error; quote request_id when you report it"))
+    return answer(problem("internal_error", "internal error; report it with its request_id"))
 
 
 def as_it_is(_request: Request, answer: Response) -> Response:
@@ -146,7 +146,7 @@ def respond(error: Exception) -> JSONResponse:
     for kind, shape in ANSWERS:
         if isinstance(error, kind):
             return shape(error)
-    log.error("unforeseen", exc_info=error)
+    log.error("unhandled exception", exc_info=error)
     return internal_error()
 
 
@@ -169,16 +169,16 @@ def _of_http(status: int, detail: str) -> Problem:
         case 400:
             return problem("bad_request", detail)
         case 404:
-            return problem("not_found", "there is no such route; see /api/v1/openapi.json")
+            return problem("not_found", "no such route; see /api/v1/openapi.json")
         case 405:
-            return problem("method_not_allowed", "this route has no such method; see the Allow header")
+            return problem("method_not_allowed", "the route does not support this method; see the Allow header")
     return problem(phrase_of(status).lower().replace(" ", "_").replace("-", "_"), detail, status)
 
 
 def _system(error: Any) -> JSONResponse:
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return _disk_full()
-    log.error("system fault", exc_info=error)
+    log.error("operating system error", exc_info=error)
     return internal_error()
 
 
@@ -188,22 +188,22 @@ def _disk_full() -> JSONResponse:
 
 
 def _unstorable(error: Any) -> JSONResponse:
-    log.warning("a value the database does not take", exc_info=error)
-    return answer(problem("unstorable_value", "a value holds a character or a size that cannot be kept"))
+    log.warning("the database rejected a value", exc_info=error)
+    return answer(problem("unstorable_value", "a value has an unsupported character or size"))
 
 
 def _raced(error: Any) -> JSONResponse:
-    log.warning("a constraint held", exc_info=error)
-    return answer(problem("conflict", "another request changed the same thing at the same moment; read it again"))
+    log.warning("constraint violated", exc_info=error)
+    return answer(problem("conflict", "another request changed the resource at the same time; read it again and retry"))
 
 
 def _database_away(error: Any) -> JSONResponse:
-    log.error("database away", reason=str(error)[:300])
+    log.error("database unreachable", reason=str(error)[:300])
     if isinstance(error, OperationalError) and is_full(error):
         return _disk_full()
     if "no such column" in str(error) or "no such table" in str(error):  # SQLite's words; PostgreSQL has a class for it
         return internal_error()
-    sentence = "the database cannot be reached or is too busy; nothing was changed, try again"
+    sentence = "the database is unreachable or too busy; nothing was changed, try again"
     return answer(problem("database_unavailable", sentence))
 
 

@@ -40,5 +40,5 @@ def _names(route: APIRoute) -> tuple[str, ...]:
 
 
 def _finding(name: str, expected: str) -> dict[str, str]:
-    detail = f"this route has no such query parameter; it takes {expected}"
+    detail = f"unknown query parameter; expected {expected}"
     return {"code": "unknown_parameter", "where": f"query.{name[:MOST_NAME]}", "expected": expected, "detail": detail}

@@ -86,9 +86,9 @@ def hiding(session: Session, sequence_id: str) -> str:
     if version := session.scalar(in_test.order_by(Dataset.id).limit(1)):
         return f"in test of version {version!r}"
     if session.scalar(hidden_truths().where(of_sequence).limit(1)):
-        return "in a part of a version that a hidden phase is scored against"
+        return "part of the ground truth of a hidden phase"
     drafted = select(SplitMember.part).where(SplitMember.sequence_id == sequence_id, SplitMember.part == HIDDEN_PART)
-    return "in test of the splits under discussion" if session.scalar(drafted) else ""
+    return "in test of the draft splits" if session.scalar(drafted) else ""
 
 
 def calibration_of(session: Session, caller: Caller, calibration_id: str) -> CalibrationRow:

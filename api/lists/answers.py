@@ -34,7 +34,7 @@ T = TypeVar("T")
 
 def listed(*statuses: int) -> Responses:
     """The responses of a list besides 200, and these refusals."""
-    return {304: {"description": "The caller has it already"}, **refusals(*statuses)}
+    return {304: {"description": "The caller's copy is current"}, **refusals(*statuses)}
 
 
 @dataclass(frozen=True)

@@ -168,7 +168,7 @@ class Releases:
         if is_older(said, OLDEST_CLIENT):
             raise ApiError(
                 "client_too_old",
-                f"this client is of release {said[:40]}, this server understands {OLDEST_CLIENT} and newer; "
+                f"this client has release {said[:40]}; this server requires {OLDEST_CLIENT} or newer; "
                 f"update the client: {self._install}",
                 {"Upgrade": f"stone-client/{OLDEST_CLIENT}"},
             )

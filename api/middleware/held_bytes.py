@@ -41,4 +41,4 @@ class BodyBudget:
 
 
 def bodies_held() -> ApiError:
-    return ApiError("busy", "your request bodies, or those of all users, take too much memory; try again in a moment")
+    return ApiError("busy", "request bodies, yours or all users', take too much memory; try again in a moment")

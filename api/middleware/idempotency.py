@@ -119,7 +119,7 @@ def _resume(database: Database, asked: IdempotentRequest) -> StoredReply | str:
         if row.request_sha256 != asked.sha256:
             raise ApiError(
                 "idempotency_key_reused",
-                "this Idempotency-Key was used with another body or query; use a new key for a new request",
+                "this Idempotency-Key was already used with another body or query; use a new key",
             )
         if row.status == NOT_KEPT:
             raise reply_not_kept()
@@ -165,7 +165,7 @@ class Idempotency:
         if not KEY.fullmatch(key):
             raise ApiError(
                 "bad_idempotency_key",
-                f"an Idempotency-Key is 1 to 128 visible ASCII characters; this one has {len(key)}",
+                f"an Idempotency-Key requires 1 to 128 visible ASCII characters; this key has {len(key)}",
             )
         body = None if _is_streamed(scope) else await _read(receive)
         lease_ns = STREAM_LEASE_NS if body is None else LEASE_NS
@@ -315,7 +315,7 @@ def _fingerprint(scope: Scope, body: bytes | None) -> str:
 def request_in_flight() -> ApiError:
     return ApiError(
         "request_in_flight",
-        "the first request with this Idempotency-Key is still being worked on; ask again in a second",
+        "the first request with this Idempotency-Key is still in progress; try again in a second",
         {"Retry-After": "1"},
     )
 
@@ -323,6 +323,6 @@ def request_in_flight() -> ApiError:
 def reply_not_kept() -> ApiError:
     return ApiError(
         "reply_not_kept",
-        "the first request with this Idempotency-Key took effect, but its answer held a secret or was lost; "
-        "look for what it made in the list",
+        "the first request with this Idempotency-Key took effect, but its response was not kept; "
+        "look for its result in the list",
     )

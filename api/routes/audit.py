@@ -31,7 +31,7 @@ def list_audit_lines(
         return audit_page(session, query, AuditFilter(act, actor, actor_id, subject_id))
 
 
-@router.get("/verification", summary="Verify the integrity of the log")
+@router.get("/verification", summary="Verify the integrity of the audit log")
 def verify_audit_log(_caller: Administrator, platform: PlatformDep) -> AuditVerification:
     with platform.database.reading() as session:
         broken, head = audit.verify(session), audit.head(session)

@@ -58,7 +58,7 @@ AtPhase = Annotated[PhasePath, Depends(at_once(PhasePath))]
 
 @router.get("/benchmarks", responses=refusals())
 def list_benchmarks(caller: Looker, platform: PlatformDep, query: PageDep) -> Page[BenchmarkItem]:
-    """The benchmarks, newest first."""
+    """List the benchmarks, newest first."""
     with platform.database.reading() as session:
         found = page(session, benchmarks_of(caller), Benchmark.id.desc(), query)
         return Page[BenchmarkItem](items=benchmark_items(session, found.rows), next=found.next)
@@ -66,33 +66,33 @@ def list_benchmarks(caller: Looker, platform: PlatformDep, query: PageDep) -> Pa
 
 @router.get("/benchmarks/{benchmark_name}", responses=refusals(404))
 def show_benchmark(benchmark_name: BenchmarkName, caller: Looker, platform: PlatformDep) -> BenchmarkDetail:
-    """A benchmark with its phases."""
+    """Show a benchmark with its phases."""
     with platform.database.reading() as session:
         return benchmark_detail(session, benchmark_of(session, caller, benchmark_name))
 
 
-@router.get(AT, summary="A phase: rules, dates, limits", responses=refusals(404))
+@router.get(AT, summary="Show a phase", responses=refusals(404))
 def show_named_phase(at: AtPhase, platform: PlatformDep, response: Response) -> PhaseItem:
-    """A phase: rules, dates, what a team may, by what it is scored, what is shown to whom."""
+    """Rules, dates, limits of a team, ground truth and metric, and visibility."""
     with platform.database.reading() as session:
         return _shown(session, at.find(session), response)
 
 
-@router.get("/phases/{phase_id}", summary="A phase by its id", responses=refusals(404))
+@router.get("/phases/{phase_id}", summary="Show a phase by its id", responses=refusals(404))
 def show_phase(phase_id: IdPath, _caller: Reader, platform: PlatformDep, response: Response) -> PhaseItem:
-    """The same, by the phase's id."""
+    """Equal to the phase by its names."""
     with platform.database.reading() as session:
         return _shown(session, phase_of(session, phase_id), response)
 
 
 @router.get(
     f"{AT}/manifest",
-    summary="A phase's manifest of frames",
+    summary="Download a phase's manifest of frames",
     response_class=Response,
     responses=MANIFEST | refusals(409),
 )
 def download_phase_manifest(at: AtPhase, platform: PlatformDep, request: Request) -> Response:
-    """Which frames a submission must hold, as `stone validate --manifest` reads it."""
+    """The frames that a submission must contain, as `stone validate --manifest` reads them."""
     with platform.database.reading() as session:
         phase = at.find(session)
         pair = evaluation_versions.active(session, phase.id)
@@ -106,12 +106,12 @@ def download_phase_manifest(at: AtPhase, platform: PlatformDep, request: Request
 
 @router.get(
     f"{AT}/metrics/{{metric}}",
-    summary="The metric's definition",
+    summary="Show the metric's definition",
     response_model=MetricItem,
     responses=MARKDOWN | refusals(404),
 )
 def show_metric(at: AtPhase, metric: MetricName, platform: PlatformDep, form: Form = "json") -> MetricItem | Response:
-    """The definition of a version of the metric, and whether the phase is scored by it now."""
+    """The definition of one metric version, and whether the phase is scored by it."""
     with platform.database.reading() as session:
         found = metric_item(session, at.find(session), metric)
     if form == "markdown":
@@ -119,9 +119,14 @@ def show_metric(at: AtPhase, metric: MetricName, platform: PlatformDep, form: Fo
     return found
 
 
-@router.get(f"{AT}/metrics/{{metric}}/vectors", response_class=Response, responses=VECTORS)
+@router.get(
+    f"{AT}/metrics/{{metric}}/vectors",
+    summary="Download the metric's test vectors",
+    response_class=Response,
+    responses=VECTORS,
+)
 def download_metric_vectors(at: AtPhase, metric: MetricName, platform: PlatformDep, request: Request) -> Response:
-    """Golden vectors: grids and what the metric says of them, to hold another implementation against."""
+    """Grids with their scores, to check another implementation of the metric."""
     with platform.database.reading() as session:
         at.find(session)
     named = f"{known_metric(metric).version}.vectors.zip"

@@ -43,9 +43,9 @@ router = APIRouter(prefix="/dataset-imports", tags=["dataset imports"])
 def create_dataset_import(
     body: NewDatasetImportBody, caller: Curator, platform: PlatformDep, response: Response
 ) -> DatasetImportDetail:
-    """Have the dataset in a complete upload of yours imported; the job `job_id` does it. An upload serves once.
+    """The job `job_id` imports it. An upload can be used once.
 
-    An archive `in_place` is read where it lies; the job finds whether it is there.
+    An archive `in_place` is read where it lies; the job checks that it exists.
     """
     if body.sets_splits and not caller.is_administrator:  # the role is asked for below; here, the token's scope
         raise splits_forbidden()
@@ -63,7 +63,7 @@ def create_dataset_import(
 
 @router.get("")
 def list_dataset_imports(caller: Reader, platform: PlatformDep, query: PageDep) -> Page[DatasetImportItem]:
-    """Your imports, newest first; administrators see everybody's."""
+    """List your imports, newest first; administrators see all imports."""
     mine = theirs(select(DatasetImport), caller, DatasetImport.owner_id)
     with platform.database.reading() as session:
         found = page(session, mine, DatasetImport.id.desc(), query)
@@ -72,28 +72,29 @@ def list_dataset_imports(caller: Reader, platform: PlatformDep, query: PageDep) 
 
 @router.get("/{import_id}", responses=refusals(404))
 def show_dataset_import(import_id: IdPath, caller: Reader, platform: PlatformDep) -> DatasetImportDetail:
-    """One import with its scenes."""
+    """Show an import with its scenes."""
     with platform.database.reading() as session:
         return import_detail(session, import_shown_to(session, caller, import_id))
 
 
 @router.get(
     "/{import_id}/files/{path:path}",
-    summary="A file of an imported dataset that no table names",
+    summary="Download a kept file of an imported dataset",
     response_class=Response,
     responses=file_responses(TYPE),
 )
 @router.head(
     "/{import_id}/files/{path:path}",
+    summary="Show size and checksum of a kept file",
     response_class=Response,
     responses=file_responses(TYPE),
     name="describe_kept_file",
-    description="Size and checksum of a file.",
+    description="Show size and checksum of a kept file.",
 )
 def download_kept_file(
     import_id: IdPath, path: FilePath, caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:
-    """One of `kept_files` of an import, as the dataset has it."""
+    """One of the import's `kept_files`, unchanged."""
     with platform.database.reading() as session:
         row, blob = kept_file(session, import_shown_to(session, caller, import_id), path)
         file = StoredFile(blob.object_key, row.size_bytes, blob.sha256, row.media_type, path.rpartition("/")[2])
@@ -102,12 +103,12 @@ def download_kept_file(
 
 @router.delete(
     "/{import_id}",
-    summary="Stop a running import or forget an ended one",
+    summary="Stop a running import, or delete an ended one",
     status_code=204,
     responses=refusals(403, 404),
 )
 def delete_dataset_import(import_id: IdPath, caller: Curator, platform: PlatformDep) -> None:
-    """Stop an import that runs, or forget one that has ended; its tar is given back, its sequences stay."""
+    """The tar of an ended import is deleted; its sequences stay."""
     with platform.database.transaction() as session:
         imported = import_shown_to(session, caller, import_id)
         delete_import(session, imported)

@@ -44,14 +44,14 @@ TAR = file_responses(MEDIA_TYPES["tar"])
 
 @router.post(
     "/admin/datasets/{dataset_name}/inputs",
-    summary="Make a dataset's missing inputs",
+    summary="Create a dataset's missing inputs",
     status_code=202,
     responses=refusals(404, 409),
 )
 def create_dataset_inputs(
     dataset_name: DatasetName, body: ReasonBody, caller: Administrator, platform: PlatformDep, response: Response
 ) -> JobDetail:
-    """Have the inputs made that are missing, of every sequence that has its recording yet; publishing does it once."""
+    """Jobs make the missing inputs of every sequence that still has its recording. Publishing does it once."""
     with platform.database.transaction() as session:
         dataset = dataset_of(session, dataset_name)
         run = start_version_inputs(session, dataset, caller.user_id)
@@ -60,12 +60,11 @@ def create_dataset_inputs(
 
 
 @router.get(
-    "/datasets/{dataset_name}/inputs", summary="Which inputs of train and val are available", responses=refusals(404)
+    "/datasets/{dataset_name}/inputs", summary="List the available inputs of train and val", responses=refusals(404)
 )
 def list_dataset_inputs(
     dataset_name: DatasetName, _caller: Reader, platform: PlatformDep, query: PageDep
 ) -> Page[DatasetInputItem]:
-    """The sequences of train and val, by name, and which inputs are there to download."""
     with platform.database.reading() as session:
         members = members_of(dataset_of(session, dataset_name).id, OPEN)
         found = page(session, members, DatasetMember.name, query)
@@ -81,16 +80,16 @@ def list_dataset_inputs(
 )
 @router.head(
     "/datasets/{dataset_name}/inputs/{sequence_name}.tar",
-    summary="Size and checksum of a sequence's inputs (dataset)",
+    summary="Show size and checksum of a sequence's inputs (dataset)",
     response_class=Response,
     responses=TAR,
     name="describe_dataset_input",
-    description="Size and checksum of the tar.",
+    description="Show size and checksum of a sequence's inputs (dataset).",
 )
 def download_dataset_input(
     dataset_name: DatasetName, sequence_name: SequenceName, _caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:
-    """The inputs of a sequence as a tar, whole or a range of it; `sha256sum.txt` in it checks every other file."""
+    """Supports ranges; `sha256sum.txt` in the tar contains the checksums of all other files."""
     with platform.database.reading() as session:
         found = located_input(session, dataset_of(session, dataset_name), sequence_name)
         if found is None:

@@ -36,14 +36,14 @@ MANIFEST = file_responses("application/json")
 ARCHIVE = file_responses(MEDIA_TYPES["tar"])
 
 
-@router.post("", summary="Publish the splits as a version", status_code=201, responses=refusals(409, 412))
+@router.post("", summary="Publish the draft splits as a version", status_code=201, responses=refusals(409, 412))
 def create_dataset(
     body: NewDatasetBody, caller: Administrator, platform: PlatformDep, request: Request, response: Response
 ) -> PublishedDataset:
-    """Publish the splits as they stand, as a version that never changes; train and val may then be downloaded.
+    """The version never changes. Its train and val parts can then be downloaded.
 
-    Their inputs are made by jobs that begin now. What the rules warn of is in the answer, and by its codes in the audit
-    log. With If-Match, the ETag of the splits, only the splits that were read are published.
+    Jobs then make the inputs. The response contains the warnings of the rules, and the audit log their codes. With If-
+    Match, the ETag of the splits, the request fails if the splits have changed since.
     """
     asked = NewDataset(body.name, body.licence, caller.user_id)
     platform.settings.root.mkdir(parents=True, exist_ok=True)
@@ -65,30 +65,30 @@ def create_dataset(
 @router.get("", response_model=Page[DatasetItem], responses=listed())
 @by_row_readers
 def list_datasets(_caller: Reader, platform: PlatformDep, query: PageDep, request: Request) -> Response:
-    """The versions, newest first."""
+    """List the dataset versions, newest first."""
     with platform.database.lookups() as session:
         found = page(session, select(Dataset), Dataset.id.desc(), query)
         shown = Page[DatasetItem](items=[dataset_item(session, row) for row in found.rows], next=found.next)
     return model_response(request, shown)
 
 
-@router.get("/{dataset_name}", summary="A version with its sequences and downloads", responses=refusals(404))
+@router.get("/{dataset_name}", summary="Show a version with its sequences and downloads", responses=refusals(404))
 def show_dataset(
     dataset_name: DatasetName, _caller: Reader, platform: PlatformDep, response: Response
 ) -> DatasetDetail:
-    """A version with its sequences and what can be downloaded of it."""
+    """Show a version with its sequences and downloads."""
     with platform.database.reading() as session:
         dataset = dataset_of(session, dataset_name)
         return set_head(response, dataset_detail(session, dataset), tag=dataset.manifest_sha256)
 
 
 @router.get(
-    "/{dataset_name}/manifest", summary="A dataset version's manifest", response_class=Response, responses=MANIFEST
+    "/{dataset_name}/manifest", summary="Download a version's manifest", response_class=Response, responses=MANIFEST
 )
 def download_dataset_manifest(
     dataset_name: DatasetName, _caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:
-    """The manifest: sequences, statistics, and every file of train and val with its sha256."""
+    """It lists the sequences, the statistics, and every file of train and val with its sha256."""
     with platform.database.reading() as session:
         row = dataset_of(session, dataset_name)
         blob = session.get_one(Blob, row.manifest_sha256)
@@ -106,7 +106,7 @@ def download_dataset_manifest(
 def download_dataset_part(
     dataset_name: DatasetName, part: OpenPart, _caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:
-    """Train or val as a tar, whole or a range of it; `sha256sum.txt` in it checks every other file."""
+    """Supports ranges; `sha256sum.txt` in the tar contains the checksums of all other files."""
     with platform.database.reading() as session:
         row, located = locate_part(session, dataset_of(session, dataset_name), part)
     stored = stored_files(platform.store, located)

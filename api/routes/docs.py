@@ -28,7 +28,7 @@ IN_BACKTICKS = re.compile(r"`([^`]+)`")
 ANYBODY = ({"": ["anybody"]},)
 
 
-@router.get("/docs", summary="API reference", response_class=HTMLResponse)
+@router.get("/docs", summary="Show the API reference", response_class=HTMLResponse)
 def show_reference(request: Request) -> HTMLResponse:
     document: dict[str, Any] = request.app.openapi()
     by_tag: dict[str, list[str]] = {}

@@ -60,17 +60,15 @@ EVENTS = {
 }
 STREAM: Responses = {
     200: {
-        "description": "Events, until it has ended",
+        "description": "Events until the job, sequence or submission has ended",
         "content": {EVENT_STREAM: {"schema": EVENTS, "x-itemSchema": EVENT}},
     },
-    204: {"description": "It has ended, and the caller has seen it end"},
+    204: {"description": "Ended, and the caller has received the last event"},
     **refusals(403, 404, 429),
 }
 
 
-@router.get(
-    "/jobs/{job_id}/events", summary="The progress of a job, as events", response_class=Response, responses=STREAM
-)
+@router.get("/jobs/{job_id}/events", summary="Follow a job by events", response_class=Response, responses=STREAM)
 async def follow_job(
     job_id: IdPath, caller: Reader, platform: PlatformDep, request: Request, last_event_id: LastEventId = None
 ) -> Response:
@@ -85,14 +83,14 @@ async def follow_job(
 
 @router.get(
     "/sequences/{sequence_id}/events",
-    summary="The progress of a sequence, as events",
+    summary="Follow a sequence by events",
     response_class=Response,
     responses=STREAM,
 )
 async def follow_sequence(
     sequence_id: IdPath, caller: Reader, platform: PlatformDep, request: Request, last_event_id: LastEventId = None
 ) -> Response:
-    """What happens to a sequence: its runs move on, it changes, it is deleted (then the stream ends)."""
+    """Progress of its runs and changes; the stream ends when the sequence is deleted."""
 
     def subject(session: Session, caller: Caller) -> StreamSubject:
         return StreamSubject("sequence", sequence_of(session, caller, sequence_id).id)
@@ -102,14 +100,14 @@ async def follow_sequence(
 
 @router.get(
     "/submissions/{submission_id}/events",
-    summary="The progress of a submission, as events",
+    summary="Follow a submission by events",
     response_class=Response,
     responses=STREAM,
 )
 async def follow_submission(
     submission_id: IdPath, caller: Reader, platform: PlatformDep, request: Request, last_event_id: LastEventId = None
 ) -> Response:
-    """How far a submission is, until it has ended."""
+    """The progress of a submission, until it has ended."""
 
     def subject(session: Session, caller: Caller) -> StreamSubject:
         return StreamSubject("submission", submission_of(session, caller, submission_id).id)

@@ -53,12 +53,12 @@ Grid = NDArray[np.uint8]
     f"{AT}/frames/{{token}}.png",
     response_class=Response,
     responses=PICTURE,
-    summary="Picture the ground truth of an open phase's frame",
+    summary="Download the picture of a frame's ground truth",
 )
 def download_truth_picture(
     token: TokenPath, at: AtPhase, platform: PlatformDep, request: Request, colours: ColoursQuery = "default"
 ) -> Response:
-    """The ground truth of a frame from above, forward up; of open phases only."""
+    """Seen from above, forward up; only in open phases."""
     with platform.database.reading() as session:
         located = open_truth_of(session, at.find(session))
     frames = _showing(platform.store, located, token)
@@ -70,7 +70,7 @@ def download_truth_picture(
     "/submissions/{submission_id}/frames/{token}.png",
     response_class=Response,
     responses=PREDICTED,
-    summary="Picture a predicted frame of an open phase",
+    summary="Download the picture of a predicted frame",
 )
 def download_predicted_picture(
     submission_id: IdPath,
@@ -82,7 +82,7 @@ def download_predicted_picture(
     score: ScoreQuery = None,
     colours: ColoursQuery = "default",
 ) -> Response:
-    """A predicted frame from above, the ground truth it was scored by, or where they differ; of open phases only."""
+    """The prediction from above, its ground truth, or their difference; only in open phases."""
     with platform.database.reading() as session:
         seen = known_score(session, caller, submission_id, score)
         key = pictured_zip(session, seen).object_key  # refused before anything is said of the frame

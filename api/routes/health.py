@@ -24,16 +24,16 @@ EXPOSITION = "text/plain; version=0.0.4; charset=utf-8"
 WATCHERS = ["admin", "administrator"]
 
 
-@router.get("/healthz", summary="Liveness of the process")
+@router.get("/healthz", summary="Show whether the process is alive")
 def show_liveness() -> Liveness:
     return Liveness(status="ok")
 
 
 @router.get(
     "/readyz",
-    summary="Readiness of database, broker and store",
+    summary="Show whether database, broker and store are available",
     response_model=Readiness,
-    responses={503: {"model": Readiness, "description": "At least one is away"}},
+    responses={503: {"model": Readiness, "description": "At least one is unavailable"}},
 )
 def show_readiness(request: Request, response: Response) -> Readiness:
     probes: Probes = request.app.state.probes
@@ -60,7 +60,7 @@ def may_read_metrics(
 
 @router.get(
     "/metrics",
-    summary="Metrics for Prometheus",
+    summary="Show the metrics for Prometheus",
     response_class=Response,
     responses={200: {"content": {EXPOSITION: {"schema": {"type": "string"}}}}, 401: refusal(401), **refusals(403)},
 )

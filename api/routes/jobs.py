@@ -35,31 +35,31 @@ def list_jobs(
     query: PageDep,
     filters: Annotated[JobFilters, Depends(at_once(JobFilters))],
 ) -> Response:
-    """The caller's own runs, newest first."""
+    """List your runs, newest first."""
     with platform.database.lookups() as session:
         rows, following = job_rows(session, caller.user_id, filters, query)
         return list_response(request, facts_of_rows(session, rows), following)
 
 
-@router.get("/{job_id}", summary="A job of one's own and its progress", responses=refusals(403, 404))
+@router.get("/{job_id}", summary="Show one of your jobs", responses=refusals(403, 404))
 def show_job(job_id: IdPath, caller: Reader, platform: PlatformDep) -> JobDetail:
-    """How far a job is, and why it failed if it did."""
+    """Its progress, and the reason if it failed."""
     with platform.database.reading() as session:
         return job_detail(session, job_of(session, caller, job_id))
 
 
-@router.get("/{job_id}/logs", summary="The log of a job of one's own", responses=refusals(403, 404))
+@router.get("/{job_id}/logs", summary="Show the log of one of your jobs", responses=refusals(403, 404))
 def list_job_log(
     job_id: IdPath, caller: Reader, platform: PlatformDep, query: Annotated[LogQuery, Depends(log_query)]
 ) -> LogPage:
-    """What a job, or every job of a run, has said so far."""
+    """The log lines of a job, or of all jobs of a run."""
     with platform.database.reading() as session:
         return log_page(session, job_of(session, caller, job_id), query, is_administrator=caller.is_administrator)
 
 
 @router.post("/{job_id}/cancel", status_code=202, responses=refusals(403, 404, 409))
 def cancel_job(job_id: IdPath, caller: Curator, platform: PlatformDep, body: CancelBody | None = None) -> JobDetail:
-    """Ask the whole run of a job to stop: what is queued will not start, what runs stops at its next step."""
+    """Cancel the whole run of a job: queued jobs do not start, and running jobs stop at their next step."""
     reason = body.reason if body else ""
     with platform.database.transaction() as session:
         root_id = job_of(session, caller, job_id).root_id

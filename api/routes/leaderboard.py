@@ -36,7 +36,7 @@ FORMS = {
     JSON_TYPE: {"schema": {"$ref": "#/components/schemas/LeaderboardAnswer"}},
     **{media_type.partition(";")[0]: BINARY for media_type in MEDIA_TYPES.values()},
 }
-BOARD: Responses = {200: {"content": FORMS}, 304: {"description": "The caller has it already"}, **refusals(404)}
+BOARD: Responses = {200: {"content": FORMS}, 304: {"description": "The caller's copy is current"}, **refusals(404)}
 
 
 class BoardRequest:
@@ -56,28 +56,28 @@ class BoardRequest:
 BoardRequestDep = Annotated[BoardRequest, Depends(at_once(BoardRequest))]
 
 
-@router.get("/leaderboard", summary="The leaderboard", response_model=LeaderboardAnswer, responses=BOARD)
+@router.get("/leaderboard", summary="Show the leaderboard", response_model=LeaderboardAnswer, responses=BOARD)
 def show_leaderboard(
     at: AtPhase, asked: BoardRequestDep, caller: Looker, platform: PlatformDep, request: Request
 ) -> Response:
-    """The board: ranks with their intervals and ties, baselines and reported results beside them, now or as of then."""
+    """Ranks with intervals and ties, baselines and reported results, at the present or at `as_of`."""
     with platform.database.lookups() as session:
         phase_id, viewer = at.find_id(session), viewer_for(session, caller)
     return board_response(request, board(platform, phase_id, asked.query, viewer), viewer, asked.form)
 
 
-@router.get("/leaderboard/history", summary="When the leaderboard changed, and its best mIoU", responses=refusals(404))
+@router.get("/leaderboard/history", summary="List the changes of the leaderboard", responses=refusals(404))
 def show_leaderboard_history(at: AtPhase, platform: PlatformDep, track: TrackQuery = "all") -> HistoryAnswer:
-    """When the board changed, and the best mIoU since each change."""
+    """Each with its time and the best mIoU since."""
     with platform.database.reading() as session:
         return history_answer(session, at.find(session), track)
 
 
-@router.get("/compare", summary="How two entries differ, and how significantly", responses=refusals(404, 409))
+@router.get("/compare", summary="Compare two entries", responses=refusals(404, 409))
 def compare_entries(
     at: AtPhase, caller: Looker, platform: PlatformDep, a: SubmissionQuery, b: SubmissionQuery
 ) -> ComparisonAnswer:
-    """How two entries differ by the pair in force, and whether that is more than chance."""
+    """Returns the differences by the active ground truth and metric, and their significance."""
     with platform.database.reading() as session:
         phase_id, viewer = at.find(session).id, viewer_for(session, caller)
         both = (known_submission(session, viewer, a), known_submission(session, viewer, b))

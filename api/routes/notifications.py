@@ -37,7 +37,7 @@ def show_notifications(caller: Reader, platform: PlatformDep) -> NotificationsIt
 
 @router.put("/choices", summary="Choose the events to be notified of")
 def choose_events(body: ChoicesBody, caller: Submitter, platform: PlatformDep) -> NotificationsItem:
-    """Replaces the earlier choice; an empty one disables all notifications."""
+    """Replaces the earlier choice; an empty choice disables all notifications."""
     choices = body.model_dump()
     with platform.database.transaction() as session:
         choose(session, caller.user_id, choices)
@@ -45,50 +45,52 @@ def choose_events(body: ChoicesBody, caller: Submitter, platform: PlatformDep) -
         return notifications_item(session, caller.user_id, platform.settings)
 
 
-@router.put("/email", status_code=202, summary="Set one's e-mail address", responses=refusals(409))
+@router.put("/email", status_code=202, summary="Set your e-mail address", responses=refusals(409))
 def set_email(body: EmailBody, caller: AccountHolder, platform: PlatformDep) -> EmailItem:
-    """A link to verify it is mailed there, at most five a day; nothing else is, until it was followed."""
+    """The platform mails a link to verify the address, at most five a day. It sends nothing else until the link is
+    used.
+    """
     with platform.database.transaction() as session:
         row = email_addresses.set_address(session, caller.user_id, body.address, platform.settings.notifications)
         audit.record(session, caller, "notifications.email", caller.user_id)
         return email_item(row)
 
 
-@router.post("/email/verification", summary="Verify one's e-mail address", responses=refusals(409))
+@router.post("/email/verification", summary="Verify your e-mail address", responses=refusals(409))
 def verify_email(body: EmailSecretBody, caller: AccountHolder, platform: PlatformDep) -> EmailItem:
-    """By the secret of the link that was mailed there."""
+    """Requires the secret of the mailed link."""
     with platform.database.transaction() as session:
         row = email_addresses.verify(session, caller.user_id, body.secret)
         audit.record(session, caller, "notifications.email_verified", caller.user_id)
         return email_item(row)
 
 
-@router.delete("/email", status_code=204, summary="Remove one's e-mail address")
+@router.delete("/email", status_code=204, summary="Remove your e-mail address")
 def remove_email(caller: AccountHolder, platform: PlatformDep) -> None:
     with platform.database.transaction() as session:
         email_addresses.remove_address(session, caller.user_id)
         audit.record(session, caller, "notifications.email_removed", caller.user_id)
 
 
-@router.put("/webhook", summary="Set one's webhook")
+@router.put("/webhook", summary="Set your webhook")
 def set_webhook(body: WebhookBody, caller: AccountHolder, response: Response, platform: PlatformDep) -> IssuedWebhook:
-    """The answer holds a new secret and is kept nowhere. What is sent is signed with it (Standard Webhooks 1.0)."""
+    """The response contains a new secret and is not stored. The secret signs all deliveries (Standard Webhooks 1.0)."""
     with platform.database.transaction() as session:
         row = webhooks.set_webhook(session, caller.user_id, body.url, platform.settings.notifications)
         audit.record(session, caller, "notifications.webhook", caller.user_id)
     return _issued(row, response)
 
 
-@router.post("/webhook/secret", summary="Give one's webhook a new secret", responses=refusals(404))
+@router.post("/webhook/secret", summary="Replace the secret of your webhook", responses=refusals(404))
 def rotate_webhook_secret(caller: AccountHolder, response: Response, platform: PlatformDep) -> IssuedWebhook:
-    """The old one signs nothing any more; a webhook that was switched off is sent to again."""
+    """The old secret becomes invalid. A webhook that was switched off is switched on again."""
     with platform.database.transaction() as session:
         row = webhooks.rotate_secret(session, caller.user_id)
         audit.record(session, caller, "notifications.webhook_secret", caller.user_id)
     return _issued(row, response)
 
 
-@router.delete("/webhook", status_code=204, summary="Remove one's webhook")
+@router.delete("/webhook", status_code=204, summary="Remove your webhook")
 def remove_webhook(caller: AccountHolder, platform: PlatformDep) -> None:
     with platform.database.transaction() as session:
         webhooks.remove_webhook(session, caller.user_id)
@@ -97,7 +99,7 @@ def remove_webhook(caller: AccountHolder, platform: PlatformDep) -> None:
 
 @router.get("/deliveries", summary="List the deliveries, newest first")
 def list_deliveries(caller: Reader, query: PageDep, platform: PlatformDep) -> Page[DeliveryItem]:
-    """With the result of the last attempt; kept for a month."""
+    """Each contains the result of the last attempt. Deliveries are kept for a month."""
     with platform.database.reading() as session:
         return deliveries_page(session, query, caller.user_id)
 

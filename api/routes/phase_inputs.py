@@ -35,23 +35,22 @@ TAR = file_responses(MEDIA_TYPES["tar"])
 
 @router.post(
     "/admin/phases/{phase_id}/inputs",
-    summary="Make a phase's missing inputs",
+    summary="Create a phase's missing inputs",
     status_code=202,
     responses=refusals(404, 409),
 )
 def create_phase_inputs(
     phase_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep, response: Response
 ) -> JobDetail:
-    """Have the inputs made of every sequence of the phase that has none yet; the job at `Location` says how far."""
+    """The inputs of every sequence of the phase without inputs; the job at `Location` reports the progress."""
     with platform.database.transaction() as session:
         run = start_inputs(session, phase_of(session, phase_id), caller.user_id)
         audit.record_admin_act(session, caller, "phase.inputs", phase_id, body.reason, {"job_id": run.id})
         return set_head(response, job_detail(session, run), location=f"/api/v1/jobs/{run.id}")
 
 
-@router.get("/phases/{phase_id}/inputs", summary="Which inputs of the phase are available", responses=refusals(404))
+@router.get("/phases/{phase_id}/inputs", summary="List the available inputs of the phase", responses=refusals(404))
 def list_phase_inputs(phase_id: IdPath, _caller: Reader, platform: PlatformDep, query: PageDep) -> Page[PhaseInputItem]:
-    """The sequences of the phase whose inputs are there, by name."""
     with platform.database.reading() as session:
         phase = phase_of(session, phase_id)
         return page(session, inputs_of(phase.id), PhaseInput.name, query).shown(PhaseInputItem.of)
@@ -65,16 +64,16 @@ def list_phase_inputs(phase_id: IdPath, _caller: Reader, platform: PlatformDep, 
 )
 @router.head(
     "/phases/{phase_id}/inputs/{sequence_name}.tar",
-    summary="Size and checksum of a sequence's inputs (phase)",
+    summary="Show size and checksum of a sequence's inputs (phase)",
     response_class=Response,
     responses=TAR,
     name="describe_phase_input",
-    description="Size and checksum of the tar.",
+    description="Show size and checksum of a sequence's inputs (phase).",
 )
 def download_phase_input(
     phase_id: IdPath, sequence_name: SequenceName, _caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:
-    """The inputs of a sequence as a tar, whole or a range of it; `sha256sum.txt` in it checks every other file."""
+    """Supports ranges; `sha256sum.txt` in the tar contains the checksums of all other files."""
     with platform.database.reading() as session:
         row = session.get(PhaseInput, (phase_of(session, phase_id).id, sequence_name))
         if row is None:

@@ -33,44 +33,48 @@ ZIP = file_responses(ZIP_TYPE) | refusals(403, 409)
 PART = refusals(403, 404, 409)
 
 
-@router.get("/results", summary="A submission's results", responses=refusals(404, 409))
+@router.get("/results", summary="Show a submission's results", responses=refusals(404, 409))
 def show_results(
     submission_id: IdPath, caller: Looker, platform: PlatformDep, score: ScoreQuery = None
 ) -> ResultsAnswer:
-    """Totals with their intervals, supports and extra figures, as far as the caller may see them."""
+    """Totals with intervals, supports and extra figures, as far as the caller may see them."""
     with platform.database.reading() as session:
         viewer = viewer_for(session, caller)
         found = results(session, viewer, known_submission(session, viewer, submission_id), score)
         return results_answer(session, viewer, found)
 
 
-@router.get("/results/breakdowns", responses=PART)
+@router.get(
+    "/results/breakdowns", summary="Show the result by sequence, environment, illumination or distance", responses=PART
+)
 def show_breakdown(
     submission_id: IdPath, by: ByQuery, caller: Looker, platform: PlatformDep, score: ScoreQuery = None
 ) -> BreakdownAnswer:
-    """The result by sequence, environment, illumination or distance; of a hidden phase once it has ended."""
+    """For a hidden phase, only after its end."""
     with platform.database.reading() as session:
         seen = known_score(session, caller, submission_id, score)
         return breakdown_answer(seen, by, breakdown(seen, by))
 
 
-@router.get("/provenance", responses=PART)
+@router.get("/provenance", summary="Show the sources of a score", responses=PART)
 def show_provenance(
     submission_id: IdPath, caller: Looker, platform: PlatformDep, score: ScoreQuery = None
 ) -> ProvenanceAnswer:
-    """What the score was computed from and by what: hashes, versions, signature, times."""
+    """Hashes, versions, signature and times."""
     with platform.database.reading() as session:
         return provenance_answer(provenance(known_score(session, caller, submission_id, score)))
 
 
-@router.get("/confusions", summary="Confusion counts by frame (npz)", response_class=Response, responses=NPZ)
+@router.get(
+    "/confusions", summary="Download the confusion counts by frame (npz)", response_class=Response, responses=NPZ
+)
 def download_confusions(
     submission_id: IdPath, caller: Looker, platform: PlatformDep, request: Request, score: ScoreQuery = None
 ) -> Response:
-    """The kept counts by frame, from which every figure of the result is computed, as npz.
+    """All figures of the result are computed from them.
 
-    `confusions` are [frame, ring, truth, prediction]; `bev` [frame, ring, in both, in truth only, in prediction only];
-    frames in the order of the manifest.
+    `confusions` are [frame, ring, truth, prediction]; `bev` are [frame, ring, in both, in truth only, in prediction
+    only]. Frames are in the order of the manifest.
     """
     with platform.database.reading() as session:
         blob = kept_confusions(session, known_score(session, caller, submission_id, score))
@@ -84,14 +88,14 @@ def download_confusions(
     "/predictions.zip",
     response_class=Response,
     responses=ZIP,
-    summary="Describe the zip of a scored submission",
+    summary="Show size and checksum of the zip of a scored submission",
     name="describe_predictions",
-    description="Size and checksum of the zip.",
+    description="Show size and checksum of the zip of a scored submission.",
 )
 def download_predictions(
     submission_id: IdPath, caller: Reader, platform: PlatformDep, request: Request, score: ScoreQuery = None
 ) -> Response:
-    """The zip of a scored submission as it was sent: one's own, and that of a baseline of an open phase."""
+    """Your own zip as it was sent, or the zip of a baseline of an open phase."""
     with platform.database.reading() as session:
         blob = downloadable_zip(session, known_score(session, caller, submission_id, score))
     return _kept(request, platform, blob, (ZIP_TYPE, f"{submission_id}.zip"))

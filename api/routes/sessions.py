@@ -34,12 +34,10 @@ router = APIRouter(tags=["people"])
 log = structlog.get_logger(__name__)
 
 
-@router.post("/sessions", status_code=201, summary="Sign a browser in", responses=refusals(401, 403))
+@router.post("/sessions", status_code=201, summary="Sign in a browser", responses=refusals(401, 403))
 def create_session(body: SignInBody, request: Request, response: Response, platform: PlatformDep) -> SessionItem:
     if not platform.settings.api.passwords:
-        raise Refused(
-            "passwords_off", "passwords are switched off here (STONE_API__PASSWORDS); sign in with the provider"
-        )
+        raise Refused("passwords_off", "password sign-in is disabled (STONE_API__PASSWORDS); sign in with the provider")
     tried = _counted_try(request, platform, body.name)
     with platform.database.reading() as session:
         user = users.find_user(session, body.name)
@@ -63,23 +61,23 @@ def create_session(body: SignInBody, request: Request, response: Response, platf
     )
 
 
-@router.delete("/sessions/current", status_code=204, summary="Sign this browser out", responses=refusals(409))
+@router.delete("/sessions/current", status_code=204, summary="Sign out this browser", responses=refusals(409))
 def delete_current_session(caller: Anybody, response: Response, platform: PlatformDep) -> None:
     if not caller.is_session:
-        raise ApiError("conflict", "a token is no session; revoke it by DELETE /tokens/{id}")
+        raise ApiError("conflict", "a token is not a session; revoke it with DELETE /tokens/{id}")
     with platform.database.transaction() as session:
         sessions.close_session(session, caller.credential_id)
         audit.record(session, caller, "session.close", caller.user_id)
     response.delete_cookie(COOKIE, path="/", httponly=True, samesite="lax", secure=is_https(platform.settings))
 
 
-@router.get("/sessions", summary="The browsers one is signed in with, newest first")
+@router.get("/sessions", summary="List the browsers that you are signed in with, newest first")
 def list_sessions(caller: Reader, platform: PlatformDep) -> Page[BrowserItem]:
     with platform.database.reading() as session:
         return whole(browsers_of(session, caller.user_id, caller.credential_id))
 
 
-@router.delete("/sessions/others", status_code=204, summary="Sign all one's other browsers out")
+@router.delete("/sessions/others", status_code=204, summary="Sign out all your other browsers")
 def delete_other_sessions(caller: AccountHolder, platform: PlatformDep) -> None:
     """Sign out all browsers but the calling one; a call with a token signs out all of them. If one of them approved a
     program that has not fetched its token, the program gets none."""
@@ -88,13 +86,13 @@ def delete_other_sessions(caller: AccountHolder, platform: PlatformDep) -> None:
         audit.record(session, caller, "session.close_others", caller.user_id, facts={"closed": closed})
 
 
-@router.get("/me", summary="Who is calling and what they may")
+@router.get("/me", summary="Show the caller and their permissions")
 async def show_caller(caller: Reader) -> MeItem:
     # It is known already: a thread would be waited for longer than this takes.
     return MeItem.of(caller, scopes=sorted(caller.scopes), csrf_token=caller.csrf_token or None)
 
 
-@router.put("/me/password", status_code=204, summary="Change one's own password", responses=refusals(401))
+@router.put("/me/password", status_code=204, summary="Change your password", responses=refusals(401))
 def change_password(body: PasswordBody, caller: AccountHolder, request: Request, platform: PlatformDep) -> None:
     tried = _counted_try(request, platform, caller.name)
     with platform.database.reading() as session:
@@ -118,7 +116,7 @@ def _counted_try(request: Request, platform: Platform, name: str) -> SignInTry:
     with platform.database.transaction() as session:
         wait_s = login_throttle.count_try(session, tried)
     if wait_s:
-        log.warning("sign-in not tried, too many were wrong", name=name)
+        log.warning("sign-in rejected after too many wrong passwords", name=name)
         raise too_many_failed_sign_ins(ceil(wait_s))
     return tried
 

@@ -29,9 +29,9 @@ from stone.splits.splits import Split
 router = APIRouter(prefix="/splits", tags=["dataset"])
 
 
-@router.get("", summary="The splits and what the rules say", responses=refusals())
+@router.get("", summary="Show the draft splits and the verdicts of the rules", responses=refusals())
 def show_splits(caller: Reader, platform: PlatformDep, response: Response) -> SplitsAnswer:
-    """The splits: all of them for administrators, with what the rules say; one's own sequences for everybody else."""
+    """Administrators see all sequences with the verdicts, other users only their own sequences."""
     with platform.database.reading() as session:
         current = current_splits(session)
         seen = labelled_sequences(session, sequences_of(caller))
@@ -40,11 +40,11 @@ def show_splits(caller: Reader, platform: PlatformDep, response: Response) -> Sp
     return splits_answer(current, entries_of(seen), findings)
 
 
-@router.put("", responses=refusals(409, 412, 428))
+@router.put("", summary="Save the draft splits", responses=refusals(409, 412, 428))
 def put_splits(
     body: SplitsBody, caller: Administrator, platform: PlatformDep, request: Request, response: Response
 ) -> SplitsAnswer:
-    """Put all splits at once; 422 names every rule that is broken, warnings are in the answer."""
+    """Replaces all splits at once. 422 names every broken rule; the response contains warnings."""
     split = Split(tuple(body.train), tuple(body.val), tuple(body.test))
     with platform.database.transaction() as session:
         row = lock_splits(session)
@@ -60,9 +60,9 @@ def put_splits(
     return set_head(response, splits_answer(current, entries_of(labelled), findings), tag=current.revision)
 
 
-@router.post("/verdicts", summary="Check splits against the rules without saving them", responses=refusals())
+@router.post("/verdicts", summary="Check splits against the rules", responses=refusals())
 def judge_splits(body: SplitsToJudge, _caller: Administrator, platform: PlatformDep) -> VerdictsAnswer:
-    """What every rule says of these splits, as if they were put. Nothing is saved."""
+    """Returns the verdict of every rule. Saves nothing."""
     split = Split(tuple(body.train), tuple(body.val), tuple(body.test))
     with platform.database.reading() as session:
         revision = current_splits(session).revision
@@ -73,7 +73,7 @@ def judge_splits(body: SplitsToJudge, _caller: Administrator, platform: Platform
 
 @router.post("/proposal", summary="Propose splits of given sizes", responses=refusals(409))
 def propose_splits(body: ProposalBody, caller: Administrator, platform: PlatformDep) -> ProposalAnswer:
-    """Splits of these sizes that keep every rule and are alike, or which rules clash. Nothing is saved."""
+    """Returns balanced splits that keep every rule, or the rules that conflict. Saves nothing."""
     from stone.splits.proposal import propose
 
     left_out = set(body.leave_out)

@@ -23,12 +23,12 @@ from services.runtime.platform import Platform
 router = APIRouter(prefix="/statistics", tags=["dataset"])
 VersionQuery = Annotated[str | None, Query(pattern=VERSION_PATTERN, description="Name of a dataset version.")]
 PNG = {"image/png": {"schema": {"type": "string", "format": "binary"}}}
-NOT_MODIFIED = {"description": "The caller has it already"}
+NOT_MODIFIED = {"description": "The caller's copy is current"}
 
 
 @router.get("", responses=refusals(404))
 def show_statistics(caller: Reader, platform: PlatformDep, dataset: VersionQuery = None) -> StatisticsAnswer:
-    """The composition by environment, illumination, region, class and split."""
+    """Show the composition by environment, illumination, region, class and split."""
     return StatisticsAnswer(dataset=dataset, **_record_of(platform, caller, dataset))
 
 
@@ -44,7 +44,7 @@ def download_composition(
     dataset: VersionQuery = None,
     colours: ColoursQuery = "default",
 ) -> Response:
-    """The composition as a figure."""
+    """Download the composition as a figure."""
     record = _record_of(platform, caller, dataset)
     title = figure_title(record["total"], dataset or "Labelled sequences")
     tag = sha256(dumps([FIGURE_VERSION, title, record, colours], sort_keys=True).encode()).hexdigest()

@@ -60,16 +60,16 @@ class SubmissionFilters:
 
 @router.post(
     "/phases/{phase_id}/submissions",
-    summary="Create a submission as a draft",
+    summary="Create a submission as a draft, declaring the zip to be uploaded",
     status_code=201,
     responses=refusals(403, 404, 409),
 )
 def create_submission(
     phase_id: IdPath, body: NewSubmissionBody, caller: Submitter, platform: PlatformDep, response: Response
 ) -> SubmissionDetail:
-    """Create a submission as a draft, declaring the zip that will be uploaded."""
+    """Create a submission as a draft, declaring the zip to be uploaded."""
     if body.kind == "baseline" and caller.role == "participant":
-        raise ForbiddenError("baselines are submitted by curators and administrators; submit an entry")
+        raise ForbiddenError("only curators and administrators can submit baselines; submit an entry")
     return _announced(platform, caller, phase_id, (body.kind, body), response)
 
 
@@ -77,7 +77,7 @@ def create_submission(
 def create_validation(
     phase_id: IdPath, body: NewValidationBody, caller: Submitter, platform: PlatformDep, response: Response
 ) -> SubmissionDetail:
-    """Create a validation-only submission: checked, never scored, not counted towards the quota."""
+    """Create a validation-only submission: it is checked, never scored and does not count towards the quota."""
     return _announced(platform, caller, phase_id, ("validation", body), response)
 
 
@@ -90,7 +90,7 @@ def create_validation(
 def finalize_submission(
     submission_id: IdPath, body: FinalizeBody, caller: Submitter, platform: PlatformDep, response: Response
 ) -> SubmissionDetail:
-    """Have the uploaded file checked and, unless it is a validation, scored; the job at `Location` says how far."""
+    """A validation is only checked. The job at `Location` reports the progress."""
     with platform.database.transaction() as session:
         row = submission_of(session, caller, submission_id)
         job = submissions.finalise(session, row, body.upload_id)
@@ -109,18 +109,18 @@ def list_submissions(
     query: PageDep,
     filters: Annotated[SubmissionFilters, Depends(at_once(SubmissionFilters))],
 ) -> Response:
-    """The submissions of the caller's teams, newest first; an administrator sees everybody's."""
+    """List the submissions of your teams, newest first; administrators see all submissions."""
     with platform.database.lookups() as session:
         found = page(session, filters.narrowed(submissions_of(caller)), SubmissionRow.id.desc(), query)
         shown = Page[SubmissionItem](items=submission_items(session, found.rows), next=found.next)
     return model_response(request, shown)
 
 
-@router.get("/submissions/{submission_id}", summary="A submission and its progress", responses=refusals(404))
+@router.get("/submissions/{submission_id}", summary="Show a submission", responses=refusals(404))
 def show_submission(
     submission_id: IdPath, caller: Reader, platform: PlatformDep, response: Response
 ) -> SubmissionDetail:
-    """How far a submission is, and why it was not scored if it was not."""
+    """Show a submission: its progress, and the reason if it was not scored."""
     with platform.database.reading() as session:
         shown = submission_detail(session, submission_of(session, caller, submission_id))
     return set_head(response, shown, tag=shown.revision)
@@ -135,7 +135,7 @@ def change_submission(
     request: Request,
     response: Response,
 ) -> SubmissionDetail:
-    """Change what the page of the method says."""
+    """Change the method page of a submission."""
     with platform.database.transaction() as session:
         row = lock_submission(session, submission_of(session, caller, submission_id).id)
         require_match(request, row.revision)
@@ -148,7 +148,7 @@ def change_submission(
 
 @router.get("/submissions/{submission_id}/validation-report", responses=refusals(404))
 def show_validation_report(submission_id: IdPath, caller: Reader, platform: PlatformDep) -> ValidationReport:
-    """What is wrong with the file, problem by problem: the first hundred and how many there are."""
+    """List the problems of the file: the first hundred and the total number."""
     with platform.database.reading() as session:
         return validation_report(submission_of(session, caller, submission_id))
 
@@ -157,7 +157,7 @@ def show_validation_report(submission_id: IdPath, caller: Reader, platform: Plat
 def cancel_submission(
     submission_id: IdPath, caller: Submitter, platform: PlatformDep, body: CancelBody | None = None
 ) -> SubmissionDetail:
-    """Cancel a submission that is not settled; its place in the quota is released."""
+    """Cancel an unsettled submission; its quota is released."""
     reason = body.reason if body else ""
     with platform.database.transaction() as session:
         row = submissions.cancel(session, submission_of(session, caller, submission_id), reason)
@@ -169,7 +169,7 @@ def cancel_submission(
 def withdraw_submission(
     submission_id: IdPath, caller: Submitter, platform: PlatformDep, body: CancelBody | None = None
 ) -> SubmissionDetail:
-    """Withdraw a settled submission from every leaderboard; cannot be undone, still counts towards the quota."""
+    """Withdraw a settled submission from every leaderboard. It is permanent, and still counts towards the quota."""
     with platform.database.transaction() as session:
         row = submissions.withdraw(session, submission_of(session, caller, submission_id))
         audit.record(session, caller, "submission.withdraw", row.id, body.reason if body else "")
@@ -178,7 +178,7 @@ def withdraw_submission(
 
 @router.get("/phases/{phase_id}/teams/{team_id}/quota", responses=refusals(404))
 def show_quota(phase_id: IdPath, team_id: IdPath, caller: Reader, platform: PlatformDep) -> StandingAnswer:
-    """Show the team's quota: used, left, and when the next submission is available."""
+    """Show the team's quota: used, left, and the time of the next available submission."""
     with platform.database.reading() as session:
         team = team_of(session, caller, team_id)
         return quota_answer(session, phase_of(session, phase_id), team.id)
@@ -186,13 +186,12 @@ def show_quota(phase_id: IdPath, team_id: IdPath, caller: Reader, platform: Plat
 
 @router.put(
     "/admin/submissions/{submission_id}/visibility",
-    summary="Hide a submission from leaderboards, or show it",
+    summary="Hide a submission from all leaderboards, or show it",
     responses=refusals(403, 404),
 )
 def change_submission_visibility(
     submission_id: IdPath, body: VisibilityBody, caller: Administrator, platform: PlatformDep
 ) -> SubmissionDetail:
-    """Leave a submission out of every board, or show it again."""
     with platform.database.transaction() as session:
         row = submission_of(session, caller, submission_id)
         row = submissions.hide(session, row, body.reason) if body.hidden else submissions.unhide(session, row)

@@ -39,15 +39,16 @@ Reader = Annotated[Caller, Depends(require("read"))]
 
 @router.post("", status_code=201, summary="Create a team", responses=refusals(409))
 def create_team(body: TeamBody, caller: Participant, platform: PlatformDep) -> TeamItem:
-    """The caller is its captain. A name that only looks different from another team's is taken."""
+    """The caller becomes its captain. Names that look alike count as equal."""
     with platform.database.transaction() as session:
         team = teams.create_team(session, body.name, caller.user_id)
         audit.record(session, caller, "team.found", team.id, facts={"name": team.name})
         return team_items(session, [team])[0]
 
 
-@router.get("", summary="One's teams, newest first; for administrators all")
+@router.get("", summary="List your teams, newest first")
 def list_teams(caller: Reader, query: PageDep, platform: PlatformDep) -> Page[TeamItem]:
+    """Administrators see all teams."""
     with platform.database.reading() as session:
         rows = page(session, teams_of(caller), Team.id.desc(), query)
         return Page[TeamItem](items=team_items(session, rows.rows), next=rows.next)
@@ -55,7 +56,7 @@ def list_teams(caller: Reader, query: PageDep, platform: PlatformDep) -> Page[Te
 
 @router.post("/memberships", status_code=201, summary="Join a team by invitation", responses=refusals(404))
 def join_team(body: JoinBody, caller: Participant, platform: PlatformDep) -> TeamItem:
-    """The caller takes part at once wherever the team does and the phase has not ended."""
+    """The caller takes part in all phases of the team that have not ended."""
     with platform.database.transaction() as session:
         team = teams.join(session, body.secret, session.get_one(User, caller.user_id))
         audit.record(session, caller, "team.join", team.id)
@@ -64,7 +65,7 @@ def join_team(body: JoinBody, caller: Participant, platform: PlatformDep) -> Tea
 
 @router.get("/{team_id}", responses=refusals(404))
 def show_team(team_id: IdPath, caller: Reader, platform: PlatformDep) -> TeamItem:
-    """A team of one's own; for administrators any."""
+    """Show one of your teams; administrators see any team."""
     with platform.database.reading() as session:
         return team_items(session, [team_of(session, caller, team_id)])[0]
 
@@ -73,7 +74,7 @@ def show_team(team_id: IdPath, caller: Reader, platform: PlatformDep) -> TeamIte
 def create_invitation(
     team_id: IdPath, body: InvitationBody, caller: Participant, platform: PlatformDep, response: Response
 ) -> IssuedInvitation:
-    """Let one user in, whoever shows the secret first. Only the captain may."""
+    """Create a single-use invitation. Requires the captain."""
     with platform.database.transaction() as session:
         team = team_of(session, caller, team_id)
         row, secret = teams.invite_row(session, team, caller.user_id, body.expires_s * 10**9)
@@ -84,7 +85,7 @@ def create_invitation(
 
 @router.get("/{team_id}/invitations", responses=refusals(404))
 def list_invitations(team_id: IdPath, caller: Reader, platform: PlatformDep) -> Page[InvitationItem]:
-    """The invitations that still let somebody in, oldest first."""
+    """List the open invitations, oldest first."""
     with platform.database.reading() as session:
         rows = teams.open_invitations(session, team_of(session, caller, team_id).id)
         return whole([InvitationItem.of(row) for row in rows])
@@ -92,7 +93,7 @@ def list_invitations(team_id: IdPath, caller: Reader, platform: PlatformDep) -> 
 
 @router.delete("/{team_id}/invitations/{invitation_id}", status_code=204, responses=refusals(404))
 def withdraw_invitation(team_id: IdPath, invitation_id: IdPath, caller: Participant, platform: PlatformDep) -> None:
-    """Make an open invitation void. Only the captain may."""
+    """Withdraw an open invitation. Requires the captain."""
     with platform.database.transaction() as session:
         team = team_of(session, caller, team_id)
         teams.refuse_others(session, team.id, caller.user_id, "withdraw an invitation")
@@ -110,7 +111,7 @@ def withdraw_invitation(team_id: IdPath, invitation_id: IdPath, caller: Particip
 def remove_member(
     team_id: IdPath, member: MemberName, caller: Participant, platform: PlatformDep, reason: ReasonQuery = ""
 ) -> None:
-    """Leave, or have somebody leave. What was scored stays the team's, and so does the member for those phases."""
+    """Scored submissions stay with the team, and the member still counts as its member in their phases."""
     with platform.database.transaction() as session:
         team = team_of(session, caller, team_id)
         if member != caller.name:

@@ -23,9 +23,9 @@ from services.runtime.platform import Platform
 router = APIRouter(prefix="/tokens", tags=["people"])
 
 
-@router.post("", status_code=201, summary="Issue a token of one's own", responses=refusals(409))
+@router.post("", status_code=201, summary="Create a token", responses=refusals(409))
 def create_token(body: TokenBody, caller: AccountHolder, response: Response, platform: PlatformDep) -> IssuedToken:
-    """The answer holds the secret and is kept nowhere: repeated under the same Idempotency-Key, it is a 409."""
+    """The response contains the secret and is not stored. A repetition with the same Idempotency-Key returns 409."""
     wanted = TokenRequest(body.name, None if body.scopes is None else frozenset(body.scopes), body.expires_s)
     with platform.database.transaction() as session:
         authority = authority_of_caller(session, caller, platform.settings.api.token_s)
@@ -36,23 +36,23 @@ def create_token(body: TokenBody, caller: AccountHolder, response: Response, pla
     return IssuedToken.of(row, secret=secret)
 
 
-@router.get("", summary="One's own tokens, newest first")
+@router.get("", summary="List your tokens, newest first")
 def list_tokens(caller: Reader, query: PageDep, platform: PlatformDep) -> Page[TokenItem]:
     with platform.database.reading() as session:
         return tokens_page(session, query, caller.user_id)
 
 
-@router.delete("/current", status_code=204, summary="Revoke the token that asks", responses=refusals(409))
+@router.delete("/current", status_code=204, summary="Revoke the calling token", responses=refusals(409))
 def revoke_current_token(caller: Anybody, platform: PlatformDep) -> None:
-    """Whatever its scopes are; with it goes all that it made."""
+    """Requires no scope. All tokens that it created are revoked too."""
     if caller.is_session:
-        raise ApiError("conflict", "a session is no token; sign out by DELETE /sessions/current")
+        raise ApiError("conflict", "a session is not a token; sign out with DELETE /sessions/current")
     _revoke(platform, caller, caller.credential_id)
 
 
-@router.delete("/{token_id}", status_code=204, summary="Revoke a token of one's own", responses=refusals(404))
+@router.delete("/{token_id}", status_code=204, summary="Revoke one of your tokens", responses=refusals(404))
 def revoke_token(token_id: IdPath, caller: AccountHolder, platform: PlatformDep) -> None:
-    """With it goes all that it made."""
+    """All tokens that it created are revoked too."""
     _revoke(platform, caller, token_id)
 
 

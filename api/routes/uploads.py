@@ -51,7 +51,7 @@ SpeakTus = Depends(speak_tus)
 
 @router.options("", status_code=204, response_class=Response, responses=OPTIONS_SAY)
 def describe_uploads(platform: PlatformDep) -> Response:
-    """What of tus this server speaks; needs no token."""
+    """Describe the supported tus features; requires no token."""
     return Response(
         status_code=204,
         headers={
@@ -64,7 +64,13 @@ def describe_uploads(platform: PlatformDep) -> Response:
 
 
 @router.post(
-    "", status_code=201, response_class=Response, dependencies=[SpeakTus], responses=CREATED, openapi_extra=STREAM
+    "",
+    summary="Create an upload",
+    status_code=201,
+    response_class=Response,
+    dependencies=[SpeakTus],
+    responses=CREATED,
+    openapi_extra=STREAM,
 )
 async def create_upload(
     request: Request,
@@ -78,14 +84,15 @@ async def create_upload(
         str, Header(alias="Upload-Concat", description="`partial`, or `final;` and the URLs of the parts.")
     ] = "",
 ) -> Response:
-    """Create an upload; bytes in the body are taken at once (creation-with-upload).
+    """Create an upload; bytes in the body are stored at once (creation-with-upload).
 
-    Metadata: `filename`, `purpose` (recording, calibration, submission, ground_truth, dataset: a tar), `target_id`,
-    `sha256`; of a submission they are what its draft announces. Where you have the declared bytes here already, the
-    answer's `Upload-Offset` is the length and nothing is to be sent.
+    Metadata: `filename`, `purpose` (recording, calibration, submission, ground_truth or dataset, which is a tar),
+    `target_id` and `sha256`. For a submission they must equal the announced values of its draft. If the platform
+    already has the declared bytes of yours, `Upload-Offset` in the response is the length, and you send nothing.
 
-    A large file may come in up to 15 parts at once: create each with `Upload-Concat: partial`, then the whole, with its
-    metadata, by `final;` and the URLs of the complete parts in order. Ask for its offset until it is complete.
+    A large file can be sent in up to 15 parallel parts. Create each part with `Upload-Concat: partial`. Then create the
+    whole, with its metadata, with `final;` and the URLs of the complete parts in order. Poll its offset until it is
+    complete.
     """
     upload = await accept_creation(request, platform, caller)
     offset_bytes = await in_thread(bytes_here, platform, upload)
@@ -99,7 +106,7 @@ async def create_upload(
 async def create_upload_by_form(
     request: Request, platform: PlatformDep, caller: Former, response: Response
 ) -> UploadItem:
-    """A small file whole at once: `curl -F file=@run.mcap -F purpose=recording -F target_id=…`."""
+    """For example `curl -F file=@run.mcap -F purpose=recording -F target_id=…`."""
     upload = await accept_form(request, platform, caller)
     response.headers["Location"] = f"{request.url.path.removesuffix('/form')}/{upload.id}"
     return upload_item(upload, upload.length_bytes)
@@ -107,7 +114,7 @@ async def create_upload_by_form(
 
 @router.head("/{upload_id}", response_class=Response, dependencies=[SpeakTus], responses=HEAD_SAYS)
 def show_upload_offset(upload_id: IdPath, platform: PlatformDep, caller: Uploader) -> Response:
-    """Where to resume. An upload that lacked only its last step is completed by this."""
+    """Show the offset to resume from. If an upload lacks only its last step, this request completes it."""
     upload = settle_if_whole(platform, find_own(platform, upload_id, caller))
     return Response(status_code=200, headers=upload_headers(upload, bytes_here(platform, upload)))
 
@@ -130,7 +137,7 @@ async def append_to_upload(
         str | None, Header(alias="Upload-Checksum", description="`sha1` and the base64 digest of this body.")
     ] = None,
 ) -> Response:
-    """Append the body at the offset. After a power cut ask again where to resume; a complete upload survives it."""
+    """Append the body at the offset. After a power failure, read the offset again; a complete upload is kept."""
     piece = piece_of(request, count_of(request, "Upload-Offset"))
     if "upload" not in caller.scopes:
         await in_thread(find_own, platform, upload_id, caller)
@@ -141,14 +148,14 @@ async def append_to_upload(
 
 @router.delete("/{upload_id}", status_code=204, response_class=Response, dependencies=[SpeakTus], responses=TERMINATED)
 def terminate_upload(upload_id: IdPath, platform: PlatformDep, caller: Uploader) -> Response:
-    """Terminate an upload that no recording uses; its bytes and its quota are free again."""
+    """Terminate an upload that no recording uses; its bytes and quota are released."""
     terminate(platform, find_own(platform, upload_id, caller))
     return Response(status_code=204)
 
 
 @router.post(
     "/{upload_id}",
-    summary="PATCH or DELETE an upload by POST",
+    summary="Send PATCH or DELETE to an upload by POST",
     status_code=204,
     response_class=Response,
     dependencies=[SpeakTus],
@@ -160,9 +167,9 @@ async def override_upload_method(
     request: Request,
     platform: PlatformDep,
     caller: Uploader,
-    x_http_method_override: Annotated[str, Header(description="Method that is meant: PATCH or DELETE.")] = "",
+    x_http_method_override: Annotated[str, Header(description="Intended method: PATCH or DELETE.")] = "",
 ) -> Response:
-    """PATCH or DELETE for clients whose network lets neither through (tus 1.0, X-HTTP-Method-Override)."""
+    """For clients behind networks that block both methods (tus 1.0, X-HTTP-Method-Override)."""
     if x_http_method_override == "PATCH":
         return await append_to_upload(upload_id, request, platform, caller)
     if x_http_method_override == "DELETE":
@@ -174,7 +181,7 @@ async def override_upload_method(
 
 @router.get("", responses=GOT)
 def list_uploads(platform: PlatformDep, caller: Reader, query: PageDep, state: LineQuery = None) -> Page[UploadItem]:
-    """Your uploads, the newest first."""
+    """List your uploads, newest first."""
     mine = select(Upload).where(Upload.owner_id == caller.user_id)
     if state is not None:
         mine = mine.where(Upload.state == state)
@@ -185,6 +192,6 @@ def list_uploads(platform: PlatformDep, caller: Reader, query: PageDep, state: L
 
 @router.get("/{upload_id}", responses=GOT)
 def show_upload(upload_id: IdPath, platform: PlatformDep, caller: Reader) -> UploadItem:
-    """One upload in any state, ended ones too."""
+    """Show an upload in any state."""
     upload = find(platform.database, upload_id, caller.user_id)
     return upload_item(upload, bytes_here(platform, upload))

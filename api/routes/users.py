@@ -25,7 +25,7 @@ NamePart = Annotated[str | None, Query(pattern=PLAIN, max_length=64, description
 RoleQuery = Annotated[Role | None, Query()]
 
 
-@router.post("", status_code=201, summary="Add a user", responses=refusals(409))
+@router.post("", status_code=201, summary="Create a user", responses=refusals(409))
 def create_user(body: UserBody, caller: Administrator, platform: PlatformDep) -> UserItem:
     password_hash = _hashed(body.password, body.name)
     with platform.database.transaction() as session:
@@ -36,7 +36,7 @@ def create_user(body: UserBody, caller: Administrator, platform: PlatformDep) ->
     return user_item(user)
 
 
-@router.get("", summary="All users, newest first")
+@router.get("", summary="List all users, newest first")
 def list_users(
     _caller: Administrator, query: PageDep, platform: PlatformDep, name: NamePart = None, role: RoleQuery = None
 ) -> Page[UserItem]:
@@ -60,10 +60,10 @@ def change_user(user_id: IdPath, body: UserChange, caller: Administrator, platfo
 
 
 @router.post(
-    "/{user_id}/erase", name="erase_user", summary="Erase a user's account for good", responses=refusals(404, 409)
+    "/{user_id}/erase", name="erase_user", summary="Erase a user's account permanently", responses=refusals(404, 409)
 )
 def erase(user_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep) -> UserItem:
-    """Name, password, tokens and browsers go at once; what they made stays, under no name."""
+    """Name, password, tokens and sessions are deleted at once. The user's data stay, without a name."""
     with platform.database.transaction() as session:
         user = user_of(session, user_id, is_locked=True)
         erase_user(session, user)
@@ -71,7 +71,7 @@ def erase(user_id: IdPath, body: ReasonBody, caller: Administrator, platform: Pl
     return user_item(user)
 
 
-@router.get("/{user_id}/tokens", summary="A user's tokens, newest first", responses=refusals(404))
+@router.get("/{user_id}/tokens", summary="List a user's tokens, newest first", responses=refusals(404))
 def list_user_tokens(user_id: IdPath, _caller: Administrator, query: PageDep, platform: PlatformDep) -> Page[TokenItem]:
     with platform.database.reading() as session:
         return tokens_page(session, query, user_of(session, user_id).id)
@@ -83,7 +83,7 @@ def list_user_tokens(user_id: IdPath, _caller: Administrator, query: PageDep, pl
 def revoke_user_token(
     user_id: IdPath, token_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep
 ) -> None:
-    """Whoever holds it is answered 401 from now on."""
+    """Requests with the token then return 401."""
     with platform.database.transaction() as session:
         name = tokens.revoke(session, user_id, token_id)
         if name is None:
@@ -93,12 +93,12 @@ def revoke_user_token(
 
 
 @router.post(
-    "/{user_id}/credentials/revoke", summary="End all of a user's tokens and sessions", responses=refusals(404)
+    "/{user_id}/credentials/revoke", summary="Revoke all tokens and sessions of a user", responses=refusals(404)
 )
 def revoke_user_credentials(
     user_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep
 ) -> RevokedItem:
-    """Whatever uses them is answered 401 from now on. The credential that asks is spared, and the password stays.
+    """Requests with them then return 401. The calling credential and the password stay.
 
     If another token created the calling token, both end. Approved programs that have not fetched their token get none.
     Unused invitations into teams and links in e-mails end too.

@@ -60,7 +60,7 @@ class NewDatasetImportBody(Body):
     @model_validator(mode="after")
     def _one_source(self) -> Self:
         if (self.upload_id is None) == (self.in_place is None):
-            raise ValueError("say upload_id for an uploaded archive, or in_place")
+            raise ValueError("give either upload_id or in_place")
         return self
 
     def wished(self, classes: StatedClasses | None) -> NewImport:

@@ -89,7 +89,7 @@ async def _pump(request: Request, reception: UploadReceiver, idle_s: float) -> S
         if isinstance(gone, TimeoutError):
             raise ApiError(
                 "receive_timeout",
-                f"nothing came for {idle_s:g} s; ask for the offset and resume from there",
+                f"no bytes arrived for {idle_s:g} s; read the offset with HEAD and resume from there",
                 {"Connection": "close"},
             ) from gone
         raise

@@ -30,7 +30,7 @@ from stone.errors import StoneError
 async def accept_creation(request: Request, platform: Platform, caller: Caller) -> Upload:
     """The upload that the request's headers declare, with what its body holds."""
     if "upload-defer-length" in request.headers:
-        raise ApiError("length_deferred", "Upload-Defer-Length is not supported: send Upload-Length with the creation")
+        raise ApiError("length_deferred", "Upload-Defer-Length is not supported; send Upload-Length with the creation")
     kind, _, named = request.headers.get("upload-concat", "").partition(";")
     if kind == "final":
         return await _joined(request, platform, caller, named)
@@ -56,7 +56,7 @@ def find_own(platform: Platform, upload_id: str, caller: Caller) -> Upload:
     """The caller's upload, alive. Raises `upload_missing`, `upload_gone`, `ForbiddenError`."""
     upload = find_alive(platform.database, upload_id, caller.user_id)
     if upload.purpose != SUBMISSION and "upload" not in caller.scopes:
-        raise ForbiddenError(f"a {upload.purpose} needs the scope 'upload'; yours are {sorted(caller.scopes)}")
+        raise ForbiddenError(f"a {upload.purpose} requires the scope 'upload'; yours are {sorted(caller.scopes)}")
     return upload
 
 
@@ -64,7 +64,7 @@ def refuse_unscoped(caller: Caller, declared: UploadDeclaration) -> None:
     """A submission needs the scope `submit`, everything else `upload`. Raises `ForbiddenError`."""
     scope = "submit" if declared.purpose == SUBMISSION else "upload"
     if scope not in caller.scopes:
-        raise ForbiddenError(f"a {declared.purpose} needs the scope {scope!r}; yours are {sorted(caller.scopes)}")
+        raise ForbiddenError(f"a {declared.purpose} requires the scope {scope!r}; yours are {sorted(caller.scopes)}")
 
 
 async def _joined(request: Request, platform: Platform, caller: Caller, named: str) -> Upload:
@@ -114,7 +114,7 @@ async def accept_form(request: Request, platform: Platform, caller: Caller) -> U
         files = [part for part in form.getlist("file") if isinstance(part, UploadFile)]
         fields = {name: value for name in form if isinstance(value := form[name], str)}
         if len(files) != 1 or set(fields) - set(FIELDS):
-            raise bad_form(f"one file named 'file' and the fields {', '.join(FIELDS)} are expected")
+            raise bad_form(f"expected one file named 'file' and the fields {', '.join(FIELDS)}")
         declared = _declared(files[0], fields)
         if declared.length_bytes > platform.settings.uploads.form_bytes:
             raise upload_too_large(declared.length_bytes, platform.settings.uploads.form_bytes)
@@ -177,6 +177,4 @@ def _keep(
 
 
 def bad_form(why: str) -> ApiError:
-    return ApiError(
-        "bad_form", f"the form is not understood: {why} (curl -F file=@NAME -F purpose=recording -F target_id=ID)"
-    )
+    return ApiError("bad_form", f"invalid form: {why} (curl -F file=@NAME -F purpose=recording -F target_id=ID)")

@@ -72,7 +72,7 @@ def declared_by(request: Request, length_bytes: int, *, is_part: bool = False) -
         known = {"filename": PART, **known, "purpose": PART, "target_id": ""}
     for name in ("filename", "purpose"):
         if name not in known:
-            raise BadMetadataError(name, "", "it among the pairs of Upload-Metadata")
+            raise BadMetadataError(name, "", "a pair of Upload-Metadata")
     return UploadDeclaration(
         known["filename"],
         known["purpose"],
@@ -166,7 +166,9 @@ def _headers(**described: str) -> dict[str, Any]:
 
 
 _PROGRESS = _headers(
-    Tus_Resumable="1.0.0", Upload_Offset="bytes that are here", Upload_Expires="until when it waits (RFC 9110 date)"
+    Tus_Resumable="1.0.0",
+    Upload_Offset="Number of bytes received",
+    Upload_Expires="Expiry (RFC 9110 date)",
 )
 
 STREAM: dict[str, Any] = {
@@ -194,22 +196,22 @@ FORM: dict[str, Any] = {
         },
     }
 }
-OPTIONS_SAY: Responses = {204: {"description": "what is spoken", "headers": _headers(Tus_Version="1.0.0")}}
+OPTIONS_SAY: Responses = {204: {"description": "Supported tus version", "headers": _headers(Tus_Version="1.0.0")}}
 CREATED: Responses = {
-    201: {"description": "created", "headers": {**_headers(Location="the upload"), **_PROGRESS}},
+    201: {"description": "Created", "headers": {**_headers(Location="URL of the upload"), **_PROGRESS}},
     **refusals(400, 404, 408, 409, 412, 413, 415, 423, 460, 507),
 }
 HEAD_SAYS: Responses = {
-    200: {"description": "where to resume", "headers": _PROGRESS},
+    200: {"description": "Offset to resume from", "headers": _PROGRESS},
     **refusals(404, 409, 410, 412, 460, 507),
 }
 PATCHED: Responses = {
-    204: {"description": "appended", "headers": _PROGRESS},
+    204: {"description": "Appended", "headers": _PROGRESS},
     **refusals(400, 404, 408, 409, 410, 412, 413, 415, 423, 460, 507),
 }
-TERMINATED: Responses = {204: {"description": "terminated"}, **refusals(404, 409, 410, 412, 423)}
+TERMINATED: Responses = {204: {"description": "Terminated"}, **refusals(404, 409, 410, 412, 423)}
 GOT: Responses = refusals(404)
 FORMED: Responses = {
-    201: {"description": "complete", "headers": _headers(Location="the upload")},
+    201: {"description": "Complete", "headers": _headers(Location="URL of the upload")},
     **refusals(400, 404, 408, 409, 413, 415, 460, 507),
 }

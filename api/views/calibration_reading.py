@@ -87,7 +87,7 @@ def _believed(name: str, answer: bytes) -> CalibrationRead:
         findings = tuple(Finding(**finding) for finding in record["findings"])
         return CalibrationRead(calibration_of(record["calibration"]), findings, record["format"])
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise SandboxCrashedError(f"answered something else than the calibration {name}") from error
+        raise SandboxCrashedError(f"returned something other than the calibration {name}") from error
 
 
 def stored(store: Store, object_key: str, filename: str) -> Calibration:
@@ -102,7 +102,7 @@ def validity(valid_from: datetime | None, valid_to: datetime | None) -> Validity
     found = Validity(*(None if moment is None else _since_1970_ns(moment) for moment in (valid_from, valid_to)))
     reached = [moment_ns for moment_ns in (found.from_ns, found.to_ns) if moment_ns is not None]
     if any(not 0 <= moment_ns < 2**63 for moment_ns in reached):
-        raise CalibrationRefusedError(FORM, validity_refusal(FORM, "its years are not within 1970 to 2262"))
+        raise CalibrationRefusedError(FORM, validity_refusal(FORM, "its years are not between 1970 and 2262"))
     if len(reached) == len((valid_from, valid_to)) and reached[0] >= reached[1]:
         raise CalibrationRefusedError(FORM, validity_refusal(FORM, "valid_from is not before valid_to"))
     return found
@@ -116,10 +116,8 @@ def _check_names(filename: str, calibration: Calibration) -> None:
     """Names are shown and looked for. Raises `CAL-422` for one with characters nobody can see."""
     for name in (calibration.name, *(mount.name for mount in calibration.mounts)):
         if not name.isprintable():
-            raise bad_calibration_key(filename, repr(name)[:80], "a name has printable characters only", 0)
+            raise bad_calibration_key(filename, repr(name)[:80], "a name of printable characters", 0)
 
 
 def validity_refusal(name: str, problem: str) -> Refused:
-    return Refused(
-        "CAL-418", f"{name}: {problem}; it is valid from `valid_from` up to `valid_to`, either may be left out"
-    )
+    return Refused("CAL-418", f"{name}: {problem}; give `valid_from` before `valid_to`, or leave one out")

@@ -62,7 +62,7 @@ def scene_of(session: Session, caller: Caller, sequence_id: str) -> SceneLocatio
     if file is None:
         raise Refused(
             "no_scene",
-            f"labels {labels.id} were made by a version that kept nothing for the viewer; process the sequence again",
+            f"the release that made labels {labels.id} had no viewer; process the sequence again",
         )
     return SceneLocation(sequence.id, labels.id, file, playback_of(session, labels.id))
 
@@ -174,6 +174,6 @@ def artefact_file(session: Session, sequence: SequenceRow, labels: LabelSet | No
 def no_playback(label_set_id: str) -> Refused:
     return Refused(
         "no_playback",
-        f"labels {label_set_id} have no playback yet: its job makes it after the labels; was it switched off, or "
-        "deleted? Start an export of format playback",
+        f"labels {label_set_id} have no playback: its job is unfinished, or it was switched off or deleted. "
+        "To create it, start an export of format playback",
     )

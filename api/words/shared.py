@@ -70,10 +70,10 @@ SHARED: Mapping[str, str] = {
     "held_out_recall": "Share of the driven ground that labels made from the other half of the track call T or P; null "
     "if unknown.",
     "held_out_m": "Length of the track that the held-out recall was measured on, in metres; null if unknown.",
-    "gravest": "Finding that harms the labels most; null if none does.",
+    "gravest": "Finding that harms the labels most; null without such findings.",
     "harm": "Effect of the finding on the labels.",
-    "expected": "What is expected.",
-    "actual": "What was found instead.",
+    "expected": "Expected value or type.",
+    "actual": "Value or type found instead.",
     "detail": "Sentence for people.",
     "errors": "The first findings, at most 100.",
     "errors_total": "Number of all findings.",

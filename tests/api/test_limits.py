@@ -101,7 +101,7 @@ def test_inventing_tokens_buys_no_more_requests() -> None:
     limiting = RequestLimits(strict(requests_per_minute=3), Clock())
     for number in range(3):
         limiting.admit(request(authorization=f"Bearer {number}"))
-    with refused_as("rate_limited", match="more than 3 a minute"):
+    with refused_as("rate_limited", match="more than 3 requests a minute"):
         limiting.admit(request(authorization="Bearer 4"))
     limiting.admit(request("10.0.0.2", authorization="Bearer 4"))
 
@@ -125,7 +125,7 @@ def test_sign_ins_are_counted_by_address_and_by_name() -> None:
         limiting.admit_sign_in(request(), SignInTry("eve", ""))
     for number in range(4):
         limiting.admit_sign_in(request(f"10.0.1.{number}"), SignInTry("ada", ""))
-    with refused_as("rate_limited", match="more than 6 a minute"):
+    with refused_as("rate_limited", match="more than 6 requests a minute"):
         limiting.admit_sign_in(request("10.0.2.1"), SignInTry("ada", ""))
     limiting.admit_sign_in(request("10.0.2.1"), SignInTry("bob", ""))
 

@@ -158,8 +158,8 @@ def test_words_of_pydantic_stay_inside(platform: Platform, curator: Person) -> N
     found = [(one.where, one.expected, one.actual) for answer in (key, json, limit, cursor)
              for one in Problem.model_validate(answer.json()).errors]  # fmt: skip
     assert found == [
-        ("body.more", "a key of this body", None),
-        ("body.1", "JSON", "text that is no JSON, at character 1"),
+        ("body.more", "a known key", None),
+        ("body.1", "JSON", "invalid JSON at character 1"),
         ("query.limit", "at most 200", "500"),
         ("query.sequence_id", "an id of 32 hexadecimal digits", "text of 4 character(s)"),
     ]
@@ -217,7 +217,7 @@ def test_a_fault_shows_its_request_and_nothing_of_our_insides(broken: httpx.Clie
 
 def test_a_fault_is_logged_with_its_request(broken: httpx.Client, said: list[MutableMapping[str, Any]]) -> None:
     broken.get("/fault/bug", headers={"X-Request-ID": "look-for-me"})
-    fault = next(line for line in said if line["event"] == "unforeseen")
+    fault = next(line for line in said if line["event"] == "unhandled exception")
     assert fault["request_id"] == "look-for-me"
     assert isinstance(fault["exc_info"], RuntimeError)
 

@@ -27,7 +27,7 @@ def list_alarms(
     query: PageDep,
     dismissed: bool = False,
 ) -> Page[AlarmItem]:
-    """List the open alarms of the phase, newest first; with `dismissed` all of them."""
+    """List the open alarms of the phase, newest first; with `dismissed`, list all alarms."""
     with platform.database.reading() as session:
         of_phase = phase_of(session, phase_id).id
         seen = select(Alarm).where(Alarm.phase_id == of_phase) if dismissed else open_alarms(of_phase)
@@ -36,7 +36,7 @@ def list_alarms(
 
 @router.post("/alarms/{alarm_id}/dismiss", responses=refusals(404, 409))
 def dismiss_alarm(alarm_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep) -> AlarmItem:
-    """Dismiss an alarm with the outcome of its review; it is not raised again."""
+    """Dismiss an alarm with the outcome of its review; the alarm is not raised again."""
     with platform.database.transaction() as session:
         alarm = dismiss(session, alarm_id)
         facts = {"phase_id": alarm.phase_id, "kind": alarm.kind}
@@ -46,12 +46,11 @@ def dismiss_alarm(alarm_id: IdPath, body: ReasonBody, caller: Administrator, pla
 
 @router.post(
     "/teams/{team_id}/grants",
-    summary="Grant a team more submissions, or take them back",
+    summary="Grant a team more submissions, or revoke them",
     status_code=201,
     responses=refusals(404),
 )
 def grant_scorings(team_id: IdPath, body: GrantBody, caller: Administrator, platform: PlatformDep) -> GrantItem:
-    """Grant a team more submissions in a phase, or take a grant back."""
     with platform.database.transaction() as session:
         phase = phase_of(session, body.phase_id)
         if session.get(Team, team_id) is None:

@@ -35,7 +35,7 @@ router = APIRouter(prefix="/admin", tags=["benchmarks"])
 def create(
     body: NewBenchmarkBody, caller: Administrator, platform: PlatformDep, response: Response
 ) -> CreatedBenchmark:
-    """Make a benchmark of a version of the dataset, with `val` and `test` or the phases that are named."""
+    """It evaluates a dataset version, in the given phases (default: `val` and `test`)."""
     with platform.database.transaction() as session:
         benchmark = create_benchmark(session, body.asked(caller.user_id))
         phases = _phases(session, benchmark, body)
@@ -53,7 +53,6 @@ def create(
 def change_benchmark(
     benchmark_name: BenchmarkName, body: BenchmarkChange, caller: Administrator, platform: PlatformDep
 ) -> BenchmarkDetail:
-    """Change what is said of a benchmark, and whether it is read without an account."""
     with platform.database.transaction() as session:
         benchmark = benchmark_of(session, caller, benchmark_name)
         changes = body.columns()
@@ -76,7 +75,7 @@ def add_phase(
     platform: PlatformDep,
     response: Response,
 ) -> PhaseDetail:
-    """Add a phase; `findings` warn where its labels are not as hidden as they look."""
+    """`findings` contain warnings if its labels are not as hidden as intended."""
     with platform.database.transaction() as session:
         benchmark = benchmark_of(session, caller, benchmark_name)
         phase = _phase(session, benchmark, body, body.dataset)
@@ -86,11 +85,11 @@ def add_phase(
     return set_head(response, shown, tag=phase.revision, location=f"/api/v1/phases/{phase.id}")
 
 
-@router.get("/phases/{phase_id}", summary="A phase as an administrator sees it", responses=refusals(404))
+@router.get("/phases/{phase_id}", summary="Show a phase with its findings", responses=refusals(404))
 def show_admin_phase(
     phase_id: IdPath, _caller: Administrator, platform: PlatformDep, response: Response
 ) -> PhaseDetail:
-    """A phase with what was noticed of it: labels may have become public since it was made."""
+    """For example, labels may have become public since the phase was created."""
     with platform.database.reading() as session:
         phase = phase_of(session, phase_id)
         return set_head(response, phase_detail(session, phase), tag=phase.revision)
@@ -110,7 +109,7 @@ def change(
     request: Request,
     response: Response,
 ) -> PhaseDetail:
-    """Change dates and limits; what is evaluated only until there is a ground truth."""
+    """The evaluated data can change only before there is a ground truth."""
     with platform.database.transaction() as session:
         phase = lock_phase(session, phase_of(session, phase_id).id)
         require_match(request, phase.revision)

@@ -91,37 +91,37 @@ AdminFiltersDep = Annotated[AdminFilters, Depends(at_once(AdminFilters))]
 def list_all_jobs(
     _caller: Administrator, platform: PlatformDep, query: PageDep, filters: AdminFiltersDep
 ) -> Page[AdminJobItem]:
-    """Everybody's jobs, newest first."""
+    """List all users' jobs, newest first."""
     with platform.database.reading() as session:
         found = page(session, filters.narrowed(select(Job)), Job.id.desc(), query)
         return Page[AdminJobItem](items=admin_job_items(session, found.rows), next=found.next)
 
 
-@router.get("/jobs/counts", summary="How many jobs are in each state", responses=refusals(403))
+@router.get("/jobs/counts", summary="Count the jobs in each state", responses=refusals(403))
 def count_jobs(_caller: Administrator, platform: PlatformDep, filters: AdminFiltersDep) -> JobCounts:
-    """How many of them are in each state; `state` and `dead` of the filters change nothing here."""
+    """The filters `state` and `dead` have no effect here."""
     with platform.database.reading() as session:
         return job_counts(session, filters.of_any_state(select(Job)), filters.flat(select(Job)))
 
 
 @router.post("/jobs/acts", summary="Cancel, terminate or retry many runs", responses=refusals(403))
 def steer_jobs(body: JobActsBody, caller: Administrator, platform: PlatformDep) -> Page[JobActItem]:
-    """The same act on the runs of many jobs: each is done or refused for itself, and says so."""
+    """Applies one act to the runs of many jobs. Each run is changed or refused on its own, with its own result."""
     return whole(act_on_each(platform, caller, body))
 
 
-@router.get("/jobs/{job_id}", summary="Any job and its progress", responses=refusals(403, 404))
+@router.get("/jobs/{job_id}", summary="Show a job of any user", responses=refusals(403, 404))
 def show_any_job(job_id: IdPath, caller: Administrator, platform: PlatformDep) -> AdminJobDetail:
-    """A job; of a run also its jobs, those that have not succeeded first."""
+    """Its progress; for a run also its jobs, unsuccessful jobs first."""
     with platform.database.reading() as session:
         return admin_job_detail(session, job_of(session, caller, job_id))
 
 
-@router.get("/jobs/{job_id}/logs", summary="The log of any job", responses=refusals(403, 404))
+@router.get("/jobs/{job_id}/logs", summary="Show the log of any job", responses=refusals(403, 404))
 def list_any_job_log(
     job_id: IdPath, caller: Administrator, platform: PlatformDep, query: Annotated[LogQuery, Depends(log_query)]
 ) -> LogPage:
-    """What a job, or every job of a run, has said so far."""
+    """The log lines of a job, or of all jobs of a run."""
     with platform.database.reading() as session:
         return log_page(session, job_of(session, caller, job_id), query, is_administrator=caller.is_administrator)
 
@@ -135,7 +135,7 @@ def list_any_job_log(
 def steer_job(
     job_id: IdPath, act: JobAct, body: ReasonBody, caller: Administrator, platform: PlatformDep
 ) -> AdminJobDetail:
-    """Steer the whole run of a job: `cancel` asks it to stop, `terminate` stops its processes, `retry` queues again."""
+    """`cancel` stops it at its next step, `terminate` stops its processes, `retry` queues it again."""
     with platform.database.transaction() as session:
         root_id = job_of(session, caller, job_id).root_id
         run = control_run(session, platform, caller, act, root_id, body.reason)
@@ -144,7 +144,11 @@ def steer_job(
         return admin_job_detail(session, run)
 
 
-@router.get("/queues", summary="The queues: mode and job counts", responses=refusals(403))
+@router.get(
+    "/queues",
+    summary="List the queues with mode, job counts and unacknowledged broker notifications",
+    responses=refusals(403),
+)
 def list_queues(_caller: Administrator, platform: PlatformDep) -> Page[QueueItem]:
     """List the queues with mode, job counts and unacknowledged broker notifications."""
     wake_ups = pending_wake_ups_of(platform)
@@ -156,7 +160,7 @@ def list_queues(_caller: Administrator, platform: PlatformDep) -> Page[QueueItem
 def switch_queue(
     queue: QueueName, act: QueueAct, body: ReasonBody, caller: Administrator, platform: PlatformDep
 ) -> QueueItem:
-    """`pause`: nothing new starts. `drain`: what is queued runs, nothing is added. `resume`: open again."""
+    """`pause`: no job starts. `drain`: queued jobs run, no job is added. `resume`: normal operation."""
     if queue not in QUEUES:
         raise NotFoundError("queue", queue)
     with platform.database.transaction() as session:
@@ -167,9 +171,9 @@ def switch_queue(
         return queue_items(session, wake_ups)[QUEUES.index(queue)]
 
 
-@router.get("/workers", summary="The workers and what they run", responses=refusals(403))
+@router.get("/workers", summary="List the workers and their jobs", responses=refusals(403))
 def list_workers(_caller: Administrator, platform: PlatformDep) -> WorkersAnswer:
-    """Who works and what runs now, by the database, and whether the broker answers."""
+    """From the database, with the availability of the broker."""
     is_reachable = all(count is not None for count in pending_wake_ups_of(platform).values())
     with platform.database.reading() as session:
         workers, running = worker_items(session, platform.settings), running_items(session)

@@ -36,7 +36,9 @@ AS_PAGE: Responses = {200: {"model": RescoreDiffAnswer, "content": {"text/markdo
 def create_rescore(
     phase_id: IdPath, body: NewRescoreBody, caller: Administrator, platform: PlatformDep, response: Response
 ) -> RescoreItem:
-    """Score all standing entries by another pair; asked again, what is missing is taken up. The board stays."""
+    """Score all standing entries by another ground truth or metric; a repetition scores the missing ones. The board
+    stays.
+    """
     with platform.database.transaction() as session:
         phase = phase_of(session, phase_id)
         asked = NewRescore(_asked(session, phase, body), caller.user_id, body.reason)
@@ -49,7 +51,7 @@ def create_rescore(
 
 @router.get("", responses=refusals(404))
 def list_rescores(phase_id: IdPath, _caller: Administrator, platform: PlatformDep, query: PageDep) -> Page[RescoreItem]:
-    """The re-scores of the phase, newest first."""
+    """List the re-scores of the phase, newest first."""
     with platform.database.reading() as session:
         of_phase = select(Rescore).where(Rescore.phase_id == phase_of(session, phase_id).id)
         return page(session, of_phase, Rescore.id.desc(), query).shown(lambda row: rescore_item(session, row))
@@ -57,14 +59,14 @@ def list_rescores(phase_id: IdPath, _caller: Administrator, platform: PlatformDe
 
 @router.get("/{rescore_id}", responses=refusals(404))
 def show_rescore(phase_id: IdPath, rescore_id: IdPath, _caller: Administrator, platform: PlatformDep) -> RescoreItem:
-    """A re-score and how far it is."""
+    """Show a re-score and its progress."""
     with platform.database.reading() as session:
         return rescore_item(session, rescore_of(session, phase_id, rescore_id))
 
 
 @router.get(
     "/{rescore_id}/diff",
-    summary="What activating a re-score would change",
+    summary="Show the effects of activating a re-score",
     response_model=RescoreDiffAnswer,
     responses={**AS_PAGE, **refusals(404)},
 )
@@ -76,7 +78,7 @@ def show_rescore_diff(
     response: Response,
     form: Form = "json",
 ) -> RescoreDiffAnswer | PlainTextResponse:
-    """What the switch changes in rank and value, as JSON or as a page; the ETag is the If-Match of `activate`."""
+    """Changes of ranks and values, as JSON or as a page; the ETag is the If-Match of `activate`."""
     with platform.database.reading() as session:
         rescore = rescore_of(session, phase_id, rescore_id)
         tag = etag(board_revision(session, rescore.phase_id))
@@ -97,7 +99,7 @@ def activate_rescore(
     platform: PlatformDep,
     request: Request,
 ) -> ActivationItem:
-    """Switch the board to the new pair, at once and as a whole; the old one stays readable by `as_of`."""
+    """Switches the whole board to the new pair at once; the old board stays readable by `as_of`."""
     with platform.database.transaction() as session:
         rescore = rescore_of(session, phase_id, rescore_id)
         lock_phase(session, phase_id)
@@ -113,7 +115,7 @@ def activate_rescore(
 def abandon_rescore(
     phase_id: IdPath, rescore_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep
 ) -> RescoreItem:
-    """Give a re-score up: its run stops, and new submissions are not scored by its pair any more."""
+    """Abandon a re-score: its run stops, and new submissions are no longer scored by its pair."""
     with platform.database.transaction() as session:
         rescore = rescore_of(session, phase_id, rescore_id)
         abandon(session, rescore, body.reason)
@@ -125,7 +127,7 @@ def _asked(session: Session, phase: Phase, body: NewRescoreBody) -> EvaluationVe
     """The pair that is meant; what is not said is as on the board."""
     current = active(session, phase.id)
     if current is None:
-        raise ApiError("conflict", "the phase has no board yet; it comes with the first ground truth that is ready")
+        raise ApiError("conflict", "the phase has no board yet; its first ground truth must be ready")
     return EvaluationVersion(body.truth_id or current.truth_id, body.metric or current.metric)
 
 

@@ -29,7 +29,7 @@ router = APIRouter(prefix="/admin/phases/{phase_id}", tags=["benchmarks"])
 def create_ground_truth(
     phase_id: IdPath, body: NewTruthBody, caller: Administrator, platform: PlatformDep, response: Response
 ) -> TruthAccepted:
-    """Have a ground truth made. Once the phase has entries, of a version with exactly the same frames."""
+    """Create a ground truth. If the phase has entries, its version must have exactly the same frames."""
     with platform.database.reading() as session:
         phase = phase_of(session, phase_id)
         dataset = _dataset(session, phase, body.dataset)
@@ -46,7 +46,7 @@ def create_ground_truth(
 def list_ground_truths(
     phase_id: IdPath, _caller: Administrator, platform: PlatformDep, query: PageDep
 ) -> Page[TruthItem]:
-    """The ground truths of the phase, newest first."""
+    """List the ground truths of the phase, newest first."""
     with platform.database.reading() as session:
         phase = phase_of(session, phase_id)
         rows = page(
@@ -55,23 +55,23 @@ def list_ground_truths(
         return Page[TruthItem](items=truth_items(session, phase, rows.rows), next=rows.next)
 
 
-@router.get("/reported", summary="The reported rows of the phase", responses=refusals(404))
+@router.get("/reported", summary="List the reported rows of the phase", responses=refusals(404))
 def list_reported_results(
     phase_id: IdPath, _caller: Administrator, platform: PlatformDep, response: Response
 ) -> Page[ReportedItem]:
-    """The reported rows of the phase, by method and modality: what is put back is what stands."""
+    """By method and modality. You can send the list back unchanged."""
     with platform.database.reading() as session:
         items = [reported_item(row) for row in reported_in(session, phase_of(session, phase_id).id)]
     return set_head(response, whole(items), tag=reported_tag(items))
 
 
-@router.put("/reported", responses=refusals(404, 409, 412))
+@router.put("/reported", summary="Replace all reported rows of the phase", responses=refusals(404, 409, 412))
 def replace_reported_results(
     phase_id: IdPath, body: ReportedBody, caller: Administrator, platform: PlatformDep, request: Request
 ) -> Page[ReportedItem]:
-    """Put all reported rows of the phase at once; they are marked on the board and never ranked.
+    """The board marks them and never ranks them.
 
-    With If-Match only where the rows are still those that were read.
+    With If-Match, the request fails if the rows have changed since.
     """
     with platform.database.transaction() as session:
         phase = lock_phase(session, phase_of(session, phase_id).id)

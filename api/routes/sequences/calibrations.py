@@ -64,7 +64,7 @@ def create_calibration(
     response: Response,
     validity: ValidityDep,
 ) -> CalibrationItem:
-    """Keep a calibration: 201 for a new version of its name, 200 for one that is known with these times already."""
+    """201 for a new version of its name, 200 if the same content already exists with these times."""
     with calibration_reading.received(file.file, file.filename or "") as path:
         read = replace(calibration_reading.read(path), validity=validity)
         prepared = blobs.prepare(platform.store, platform.database, path)
@@ -81,7 +81,7 @@ def create_calibration(
 def list_calibrations(
     caller: Reader, platform: PlatformDep, query: PageDep, name: NameQuery = None
 ) -> Page[CalibrationItem]:
-    """The caller's calibrations, newest first; an administrator sees everybody's."""
+    """List your calibrations, newest first; administrators see all calibrations."""
     statement = theirs(select(CalibrationRow), caller, CalibrationRow.owner_id)
     statement = statement if name is None else statement.where(CalibrationRow.name == name)
     with platform.database.reading() as session:
@@ -92,7 +92,7 @@ def list_calibrations(
 def show_calibration(
     calibration_id: IdPath, caller: Reader, platform: PlatformDep, response: Response
 ) -> CalibrationItem:
-    """A calibration's sensors and what was noticed about it."""
+    """Show a calibration's sensors and findings."""
     with platform.database.reading() as session:
         shown = CalibrationItem.of(calibration_of(session, caller, calibration_id))
     return set_head(response, shown, tag=shown.sha256)
@@ -100,7 +100,7 @@ def show_calibration(
 
 @router.get("/{calibration_id}/file", response_class=Response, responses=file_responses(YAML, ZIP))
 def download_calibration(calibration_id: IdPath, caller: Reader, platform: PlatformDep, request: Request) -> Response:
-    """The file as it was uploaded."""
+    """Download the calibration file as it was uploaded."""
     with platform.database.reading() as session:
         row = calibration_of(session, caller, calibration_id)
         blob = session.get_one(Blob, row.blob_sha256)
@@ -109,9 +109,9 @@ def download_calibration(calibration_id: IdPath, caller: Reader, platform: Platf
     return answer_file(request, platform.store, file)
 
 
-@router.get("/{calibration_id}/diff", summary="How two calibrations differ", responses=refusals(404))
+@router.get("/{calibration_id}/diff", summary="Compare two calibrations", responses=refusals(404))
 def compare_calibrations(
     calibration_id: IdPath, caller: Reader, platform: PlatformDep, against: AgainstQuery = None
 ) -> CalibrationDiffItem:
-    """How far every sensor moved and turned from `against` to this calibration, and what of its lens changed."""
+    """Returns how far each sensor moved and turned from `against` to this calibration, and the changes of its lens."""
     return changes(platform, caller, calibration_id, against)

@@ -59,7 +59,7 @@ AtExport = Annotated[ExportPath, Depends(at_once(ExportPath))]
 def create_export(
     sequence_id: IdPath, body: NewExportBody, caller: Curator, platform: PlatformDep, response: Response
 ) -> ExportAccepted:
-    """Have the labels that count written in a format; an export that failed is tried again."""
+    """Export the active labels; a failed export is tried again."""
     with platform.database.transaction() as session:
         sequence = sequence_of(session, caller, sequence_id)
         export, job = start_export(session, sequence, body.format)
@@ -75,16 +75,16 @@ def create_export(
 def list_exports(
     sequence_id: IdPath, caller: Reader, platform: PlatformDep, query: PageDep, request: Request
 ) -> Response:
-    """The exports of a sequence, newest first; stale ones too."""
+    """List the exports of a sequence, newest first; includes stale exports."""
     with platform.database.lookups() as session:
         found = page(session, exports_shown_to(session, caller, sequence_id), Export.id.desc(), query)
         shown = Page[ExportItem](items=export_items(session, sequence_id, found.rows), next=found.next)
     return model_response(request, shown)
 
 
-@router.get("/{export_id}", summary="An export and its progress", responses=refusals(404))
+@router.get("/{export_id}", summary="Show an export", responses=refusals(404))
 def show_export(at: AtExport, caller: Reader, platform: PlatformDep) -> ExportItem:
-    """An export: how far it is, what it was made of, how large it is."""
+    """Show an export: progress, sources and size."""
     with platform.database.reading() as session:
         export = readable_export(session, caller, at.sequence_id, at.export_id)
         return export_items(session, export.sequence_id, [export])[0]
@@ -92,7 +92,7 @@ def show_export(at: AtExport, caller: Reader, platform: PlatformDep) -> ExportIt
 
 @router.delete("/{export_id}", name="delete_export", status_code=204, responses=refusals(403, 404))
 def remove_export(at: AtExport, caller: Curator, platform: PlatformDep) -> None:
-    """Delete an export and give its bytes back; a job that is at it is told to stop."""
+    """Delete an export and release its storage; its job is stopped."""
     with platform.database.transaction() as session:
         export = export_of(session, caller, at.sequence_id, at.export_id)
         facts = {"format": export.format, "sequence_id": export.sequence_id}
@@ -100,9 +100,13 @@ def remove_export(at: AtExport, caller: Curator, platform: PlatformDep) -> None:
         delete_export(session, export)
 
 
-@router.get("/{export_id}/files", summary="The files of an export", responses=refusals(404, 409))
+@router.get(
+    "/{export_id}/files",
+    summary="List the files of an export in the order of the archives",
+    responses=refusals(404, 409),
+)
 def list_export_files(at: AtExport, caller: Reader, platform: PlatformDep, query: PageDep) -> Page[ExportFileItem]:
-    """The files of an export in the order of the archives: by name, and the checksums last."""
+    """List the files of an export in the order of the archives: by name, the checksums last."""
     stored, _, _ = _finished(platform, caller, at)
     files = stored.files
     places, following = place_of_page(len(files), query)
@@ -119,12 +123,12 @@ def list_export_files(at: AtExport, caller: Reader, platform: PlatformDep, query
     response_class=Response,
     responses=FILE | refusals(409),
     name="describe_export_file",
-    description="Size and checksum of a file.",
+    description="Show size and checksum of a file.",
 )
 def download_export_file(
     at: AtExport, path: FilePath, caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:
-    """One file of an export; `sha256sum.txt` has the checksums of all others."""
+    """Download one file of an export; `sha256sum.txt` contains the checksums of all others."""
     stored, _, _ = _finished(platform, caller, at)
     return answer_bytes(request, served_file(platform.store, stored, path))
 
@@ -135,12 +139,12 @@ def download_export_file(
     response_class=Response,
     responses=ARCHIVE | refusals(409),
     name="describe_export_archive",
-    description="Size and checksum of an archive.",
+    description="Show size and checksum of an archive.",
 )
 def download_export_archive(
     at: AtExport, caller: Reader, platform: PlatformDep, request: Request, kind: Kind = "tar"
 ) -> Response:
-    """All files of an export in one; ranges are served, the sha256 is the ETag."""
+    """Download all files of an export in one archive; supports ranges, and the ETag is the sha256."""
     stored, export, sequence = _finished(platform, caller, at)
     called = (f"{sequence.name}-{export.format}", archive_sha256_of(export, kind))
     return answer_bytes(request, served_archive(platform.store, stored, kind, called))

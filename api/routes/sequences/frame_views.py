@@ -25,14 +25,14 @@ PNG, JPEG = "image/png", "image/jpeg"
 
 @router.get(
     "/voxels",
-    summary="A frame's voxels: class and whether seen (STV1)",
+    summary="Download a frame's voxels (STV1)",
     response_class=Response,
     responses=file_responses(VOXELS),
 )
 def download_voxels(
     token: TokenPath, caller: Looker, platform: PlatformDep, request: Request, version: VersionQuery = None
 ) -> Response:
-    """The classes of all voxels and which were seen, three bits each (`STV1`)."""
+    """The class of each voxel and whether LiDAR and camera observed it, three bits each."""
     with platform.database.reading() as session:
         file = labels_file(session, caller, token, version)
     facts = GeneratedFile(VOXELS, f"{token}-voxels.bin", file.is_lasting)
@@ -48,7 +48,7 @@ def download_frame_picture(
     version: VersionQuery = None,
     colours: ColoursQuery = "default",
 ) -> Response:
-    """The labels from above, forward up; grey is what was never seen, and the ground is transparent."""
+    """Download the labels from above, forward up; unobserved voxels are grey, the ground is transparent."""
     with platform.database.reading() as session:
         file = labels_file(session, caller, token, version)
     facts = GeneratedFile(PNG, f"{token}-bev.png", file.is_lasting)
@@ -64,26 +64,31 @@ def download_camera_picture(
     request: Request,
     version: VersionQuery = None,
 ) -> Response:
-    """What a camera saw, at most 640 pixels wide; `no_playback` while there are no pictures."""
+    """Download a camera's picture, at most 640 pixels wide; 404 `no_playback` without a playback."""
     served = played_file(platform, (caller, token, version), partial(camera_file, channel))
     return answer_bytes(request, replace(served, media_type=JPEG))
 
 
-@router.get("/cloud", summary="A frame's point cloud (STC1)", response_class=Response, responses=file_responses(CLOUD))
+@router.get(
+    "/cloud", summary="Download a frame's point cloud (STC1)", response_class=Response, responses=file_responses(CLOUD)
+)
 def download_point_cloud(
     token: TokenPath, caller: Looker, platform: PlatformDep, request: Request, version: VersionQuery = None
 ) -> Response:
-    """The sweep, at most 40,000 points in the ego frame (`STC1`); `no_playback` while there are none."""
+    """At most 40,000 points in the ego frame; 404 `no_playback` without a playback."""
     served = played_file(platform, (caller, token, version), cloud_file)
     return answer_bytes(request, replace(served, media_type=CLOUD))
 
 
 @router.get(
-    "/radar", summary="A frame's radar detections (STE1)", response_class=Response, responses=file_responses(RADAR)
+    "/radar",
+    summary="Download a frame's radar detections (STE1)",
+    response_class=Response,
+    responses=file_responses(RADAR),
 )
 def download_radar(
     token: TokenPath, caller: Looker, platform: PlatformDep, request: Request, version: VersionQuery = None
 ) -> Response:
-    """Return the detections of all radars, in the ego frame at the frame's stamp, with speeds over ground (`STE1`)."""
+    """Return the detections of all radars in the ego frame at the frame's stamp, with speeds over ground."""
     served = played_file(platform, (caller, token, version), radar_file)
     return answer_bytes(request, replace(served, media_type=RADAR))

@@ -22,7 +22,7 @@ TokenPath = Annotated[str, Path(pattern=ID_PATTERN, examples=[ID_EXAMPLE])]
 
 @router.get("", responses=refusals(404))
 def show_frame(token: TokenPath, caller: Looker, platform: PlatformDep) -> FrameDetail:
-    """A labelled frame, with where it comes from."""
+    """Show a labelled frame and its origin."""
     with platform.database.reading() as session:
         frame, labels = frame_of(session, caller, token)
     return FrameDetail.of(
@@ -35,9 +35,11 @@ def show_frame(token: TokenPath, caller: Looker, platform: PlatformDep) -> Frame
     )
 
 
-@router.get("/labels.npz", summary="A frame's labels (npz)", response_class=Response, responses=file_responses(NPZ))
+@router.get(
+    "/labels.npz", summary="Download a frame's labels (npz)", response_class=Response, responses=file_responses(NPZ)
+)
 def download_labels(token: TokenPath, caller: Looker, platform: PlatformDep, request: Request) -> Response:
-    """`semantics`, `mask_lidar` and `mask_camera` of a frame, (256, 256, 32) uint8 each, as a NumPy npz."""
+    """The arrays `semantics`, `mask_lidar` and `mask_camera` of a frame, each (256, 256, 32) uint8."""
     with platform.database.reading() as session:
         file = labels_file(session, caller, token)
     return answer_file(request, platform.store, file)

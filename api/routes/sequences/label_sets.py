@@ -62,7 +62,7 @@ AtComparison = Annotated[ComparisonPath, Depends(at_once(ComparisonPath))]
 
 @router.get("/label-sets", responses=refusals(404))
 def list_label_sets(sequence_id: IdPath, caller: Reader, platform: PlatformDep, query: PageDep) -> Page[LabelSetItem]:
-    """The label sets of a sequence, newest first; which counts is said of each."""
+    """List the label sets of a sequence, newest first; `is_counting` marks the active set."""
     with platform.database.reading() as session:
         sequence = sequence_of(session, caller, sequence_id)
         of_sequence = select(LabelSet).where(LabelSet.sequence_id == sequence.id)
@@ -74,7 +74,7 @@ def list_label_sets(sequence_id: IdPath, caller: Reader, platform: PlatformDep, 
 def activate_label_set(
     sequence_id: IdPath, label_set_id: IdPath, caller: Curator, platform: PlatformDep
 ) -> LabelSetItem:
-    """Make a label set the active one of its sequence: pages, exports and new dataset versions use it from then on."""
+    """Activate a label set: pages, exports and new dataset versions then use it."""
     with platform.database.transaction() as session:
         labels = label_set_of(session, caller, sequence_id, label_set_id)
         facts = {"sequence_id": labels.sequence_id, "recipe": labels.recipe}
@@ -88,7 +88,7 @@ def activate_label_set(
     "/label-sets/{label_set_id}", name="delete_label_set", status_code=204, responses=refusals(403, 404, 409)
 )
 def remove_label_set(sequence_id: IdPath, label_set_id: IdPath, caller: Curator, platform: PlatformDep) -> None:
-    """Delete a label set that nothing relies on, with its comparisons and its playback, and free its storage."""
+    """Delete an unused label set; its comparisons, its playback and its storage are deleted too."""
     with platform.database.transaction() as session:
         labels = label_set_of(session, caller, sequence_id, label_set_id)
         facts = {"sequence_id": labels.sequence_id, "recipe": labels.recipe}
@@ -98,14 +98,14 @@ def remove_label_set(sequence_id: IdPath, label_set_id: IdPath, caller: Curator,
 
 @router.get(
     "/label-sets/{label_set_id}/frames/{token}/voxels",
-    summary="A frame's voxels in any label set (STV1)",
+    summary="Download a frame's voxels in any label set (STV1)",
     response_class=Response,
     responses=file_responses(VOXELS),
 )
 def download_label_set_voxels(
     at: LabelSetAt, token: TokenPath, caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:
-    """The classes of all voxels and which were seen (`STV1`); the token may be that of another set's same frame."""
+    """The class of each voxel and whether it was observed. The token may be that of the same frame in another set."""
     with platform.database.reading() as session:
         labels = label_set_of(session, caller, at.sequence_id, at.label_set_id)
         file = stored_frame(session, labels, token)
@@ -119,7 +119,7 @@ def download_label_set_voxels(
 def create_label_comparison(
     sequence_id: IdPath, body: NewLabelComparisonBody, caller: Curator, platform: PlatformDep, response: Response
 ) -> LabelComparisonAccepted:
-    """Have two label sets compared; a comparison that failed is tried again."""
+    """Compare two label sets; a failed comparison is tried again."""
     with platform.database.transaction() as session:
         sequence = sequence_of(session, caller, sequence_id)
         comparison, job = start_comparison(session, sequence, body.a_id, body.b_id)
@@ -134,7 +134,7 @@ def create_label_comparison(
 def list_label_comparisons(
     sequence_id: IdPath, caller: Reader, platform: PlatformDep, query: PageDep
 ) -> Page[LabelComparisonItem]:
-    """The comparisons of a sequence's label sets, newest first."""
+    """List the comparisons of a sequence's label sets, newest first."""
     with platform.database.reading() as session:
         sequence = sequence_of(session, caller, sequence_id)
         of_sequence = select(LabelComparison).where(LabelComparison.sequence_id == sequence.id)
@@ -142,9 +142,9 @@ def list_label_comparisons(
         return Page[LabelComparisonItem](items=comparison_items(session, found.rows), next=found.next)
 
 
-@router.get("/label-comparisons/{comparison_id}", summary="A comparison of two label sets", responses=refusals(404))
+@router.get("/label-comparisons/{comparison_id}", summary="Show a comparison", responses=refusals(404))
 def show_label_comparison(at: AtComparison, caller: Reader, platform: PlatformDep) -> LabelComparisonItem:
-    """A comparison: how far it is, and how alike the two are."""
+    """Show a comparison: its progress and result."""
     with platform.database.reading() as session:
         row = label_comparison_of(session, caller, at.sequence_id, at.comparison_id)
         return comparison_items(session, [row])[0]
@@ -152,7 +152,7 @@ def show_label_comparison(at: AtComparison, caller: Reader, platform: PlatformDe
 
 @router.get(
     "/label-comparisons/{comparison_id}/frames/{token}.png",
-    summary="A frame of both label sets from above",
+    summary="Download the picture of a frame in both label sets",
     response_class=Response,
     responses=file_responses(PNG),
 )
@@ -164,21 +164,21 @@ def download_label_difference(
     request: Request,
     colours: ColoursQuery = "default",
 ) -> Response:
-    """The labels of a frame from above: A, B, and where they differ."""
+    """The labels from above: A, B, and their difference."""
     picture = pair_picture(platform.store, _pair(platform, caller, at, token), colours)
     return answer_made(request, picture, GeneratedFile(PNG, f"{token}-difference.png"))
 
 
 @router.get(
     "/label-comparisons/{comparison_id}/frames/{token}/voxels",
-    summary="How the voxels of a frame differ (STD1)",
+    summary="Download the voxel differences of a frame (STD1)",
     response_class=Response,
     responses=file_responses(DIFFERENCES),
 )
 def download_difference_voxels(
     at: AtComparison, token: TokenPath, caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:
-    """How each voxel of a frame differs between A and B, three bits each (`STD1`)."""
+    """The difference of each voxel between A and B, three bits each."""
     content = pair_differences(platform.store, _pair(platform, caller, at, token))
     return answer_made(request, content, GeneratedFile(DIFFERENCES, f"{token}-differences.bin"))
 

@@ -33,9 +33,10 @@ router = APIRouter(prefix="/sequences/{sequence_id}", tags=["processing"])
 def process_sequence(
     sequence_id: IdPath, body: ProcessBody, caller: Curator, platform: PlatformDep, response: Response
 ) -> JobDetail:
-    """Have the sequence labelled; the job at `Location` says how far it is.
+    """Label a sequence; the job at `Location` reports its progress.
 
-    A ground that its recording shows far off the ego origin of the calibration is refused, unless `ground` is `auto`.
+    If the recording shows the ground far off the ego origin of the calibration, the request is refused unless `ground`
+    is `auto`.
     """
     asked = body.chosen()
     with platform.database.reading() as session:
@@ -50,7 +51,7 @@ def process_sequence(
 
 @router.get("/frames", responses=refusals(404))
 def list_frames(sequence_id: IdPath, caller: Looker, platform: PlatformDep, query: PageDep) -> Page[FrameItem]:
-    """The labelled frames in the order of time."""
+    """List the labelled frames in the order of time."""
     with platform.database.reading() as session:
         labels = newest_label_set(session, shown_sequence(session, caller, sequence_id).id)
         statement = select(LabelledFrameRow).where(LabelledFrameRow.label_set_id == labels.id)
@@ -58,47 +59,52 @@ def list_frames(sequence_id: IdPath, caller: Looker, platform: PlatformDep, quer
 
 
 @router.get(
-    "/report", summary="The labelling report", response_class=Response, responses=file_responses("application/json")
+    "/report",
+    summary="Download the labelling report",
+    response_class=Response,
+    responses=file_responses("application/json"),
 )
 def download_report(sequence_id: IdPath, caller: Looker, platform: PlatformDep, request: Request) -> Response:
-    """What the labels were made of, with which parameters, how good the poses were and what was noticed."""
+    """It contains the sources and parameters of the labels, the quality of the poses, and the findings."""
     return _artefact(request, platform, caller, sequence_id, "report.json")
 
 
 @router.get("/frames.parquet", response_class=Response, responses=file_responses("application/vnd.apache.parquet"))
 def download_frame_table(sequence_id: IdPath, caller: Looker, platform: PlatformDep, request: Request) -> Response:
-    """One row for each LiDAR stamp, usable or not: token, pose, what was associated, why it is excluded."""
+    """Download one row for each LiDAR stamp (Parquet): token, pose, associated data, and the reason if the frame is
+    excluded.
+    """
     return _artefact(request, platform, caller, sequence_id, "frames.parquet")
 
 
 @router.get("/grid.json", response_class=Response, responses=file_responses("application/json"))
 def download_grid(sequence_id: IdPath, caller: Looker, platform: PlatformDep, request: Request) -> Response:
-    """The grid that the labels were cut at, as `stone score --grid` reads it; earlier labels have no such file."""
+    """Download the grid of the labels, as `stone score --grid` reads it; labels of older releases have no such file."""
     return _artefact(request, platform, caller, sequence_id, "grid.json")
 
 
 @router.get(
     "/sequence.npz",
-    summary="The synchronised sequence (npz)",
+    summary="Download the synchronised sequence (npz)",
     response_class=Response,
     responses=file_responses("application/octet-stream"),
 )
 def download_synchronised_sequence(
     sequence_id: IdPath, caller: Looker, platform: PlatformDep, request: Request
 ) -> Response:
-    """The synchronised sequence itself, of which `stone export` makes other formats beside the recording."""
+    """With the recording, `stone export` converts it to other formats."""
     return _artefact(request, platform, caller, sequence_id, "sequence.npz")
 
 
 @router.get("/mesh", response_class=Response, responses=file_responses("model/ply"))
 def download_mesh(sequence_id: IdPath, caller: Looker, platform: PlatformDep, request: Request) -> Response:
-    """The mesh of the whole sequence as binary PLY; ranges are served."""
+    """Download the mesh of the whole sequence as binary PLY; supports ranges."""
     return _artefact(request, platform, caller, sequence_id, "mesh.ply")
 
 
 @router.get(
     "/previews/{name}",
-    summary="A preview picture of a sequence",
+    summary="Download a preview picture of a sequence",
     response_class=Response,
     responses=file_responses(*PICTURE_TYPES),
 )
@@ -110,9 +116,9 @@ def download_preview(
     request: Request,
     colours: ColoursQuery = "default",
 ) -> Response:
-    """A picture: `bev.png` shows the labels from above, `overlay_CAM_FRONT.jpg` the LiDAR's points on a camera's image.
+    """`bev.png` shows the labels from above, `overlay_CAM_FRONT.jpg` the LiDAR points on a camera image.
 
-    Overlays are those of the run that made the labels that count; before there are any, of the last run.
+    Overlays belong to the run that made the active labels, or to the last run if there are no labels.
     """
     with platform.database.reading() as session:
         sequence = shown_sequence(session, caller, sequence_id)

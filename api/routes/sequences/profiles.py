@@ -32,7 +32,7 @@ Choices = Annotated[list[Choice], Query(alias="topic", max_length=MOST_TOPICS, e
 
 @router.get("/profiles", responses=refusals())
 def list_profiles(caller: Reader, platform: PlatformDep, query: PageDep) -> Page[ProfileItem]:
-    """The caller's profiles, newest first."""
+    """List your profiles, newest first."""
     statement = select(ProfileRow).where(ProfileRow.owner_id == caller.user_id)
     with platform.database.reading() as session:
         return page(session, statement, ProfileRow.id.desc(), query).shown(ProfileItem.of)
@@ -40,7 +40,7 @@ def list_profiles(caller: Reader, platform: PlatformDep, query: PageDep) -> Page
 
 @router.get("/profiles/{platform_name}", responses=refusals(404))
 def show_profile(platform_name: PlatformName, caller: Reader, platform: PlatformDep, response: Response) -> ProfileItem:
-    """The topics that the caller chose for a platform."""
+    """Show the topics that you chose for a platform."""
     with platform.database.reading() as session:
         row = profile_of(session, caller.user_id, platform_name)
         if row is None:
@@ -58,7 +58,7 @@ def save_profile(
     request: Request,
     response: Response,
 ) -> ProfileItem:
-    """Choose the topics of a platform: 201 for a new profile; one that exists is replaced, by If-Match."""
+    """Choose the topics of a platform: 201 for a new profile; replacing an existing profile requires If-Match."""
     topics = Chosen(body.topics, platform_name).topics
     with platform.database.transaction() as session:
         row = lock_profile(session, caller.user_id, platform_name)
@@ -74,7 +74,7 @@ def save_profile(
 
 @router.get(
     "/sequences/{sequence_id}/recordings/{recording_id}/roles",
-    summary="Which topic plays which part",
+    summary="Show the topic of each role",
     responses=refusals(404, 409),
 )
 def show_roles(
@@ -84,15 +84,15 @@ def show_roles(
     platform: PlatformDep,
     choices: Choices = [],  # noqa: B006
 ) -> RolesAnswer:
-    """Which topic would play which part, by the platform's profile and the choices given (`topic=PART=NAME`).
+    """Resolves the topics with the platform's profile and the given choices (`topic=PART=NAME`).
 
-    Nothing is saved. 409 until the recording was read.
+    Saves nothing. 409 until the recording is registered.
     """
     with platform.database.reading() as session:
         sequence = sequence_of(session, caller, sequence_id)
         inspection = recording_of(session, caller, sequence_id, recording_id).inspection
         if inspection is None:
-            raise ApiError("conflict", "the recording was not read yet, or could not be: see its state and findings")
+            raise ApiError("conflict", "the recording is not registered; see its state and findings")
         saved, frames = topics_of(session, sequence), _channel_of_frame(session, sequence)
     made = dict(_choice(choice) for choice in choices)
     chosen = {part: topic for part, topic in saved.items() if topic not in made.values()} | made

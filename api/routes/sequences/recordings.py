@@ -44,9 +44,10 @@ class RecordingPreview:
 def create_recording(
     sequence_id: IdPath, body: NewRecordingBody, caller: Curator, platform: PlatformDep, response: Response
 ) -> RecordingAccepted:
-    """Make a recording of complete uploads of the caller's; the job reads and keeps it. An upload serves once.
+    """Create a recording from your complete uploads; a job reads and keeps it. An upload can be used once.
 
-    The files of a bag are taken all or none. A bag `in_place` is read where it lies; the job finds whether it is there.
+    Of a bag of several files, all files are accepted or none. A bag `in_place` is read where it lies; the job checks
+    that it exists.
     """
     with platform.database.transaction() as session:
         sequence, facts = sequence_of(session, caller, sequence_id), {"sequence_id": sequence_id}
@@ -63,7 +64,7 @@ def create_recording(
 
 @router.get("", responses=refusals(404))
 def list_recordings(sequence_id: IdPath, caller: Reader, platform: PlatformDep, query: PageDep) -> Page[RecordingItem]:
-    """The recordings of a sequence, oldest first."""
+    """List the recordings of a sequence, oldest first."""
     with platform.database.reading() as session:
         sequence = sequence_of(session, caller, sequence_id)
         statement = select(Recording).where(Recording.sequence_id == sequence.id)
@@ -72,14 +73,14 @@ def list_recordings(sequence_id: IdPath, caller: Reader, platform: PlatformDep, 
 
 @router.get("/{recording_id}", responses=refusals(404))
 def show_recording(sequence_id: IdPath, recording_id: IdPath, caller: Reader, platform: PlatformDep) -> RecordingDetail:
-    """A recording with what its inspection said."""
+    """Show a recording with its inspection."""
     with platform.database.reading() as session:
         return recording_detail(session, recording_of(session, caller, sequence_id, recording_id))
 
 
 @router.get(
     "/{recording_id}/previews/{name}",
-    summary="A preview picture of a recording",
+    summary="Download a preview of a recording",
     response_class=Response,
     responses=file_responses(*PREVIEW_TYPES),
 )
@@ -89,7 +90,7 @@ def download_recording_preview(
     platform: PlatformDep,
     request: Request,
 ) -> Response:
-    """`cameras.jpg`, `sweep.png`, `track.png`; `quality.html`, a page for people, and `quality.json` for programs."""
+    """`cameras.jpg`, `sweep.png`, `track.png`, `quality.html` (page) or `quality.json` (for programs)."""
     with platform.database.reading() as session:
         recording = recording_of(session, caller, at.sequence_id, at.recording_id)
         file = recording_preview(session, recording, at.name)
@@ -98,7 +99,9 @@ def download_recording_preview(
 
 @router.delete("/{recording_id}", status_code=204, responses=refusals(403, 404, 409))
 def delete_recording(sequence_id: IdPath, recording_id: IdPath, caller: Curator, platform: PlatformDep) -> None:
-    """Take a recording away and give its bytes back; labels that were made of it stay. Not while a run reads it."""
+    """Delete a recording and release its storage; existing labels stay. A recording that a run is reading cannot be
+    deleted.
+    """
     with platform.database.transaction() as session:
         recording = recording_of(session, caller, sequence_id, recording_id)
         remove_recording(session, recording)
@@ -107,5 +110,5 @@ def delete_recording(sequence_id: IdPath, recording_id: IdPath, caller: Curator,
 
 @roots_router.get("", responses=refusals(403))
 def list_recording_roots(caller: Curator, platform: PlatformDep) -> RecordingRoots:
-    """The names below which a curator may name bags in place; an administrator sets them."""
+    """List the roots below which a curator can name bags in place; an administrator configures them."""
     return RecordingRoots(roots=platform.settings.in_place.roots)

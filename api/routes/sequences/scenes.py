@@ -30,19 +30,22 @@ PlaybackQuery = Annotated[
 
 @router.get(
     "",
-    summary="The scene of the 3D view",
+    summary="Show the scene of the 3D view",
     response_class=Response,
-    responses={200: {"model": SceneDetail}, 304: {"description": "The caller has it already"}, **refusals(404)},
+    responses={200: {"model": SceneDetail}, 304: {"description": "The caller's copy is current"}, **refusals(404)},
 )
 def show_scene(sequence_id: IdPath, caller: Looker, platform: PlatformDep, request: Request) -> Response:
-    """The grid, the frames with their poses, the tiles of the map, and what can be played beside them."""
+    """The grid, the frames with their poses, the tiles of the map, and the playback."""
     with platform.database.reading() as session:
         scene = scene_of(session, caller, sequence_id)
     return answer_made(request, scene_bytes(platform.store, scene), GeneratedFile(JSON, scene.file.filename))
 
 
 @router.get(
-    "/cameras", response_class=Response, responses=file_responses(CAMERAS), summary="Lens rays and camera poses"
+    "/cameras",
+    response_class=Response,
+    responses=file_responses(CAMERAS),
+    summary="Download the camera poses and lens rays (STR1)",
 )
 def download_scene_cameras(
     sequence_id: IdPath,
@@ -51,7 +54,7 @@ def download_scene_cameras(
     request: Request,
     version: PlaybackQuery = None,
 ) -> Response:
-    """How the pictures of the playback look at the labels (`STR1`); `no_playback` while there are no pictures."""
+    """They place the pictures of the playback over the labels; 404 `no_playback` without a playback."""
     return answer_bytes(request, played_cameras(platform, (caller, sequence_id, version)))
 
 
@@ -64,7 +67,7 @@ def download_scene_tile(
     request: Request,
     version: VersionQuery = None,
 ) -> Response:
-    """The labelled voxels of a tile: class, elevation, slope, roughness and D² of each (`STT1`)."""
+    """Download the labelled voxels of a tile: class, elevation, slope, roughness and D² of each (`STT1`)."""
     with platform.database.reading() as session:
         file = scene_file(session, caller, sequence_id, f"tile_{tile_name}", version)
     return answer_file(request, platform.store, file)
@@ -72,7 +75,7 @@ def download_scene_tile(
 
 @router.get(
     "/meshes/{tile_name}",
-    summary="The surface of a tile (STM1)",
+    summary="Download the surface of a tile (STM1)",
     response_class=Response,
     responses=file_responses(BINARY),
 )
@@ -84,7 +87,7 @@ def download_scene_mesh(
     request: Request,
     version: VersionQuery = None,
 ) -> Response:
-    """The thinned surface of a tile, its vertices with their class (`STM1`)."""
+    """The thinned surface; each vertex has a class."""
     with platform.database.reading() as session:
         file = scene_file(session, caller, sequence_id, f"mesh_{tile_name}", version)
     return answer_file(request, platform.store, file)

@@ -43,7 +43,7 @@ router = APIRouter(prefix="/sequences", tags=["sequences"])
 def create_sequence(
     body: NewSequenceBody, caller: Curator, platform: PlatformDep, response: Response
 ) -> SequenceDetail:
-    """Make a sequence; its name is free among the caller's own."""
+    """Create a sequence; its name must be unique among yours."""
     with platform.database.transaction() as session:
         sequence = SequenceRow(owner_id=caller.user_id, **body.model_dump())
         session.add(sequence)
@@ -62,7 +62,7 @@ def list_sequences(
     query: PageDep,
     filters: Annotated[SequenceFilters, Depends(at_once(SequenceFilters))],
 ) -> Response:
-    """The caller's sequences and the public ones, newest first; an administrator sees everybody's."""
+    """List your sequences and the public ones, newest first; administrators see all sequences."""
     with platform.database.lookups() as session:
         rows, following = sequence_rows(session, caller, filters, query)
         return list_response(request, sequence_facts(session, rows), following)
@@ -70,13 +70,13 @@ def list_sequences(
 
 @router.get(
     "/{sequence_id}",
-    summary="A sequence with its newest run and labels",
+    summary="Show a sequence with its newest run, its newest labels and their files",
     response_model=SequenceDetail,
     responses=refusals(404),
 )
 @by_row_readers
 def show_sequence(sequence_id: IdPath, caller: Looker, platform: PlatformDep) -> Response:
-    """A sequence with its newest run, its newest labels and their files."""
+    """Show a sequence with its newest run, its newest labels and their files."""
     with platform.database.lookups() as session:
         shown = shown_sequence_detail(session, caller, sequence_id)
     headers = {"ETag": etag(shown.revision)}
@@ -92,7 +92,7 @@ def change_sequence(
     request: Request,
     response: Response,
 ) -> SequenceDetail:
-    """Change what is said of a sequence; what is left out or null stays."""
+    """Change the attributes of a sequence; missing and null keys stay."""
     with platform.database.transaction() as session:
         if body.is_public:
             lock_splits(session)  # first, as whoever puts splits does: of two at once one sees the other
@@ -112,7 +112,7 @@ def change_sequence(
 
 @router.put(
     "/{sequence_id}/calibration",
-    summary="Choose the calibration a sequence is processed with",
+    summary="Assign a calibration to a sequence",
     responses=refusals(404, 412),
 )
 def assign_calibration(
@@ -123,7 +123,7 @@ def assign_calibration(
     request: Request,
     response: Response,
 ) -> SequenceDetail:
-    """Say which calibration the sequence is processed with from now on; labels that exist keep theirs."""
+    """Later runs use it; existing labels keep theirs."""
     with platform.database.transaction() as session:
         sequence = lock_sequence(session, sequence_of(session, caller, sequence_id).id)
         if "if-match" in request.headers:
@@ -139,7 +139,7 @@ def assign_calibration(
 
 @router.delete("/{sequence_id}", name="delete_sequence", status_code=204, responses=refusals(404, 412, 428))
 def remove_sequence(sequence_id: IdPath, caller: Curator, platform: PlatformDep, request: Request) -> None:
-    """Delete a sequence with its recordings and labels; its jobs are told to stop. It cannot be brought back."""
+    """Delete a sequence with its recordings and labels; its jobs are stopped. Deletion is permanent."""
     with platform.database.transaction() as session:
         sequence = lock_sequence(session, sequence_of(session, caller, sequence_id).id)
         require_match(request, sequence.revision)
@@ -159,7 +159,7 @@ def _refuse_renaming(session: Session, sequence: SequenceRow) -> None:
     runs = select(Job.id).where(Job.sequence_id == sequence.id, Job.kind == PROCESS, Job.state.not_in(TERMINAL))
     if session.scalar(labels.limit(1)) or session.scalar(runs.limit(1)):
         raise ApiError(
-            "conflict", "the sequence has labels, or is getting them, and its frame tokens are made of its name"
+            "conflict", "a sequence with labels or a run cannot be renamed, because its frame tokens contain its name"
         )
 
 
@@ -168,9 +168,8 @@ def _refuse_revealing_truth(session: Session, sequence: SequenceRow) -> None:
     if where := hiding(session, sequence.id):
         raise ApiError(
             "hidden_truth",
-            f"sequence {sequence.name!r} is {where}: made public, anybody could fetch the labels that entries are "
-            "scored against; make another sequence public, or take this one out of test before anything is "
-            "published of it",
+            f"sequence {sequence.name!r} is {where}: if it were public, anyone could download the labels that score "
+            "entries; make another sequence public, or remove this sequence from test before you publish a version",
         )
 
 

@@ -22,11 +22,11 @@ from services.runtime.orm import User
 router = APIRouter(prefix="/device-grants", tags=["people"])
 
 
-@router.post("", status_code=201, summary="Ask for the codes a program signs in with", responses=refusals(400))
+@router.post("", status_code=201, summary="Create the codes for a program's sign-in", responses=refusals(400))
 def create_device_grant(
     body: DeviceBody, request: Request, response: Response, platform: PlatformDep
 ) -> DeviceCodesItem:
-    """`user_code` is for a person, who types it at `url`; `device_code` is the program's secret."""
+    """A person types `user_code` at `url`; `device_code` is the program's secret."""
     request.app.state.limits.admit_from(request, "device grant")
     asked = DeviceRequest(body.name, address_of(request).removeprefix("address "), tuple(body.scopes))
     with platform.database.transaction() as session:
@@ -42,7 +42,7 @@ def decide_device_grant(body: DeviceDecision, caller: AccountHolder, request: Re
     """An approved program gets a token of the caller, with the requested scopes that the caller holds. If the browser's
     session ends before the program fetches the token, it gets none. A token cannot approve (403 `browser_only`)."""
     if body.approves and not caller.is_session:
-        sentence = "a token cannot approve a program; open /device in a browser in which you are signed in"
+        sentence = "a token cannot approve a program; open /device in a signed-in browser"
         raise ApiError("browser_only", sentence)
     request.app.state.limits.admit_guess(caller.user_id)
     with platform.database.transaction() as session:
@@ -60,9 +60,11 @@ def decide_device_grant(body: DeviceDecision, caller: AccountHolder, request: Re
         audit.record(session, caller, "device.approve" if body.approves else "device.deny", grant.id, facts=facts)
 
 
-@router.post("/token", status_code=201, summary="Take the token of an approved program", responses=refusals(403))
+@router.post("/token", status_code=201, summary="Fetch the token of an approved program", responses=refusals(403))
 def take_device_token(body: DeviceTokenBody, response: Response, platform: PlatformDep) -> IssuedToken:
-    """400 `authorization_pending` until somebody decides; 429 `slow_down` to who asks too often. Given out once."""
+    """400 `authorization_pending` until a person decides; 429 `slow_down` if the client polls too often. The token is
+    returned once.
+    """
     with platform.database.transaction() as session:
         told = device_grants.poll(session, body.device_code.get_secret_value(), platform.settings.api.token_s)
         if told.token is not None:
@@ -77,14 +79,14 @@ def _issued(told: DevicePoll) -> IssuedToken:
     """Raises `authorization_pending`, `slow_down`, `access_denied`, `expired_token`."""
     if told.state == "slow_down":
         wait_s = device_grants.INTERVAL_S
-        sentence = f"this program asked less than {wait_s} s ago; ask again in {wait_s} s"
+        sentence = f"this program polled less than {wait_s} s ago; poll again in {wait_s} s"
         raise ApiError("slow_down", sentence, {"Retry-After": str(wait_s)})
     if told.state == "pending":
-        raise ApiError("authorization_pending", "this program has not been approved yet; ask again after interval_s")
+        raise ApiError("authorization_pending", "this program has not been approved yet; poll again after interval_s")
     if told.state == "denied":
-        raise ApiError("access_denied", "this program was denied; start again if that was a mistake")
+        raise ApiError("access_denied", "this program was denied; to approve it, start the login again")
     if told.token is None:
-        sentence = "this device code is unknown, expired (ten minutes), or already used; start again"
+        sentence = "this device code is unknown, expired (after 10 minutes) or already used; start the login again"
         raise ApiError("expired_token", sentence)
     return IssuedToken.of(told.token, secret=told.secret)
 

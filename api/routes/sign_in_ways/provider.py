@@ -35,7 +35,7 @@ Back = Annotated[str, Query(max_length=LONGEST, description="Path of the page to
 Said = Annotated[str, Query(max_length=4096, description="Parameter of the provider's answer.")]
 
 
-@router.get("", summary="How one may sign in here")
+@router.get("", summary="List the ways to sign in")
 def list_sign_in_ways(platform: PlatformDep) -> SignInWays:
     return sign_in_ways(platform.settings)
 
@@ -43,7 +43,7 @@ def list_sign_in_ways(platform: PlatformDep) -> SignInWays:
 @router.get(
     "/oidc",
     status_code=302,
-    summary="Go to the provider and sign in there",
+    summary="Redirect to the provider's sign-in page",
     responses=refusals(404, 502),
     response_class=RedirectResponse,
 )
@@ -60,14 +60,14 @@ def start_oidc(request: Request, platform: PlatformDep, back: Back = "/") -> Red
 @router.get(
     "/oidc/callback",
     status_code=303,
-    summary="Come back from the provider, signed in",
+    summary="Finish the provider's sign-in",
     responses=refusals(400, 403, 404, 409, 502),
     response_class=RedirectResponse,
 )
 def finish_oidc(
     request: Request, platform: PlatformDep, code: Said = "", state: Said = "", iss: Said = "", error: Said = ""
 ) -> RedirectResponse:
-    """The first sign-in makes the account; roles follow the groups that the provider tells of."""
+    """The first sign-in creates the account. The role follows the groups that the provider sends."""
     request.app.state.limits.admit_from(request, "answer of a provider")
     begun, back = _begun(request.cookies.get(COOKIE, ""))
     identity = _provider(request).finish(begun, CodeAnswer(code, state, iss, error))

@@ -80,9 +80,9 @@ class NewRecordingBody(Body):
     @model_validator(mode="after")
     def _one_or_several(self) -> Self:
         if sum(given is not None for given in (self.upload_id, self.upload_ids, self.in_place)) != 1:
-            raise ValueError("say upload_id for one file, upload_ids for the files of one bag, or in_place")
+            raise ValueError("give exactly one of upload_id (one file), upload_ids (files of one bag) and in_place")
         if (self.upload_ids is None) != (self.name is None):
-            raise ValueError("a bag of several files has a name, one of one file is called as it was uploaded")
+            raise ValueError("give name for a bag of several files (upload_ids), and only for such a bag")
         return self
 
     def received(self) -> NewRecording:

@@ -156,7 +156,7 @@ def test_a_client_of_another_release_is_understood_or_told_what_to_install(empty
     assert before.status_code == 200
     assert HEADER not in before.headers, "the release before says none, and need not know ours"
     assert refused.returncode == 1
-    assert refused.stderr.startswith("client_too_old: this client is of release 0.0.9")
+    assert refused.stderr.startswith("client_too_old: this client has release 0.0.9")
     assert f"{running.url}/downloads/" in refused.stderr
 
 
