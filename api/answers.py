@@ -1,8 +1,7 @@
-"""OpenAPI responses for refusals: each status a route may answer with, all as one problem document.
+"""OpenAPI responses for refusals: each status that a route may return, all with one problem schema.
 
-**Conventions.** `responses=refusals(409, 412)` names what is particular to a route. What follows from its form (401
-where it asks for a caller, 422 where it reads anything, 429 and 503 always) is added to the whole document by
-`api/openapi.py`.
+**Conventions.** `responses=refusals(409, 412)` lists the statuses particular to a route. `api/openapi.py` adds the
+statuses that follow from its form: 401 if it requires a caller, 422 if it reads input, 429 and 503 always.
 """
 
 from typing import Any
@@ -15,10 +14,10 @@ SCHEMA = {"$ref": "#/components/schemas/Problem"}
 
 
 def refusal(status: int) -> dict[str, Any]:
-    """The OpenAPI response of this status."""
+    """Return the OpenAPI response of this status."""
     return {"description": phrase_of(status), "content": {MEDIA_TYPE: {"schema": SCHEMA}}}
 
 
 def refusals(*statuses: int) -> Responses:
-    """The statuses a route may refuse with."""
+    """Return the OpenAPI responses of these refusal statuses."""
     return {status: refusal(status) for status in statuses}

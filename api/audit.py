@@ -25,7 +25,7 @@ def record(
     reason: str = "",
     facts: Mapping[str, Any] | None = None,
 ) -> None:
-    """Add a line to the log with this transaction's commit. `facts` is a small JSON object without secrets."""
+    """Add a line to the log in this transaction. `facts` is a small JSON object without secrets."""
     entry = AuditEntry(act=act, subject_id=subject_id, reason=reason)
     entry.actor_id, entry.actor = (caller.user_id, caller.name) if caller else ("", "anonymous")
     entry.request_id = request_id()

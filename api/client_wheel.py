@@ -1,6 +1,6 @@
-"""The wheel of the client that this platform offers: what `make wheels` put into `downloads/` beside this module.
+"""The wheel of the client that this platform offers, which `make wheels` puts into `downloads/` beside this module.
 
-**Conventions.** It fits by its name, which holds the platform's own release; it is read once, when the process starts.
+**Conventions.** Its file name contains the platform's own release. The wheel is read once, when the process starts.
 """
 
 from dataclasses import dataclass
@@ -13,19 +13,19 @@ from services.runtime.code_version import RELEASE
 FOLDER = Path(__file__).with_name("downloads")
 FILENAME = f"stone_client-{RELEASE}-py3-none-any.whl"
 OLDEST_CLIENT = "0.1.0"
-"""The oldest release of the client that this server understands."""
+"""The oldest client release that this server supports."""
 
 
 @dataclass(frozen=True)
 class ClientWheel:
-    """A wheel as it is sent; its name is what pip reads its release from."""
+    """A wheel; pip reads the release from its name."""
 
     filename: str
     content: bytes
 
     @property
     def path(self) -> str:
-        """Where the pages serve it."""
+        """The path that the pages serve the wheel at."""
         return f"/downloads/{self.filename}"
 
     @cached_property
@@ -34,7 +34,7 @@ class ClientWheel:
 
 
 def client_wheel(folder: Path = FOLDER) -> ClientWheel | None:
-    """The wheel of this release; None where none was built."""
+    """Return the wheel of this release, or None if none was built."""
     try:
         return ClientWheel(FILENAME, (folder / FILENAME).read_bytes())
     except FileNotFoundError:
@@ -42,5 +42,5 @@ def client_wheel(folder: Path = FOLDER) -> ClientWheel | None:
 
 
 def install_line(url: str, wheel: ClientWheel | None) -> str:
-    """The one line that installs the client which fits; without a wheel, where it would be said."""
+    """Return the command that installs the matching client; without a wheel, the address of the downloads page."""
     return f"pip install {url.rstrip('/')}{wheel.path}" if wheel else f"see {url.rstrip('/')}/downloads/"

@@ -1,9 +1,9 @@
 """FastAPI dependencies: the platform, and the authenticated caller.
 
-**Conventions.** `Depends(require(scope, *roles))` answers 401 to nobody and 403 to somebody whose scopes or role do not
-reach; a higher role always may what a lower one may. A browser's session holds the scopes of its user's role, and an
-unsafe method by session must repeat the session's CSRF token. Who is calling is found out once per request.
-`Depends(look)` lets a visitor pass, who sees what is public; what is not, a visitor is asked to sign in for (401).
+**Conventions.** `Depends(require(scope, *roles))` returns 401 without a caller, and 403 if the caller's scopes or role
+are insufficient; a higher role includes the lower ones. A browser's session has the scopes of its user's role, and its
+unsafe requests must repeat the session's CSRF token. A caller is identified once per request. `Depends(look)` accepts
+visitors, who see public data; for other data it returns 401.
 """
 
 import inspect
@@ -31,11 +31,11 @@ from services.runtime.access.roles import ACCOUNT, SCOPES
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 
-# Callers remembered by their credential, so that not every request reads the database for who is asking.
+# Cache of callers by credential, to save a database read per request.
 #
-# **Conventions.** For `KEPT_S`, under the sha256 of the secret, never the secret. A change of a user, a token or a
-# session by this process is noticed with its commit, one by another process after `KEPT_S` at the latest. What ends by
-# the clock is not remembered beyond its end. What is not valid is not remembered: it is looked up each time.
+# **Conventions.** Keys are the sha256 of secrets; entries last `KEPT_S` and never beyond the credential's end. A change
+# of a user, token or session takes effect at once if this process committed it, and within `KEPT_S` if another process
+# did. Invalid credentials are not cached.
 
 
 KEPT_S = 1.0
@@ -53,14 +53,14 @@ class _KnownCaller(Generic[C]):
 
 
 class KnownCredentials(Generic[C]):
-    """`find(secret)`, and `learn(secret, …)` where that gave None."""
+    """Cache with `find(secret)`, and `learn(secret, …)` if that returned None."""
 
     def __init__(self, monotonic_s: Callable[[], float] = time.monotonic) -> None:
         self._now_s, self._lock = monotonic_s, Lock()
         self._known: LRUCache[bytes, _KnownCaller[C]] = LRUCache(MOST)
 
     def find(self, secret: str) -> C | None:
-        """The caller with this credential; None where it must be looked up."""
+        """Return the caller with this credential, or None if it must be looked up."""
         with self._lock:
             known = self._known.get(_key(secret))
         if known is None or known.generation != credentials_generation():
@@ -68,7 +68,7 @@ class KnownCredentials(Generic[C]):
         return known.caller if known.until_s > self._now_s() and known.expires_ns > now_ns() else None
 
     def learn(self, secret: str, caller: C, *, expires_ns: int, generation: int) -> None:
-        """Remember what was read of the database since `generation` was `credentials_generation()`."""
+        """Cache a caller read from the database since `generation` was `credentials_generation()`."""
         known = _KnownCaller(caller, generation, expires_ns, self._now_s() + KEPT_S)
         with self._lock:
             self._known[_key(secret)] = known
@@ -83,7 +83,7 @@ NEEDING_CALLER = set[object]()
 """Dependencies that refuse unauthenticated requests."""
 VISITING = "visitor"
 SAFE = ("GET", "HEAD", "OPTIONS")
-BY_COOKIE = "cookie\n"  # which no header begins with
+BY_COOKIE = "cookie\n"  # no Authorization header starts with this
 
 log = structlog.get_logger(__name__)
 
@@ -95,7 +95,7 @@ cookie = APIKeyCookie(
 
 @dataclass(frozen=True)
 class Caller:
-    """The authenticated caller with the scopes in force. `expires_ns` is when the token or session ends."""
+    """The authenticated caller with the scopes in force. `expires_ns` is the end of the token or session."""
 
     user_id: str
     name: str
@@ -112,7 +112,7 @@ class Caller:
 
     @property
     def is_visitor(self) -> bool:
-        """Whether nobody signed in: only what is public is shown."""
+        """Whether no user is signed in, so that only public data is shown."""
         return self.role == VISITING
 
 
@@ -120,7 +120,7 @@ VISITOR = Caller("", "", VISITING, frozenset({"read"}), is_session=False)
 
 
 def platform_of(request: Request) -> Platform:
-    """The platform this application was made for."""
+    """Return the platform of this application."""
     platform: Platform = request.app.state.platform
     return platform
 
@@ -133,7 +133,7 @@ PlatformDep = Annotated[Platform, Depends(_platform)]
 
 
 def at_once(kind: Callable[..., T]) -> Callable[..., Awaitable[T]]:
-    """`kind` as a dependency that is not given a thread: handing it over costs more than what it does."""
+    """Return `kind` as an async dependency; a thread would cost more than the call itself."""
 
     async def made(**given: Any) -> T:
         return kind(**given)
@@ -143,7 +143,7 @@ def at_once(kind: Callable[..., T]) -> Callable[..., Awaitable[T]]:
 
 
 def identify(request: Request) -> Caller | None:
-    """The caller by token, else by session; None without either. Raises `UnauthenticatedError` for a false one."""
+    """Return the caller by token, else by session; None without either. Raises `UnauthenticatedError` if it is invalid."""
     if not hasattr(request.state, "caller"):
         shown = _shown_credential(request)
         request.state.caller = None
@@ -163,7 +163,7 @@ def identify_again(request: Request) -> Caller:
 
 
 async def identify_async(request: Request) -> Caller | None:
-    """As `identify`, without holding up the event loop: only who must be looked up is given a thread."""
+    """Identify as `identify` does, with a thread only for callers that are not cached."""
     if hasattr(request.state, "caller"):
         return identify(request)
     shown = _shown_credential(request)
@@ -177,13 +177,13 @@ async def identify_async(request: Request) -> Caller | None:
 
 
 def require(scope: str, *accepted: str) -> Callable[..., Awaitable[Caller]]:
-    """A dependency that gives the caller, if they hold `scope` and at least one of the `accepted` roles."""
+    """Return a dependency that returns the caller if they have `scope` and at least one of the `accepted` roles."""
     return require_one((scope,), *accepted)
 
 
 def require_one(scopes: tuple[str, ...], *accepted: str) -> Callable[..., Awaitable[Caller]]:
-    """As `require`, for callers who hold any of `scopes`; the document names the first."""
-    asked = [scopes[0], *accepted]  # for the document only
+    """Return a dependency as `require` does, for callers with any of `scopes`; the OpenAPI document names the first."""
+    asked = [scopes[0], *accepted]  # for the OpenAPI document only
 
     async def caller_who_may(
         request: Request,
@@ -215,9 +215,9 @@ async def look(
     _bearer: Annotated[HTTPAuthorizationCredentials | None, Security(bearer, scopes=["read"])],
     _cookie: Annotated[str | None, Security(cookie, scopes=["read"])],
 ) -> Caller:
-    """A dependency that gives a caller who holds the scope `read`, or `VISITOR` where no credential is shown.
+    """Return a caller who has the scope `read`, or `VISITOR` if the request has no credential.
 
-    A browser whose session has ended is a visitor too; a token that is not valid is refused, as everywhere.
+    A browser whose session has ended is a visitor too. An invalid token is refused, as everywhere.
     """
     try:
         caller = await identify_async(request) or VISITOR
@@ -232,7 +232,7 @@ async def look(
 
 
 def _shown_credential(request: Request) -> str | None:
-    """The header, else the cookie as a header of a scheme that is none; None without either."""
+    """Return the Authorization header, else the cookie marked by `BY_COOKIE`; None without either."""
     header, secret = request.headers.get("authorization"), request.cookies.get(COOKIE)
     if header is not None:
         return header
@@ -269,7 +269,7 @@ def _by_token(platform: Platform, header: str) -> Caller:
 
 
 def _note_use(platform: Platform, note: Callable[[Session, str], None], credential_id: str) -> None:
-    """A database that cannot be written to, its disk being full, may still be read, and what fills it deleted."""
+    """Record the use of a credential; only log a failure, so that users can still read and delete if the disk is full."""
     try:
         with platform.database.transaction() as session:
             note(session, credential_id)
@@ -302,8 +302,8 @@ def check_csrf(request: Request, caller: Caller) -> None:
 
 # Dependency types that name who may call a route: reader, submitter, curator, administrator.
 #
-# **Conventions.** Whatever makes or ends a credential of one's own is an `AccountHolder`'s: a browser's session, or a
-# token with the scope for it. `Anybody` has some scope, and may end what they ask with
+# **Conventions.** Routes that create or end a credential of the caller require `AccountHolder`: a browser's session, or
+# a token with the scope `account`. `Anybody` has any scope and may end the calling credential
 # (`tests/api/test_callers.py`).
 
 

@@ -1,7 +1,7 @@
 """Errors that refuse a request: authentication, permission, preconditions, limits.
 
-**Conventions.** A route raises `ApiError`, or a service its own refusal; `api/statuses.py` is the one table of statuses
-and titles by code, `api/problems.py` writes the answer.
+**Conventions.** A route raises `ApiError`, and a service its own refusal. `api/statuses.py` maps codes to statuses and
+titles; `api/problems.py` writes the response.
 """
 
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ BEARER = {"WWW-Authenticate": 'Bearer realm="stone"'}
 
 
 class ApiError(Refused):
-    """The request is refused; `headers` belong to the answer, `findings` are `ProblemFinding`s."""
+    """A refused request; `headers` are added to the response, `findings` are `ProblemFinding`s."""
 
     def __init__(
         self,
@@ -43,7 +43,7 @@ def wrong_password() -> ApiError:
 
 
 class ForbiddenError(ApiError):
-    """The caller is known, but their role or token does not allow this."""
+    """The caller's role or token scopes do not allow this."""
 
     def __init__(self, reason: str) -> None:
         super().__init__("forbidden", reason)
@@ -81,7 +81,7 @@ def body_too_slow(came_bytes: int, within_s: float) -> ApiError:
 
 
 class RefusedBodyError(HTTPException):
-    """A refusal while a body is read, as the only kind of error that FastAPI does not replace there."""
+    """A refusal while a body is read, as the only error type that FastAPI passes on there."""
 
     def __init__(self, refusal: ApiError) -> None:
         super().__init__(400)
@@ -104,7 +104,7 @@ def rate_limited(per_minute: float, retry_after_s: int) -> ApiError:
 
 
 class CalibrationRefusedError(ApiError):
-    """The calibration is refused; `errors` has the code of the check."""
+    """Invalid calibration; `errors` has the code of the check."""
 
     def __init__(self, filename: str, reason: StoneError) -> None:
         finding = {"code": reason.code, "where": "file", "file": filename, "detail": str(reason)}

@@ -1,8 +1,8 @@
-"""Job event streams: one database poll per tick serves every stream of this process.
+"""Job event streams: one database poll per tick serves all streams of this process.
 
-**Conventions.** A version grows with every change of what is followed: the sum of the revisions of its jobs (and of the
-sequence or submission). Streams wait on the event loop; only the poll takes a thread and a database session, for one
-statement and a snapshot of each thing that changed. A database that is away silences the streams and ends none.
+**Conventions.** A version grows with every change of a subject: it sums the revisions of its jobs (and of the sequence
+or submission). Streams wait on the event loop. Only the poll takes a thread and a database session, for one statement
+and one snapshot per changed subject. While the database is unreachable, streams pause and stay open.
 """
 
 import asyncio
@@ -40,7 +40,7 @@ class StreamSubject:
 
 @dataclass(frozen=True)
 class StreamSnapshot:
-    """The state of a subject at a version, ready to send; nothing comes after one that is over."""
+    """The state of a subject at a version, ready to send; it is the last one if `is_over`."""
 
     version: int
     json: str
@@ -60,7 +60,7 @@ def too_many_streams(limit: int, whose: str) -> ApiError:
 
 @dataclass
 class _SubjectState:
-    """One subject: its newest snapshot, the number of streams that wait for it, and the event that wakes them."""
+    """One subject: its newest snapshot, the number of waiting streams, and the event that wakes them."""
 
     waiting: int = 0
     newest: StreamSnapshot | None = None
@@ -68,13 +68,13 @@ class _SubjectState:
 
 
 class Follower:
-    """The poller of one process; lives on one event loop and sleeps while nobody follows anything."""
+    """The poller of one process; runs on one event loop and sleeps while there are no streams."""
 
     def __init__(self, database: Database, load: Load, tick_s: float = TICK_S) -> None:
         self._database, self._load, self._tick_s = database, load, tick_s
         self._followed: dict[StreamSubject, _SubjectState] = {}
         self._streams: Counter[str] = Counter()
-        self._thread = CapacityLimiter(1)  # not one of those that answer requests
+        self._thread = CapacityLimiter(1)  # apart from the threads that answer requests
         self._task: asyncio.Task[None] | None = None
 
     def sit(self, user_id: str) -> None:
@@ -88,16 +88,16 @@ class Follower:
     def leave(self, user_id: str) -> None:
         """Count one stream of this user less."""
         self._streams[user_id] -= 1
-        self._streams += Counter()  # forget those who follow nothing
+        self._streams += Counter()  # removes users without streams
 
     def look(self, subject: StreamSubject) -> StreamSnapshot:
-        """Read the current state; for a thread, not for the event loop."""
+        """Read the current state; must run in a thread, not on the event loop."""
         return self._changes({subject: None})[subject]
 
     async def snapshots(
         self, subject: StreamSubject, seen: int | None, patience_s: float
     ) -> AsyncGenerator[StreamSnapshot | None]:
-        """Every snapshot newer than version `seen`, None after each `patience_s` without one; ends when it is over."""
+        """Yield every snapshot newer than version `seen`, and None after each `patience_s` without one, until the end."""
         followed = self._followed.setdefault(subject, _SubjectState())
         followed.waiting += 1
         try:
@@ -158,7 +158,7 @@ class Follower:
 
 
 def _versions(subjects: Mapping[StreamSubject, object]) -> CompoundSelect[str, str, int]:
-    """One statement for all: (kind, id, version) of every subject that has jobs."""
+    """Return one statement for all subjects that have jobs: (kind, id, version)."""
 
     def ids(kind: str) -> list[str]:
         return [subject.id for subject in subjects if subject.kind == kind]

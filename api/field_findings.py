@@ -1,7 +1,7 @@
-"""Findings about a field of a request, from an error of pydantic.
+"""Findings about a field of a request, from a pydantic error.
 
-**Conventions.** `expected` holds what the field takes, `actual` the kind and size of what was sent, `detail` both in a
-sentence. Text that was sent is never repeated, since it may be a secret: only numbers of numeric fields are.
+**Conventions.** `expected` is what the field accepts, `actual` the kind and size of the sent value, `detail` a sentence
+with both. Text from the request is never repeated, because it may be a secret; numbers of numeric fields are repeated.
 """
 
 import re
@@ -14,7 +14,7 @@ MOST_WORDS = 200
 MOST_NAME = 64
 MOST_DEPTH = 8
 OWN = "Value error, "
-"""The words that pydantic puts before the sentence of a `ValueError` raised by a validator."""
+"""The prefix of pydantic's sentence for a `ValueError` raised by a validator."""
 PATTERNS = {
     ID_PATTERN: "an id of 32 hexadecimal digits",
     PLAIN: "one line of text without control or invisible characters",
@@ -65,7 +65,7 @@ def field_finding(raw: Mapping[str, Any]) -> dict[str, str]:
     """Return the finding of one error of `RequestValidationError.errors()`."""
     code, where = str(raw["type"])[:64], ".".join(str(part)[:MOST_NAME] for part in raw["loc"][:MOST_DEPTH])
     expected = _expected(code, raw)
-    if not expected:  # a validator of our own, or a rule that the table lacks
+    if not expected:  # from one of our validators, or a rule missing in the table
         return {"code": code, "where": where, "detail": str(raw["msg"]).removeprefix(OWN)[:MOST_WORDS]}
     if code == "extra_forbidden":
         detail = "unknown key; the API reference lists the keys of this body"

@@ -18,7 +18,7 @@ UNSAID = "no reason was given"
 
 
 def control_run(session: Session, platform: Platform, caller: Caller, act: JobAct, root_id: str, reason: str) -> Job:
-    """The run after the act; an owner whose run somebody else stops is told why, once. Raises `JobStateError`."""
+    """Apply the act and return the run; notify an owner once if another user stopped the run. Raises `JobStateError`."""
     if act == "retry":
         run = control.retry(session, root_id, platform.settings.jobs.max_attempts)
         reopen(session, run)
@@ -33,9 +33,10 @@ def control_run(session: Session, platform: Platform, caller: Caller, act: JobAc
 
 
 def act_on_each(platform: Platform, caller: Caller, body: JobActsBody) -> list[JobActItem]:
-    """The result of one act on each run, in the order asked; each is a transaction and an audit line of its own.
+    """Apply one act to each run and return the results in the requested order; each is its own transaction and audit
+    line.
 
-    Jobs of one run are one act; what is refused keeps nothing of the rest from being done.
+    Jobs of one run count as one act. A refused act does not stop the others.
     """
     done: dict[str, JobActItem] = {}
     return [_acted(platform, caller, body, job_id, done) for job_id in dict.fromkeys(body.job_ids)]

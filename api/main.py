@@ -127,7 +127,7 @@ ROUTERS: tuple[APIRouter, ...] = (
 
 
 def make_api(platform: Platform, shown: problems.Shown = problems.as_it_is) -> FastAPI:
-    """The application on this platform; refusals and faults are answered as `shown` shows them."""
+    """Return the application on this platform; `shown` renders its refusals and faults."""
     api = FastAPI(
         routes=list(_routes()),
         title="STONE API",
@@ -136,7 +136,7 @@ def make_api(platform: Platform, shown: problems.Shown = problems.as_it_is) -> F
         openapi_url=f"{PREFIX}/openapi.json",
         docs_url=None,
         redoc_url=None,
-        redirect_slashes=False,  # a redirect would go where the Host header says
+        redirect_slashes=False,  # a redirect would use the Host header
         generate_unique_id_function=operation_id,
         telemetry=UNTOLD,
         lifespan=with_request_threads,
@@ -150,7 +150,7 @@ def make_api(platform: Platform, shown: problems.Shown = problems.as_it_is) -> F
     api.state.meters, api.state.probes = RequestMetrics(platform), Probes(platform)
     api.state.client_wheel, api.state.known_credentials = client_wheel(), KnownCredentials[Caller]()
     problems.install(api, shown)
-    # What is added last is met first.
+    # The last middleware added is the outermost.
     api.add_middleware(Idempotency)
     api.add_middleware(BodyLimit, settings=platform.settings, strangers=strangers_routes(ROUTERS, PREFIX))
     api.add_middleware(Releases, install=install_line(platform.settings.api.url, api.state.client_wheel))
@@ -165,7 +165,7 @@ def make_api(platform: Platform, shown: problems.Shown = problems.as_it_is) -> F
 
 @cache
 def _routes() -> tuple[BaseRoute, ...]:
-    """All applications of a process share them: each takes shape once, when it is first asked for."""
+    """Return the routes, shared by all applications of a process; each is initialised at its first request."""
     whole = APIRouter(redirect_slashes=False, generate_unique_id_function=operation_id)
     include(whole, health.router)
     for router in ROUTERS:
@@ -174,7 +174,7 @@ def _routes() -> tuple[BaseRoute, ...]:
 
 
 def include(whole: APIRouter | FastAPI, router: APIRouter, prefix: str = "", **options: Any) -> None:
-    """Include the router so that requests skip it if they begin as none of its paths does before a parameter.
+    """Include the router so that requests skip it unless their path starts like one of its paths before a parameter.
 
     FastAPI compares a request with every route before its own. Without this a list of jobs takes 26 % more CPU time, a
     page 16 %, a style sheet 87 %.
@@ -192,7 +192,7 @@ def include(whole: APIRouter | FastAPI, router: APIRouter, prefix: str = "", **o
 
 @asynccontextmanager
 async def with_request_threads(api: FastAPI) -> AsyncIterator[None]:
-    """While the application is served, its requests have as many threads as there are connections for them."""
+    """Give requests as many threads as there are database connections, while the application runs."""
     threads = request_threads(api.state.platform.settings.database.pool_size)
     to_thread.current_default_thread_limiter().total_tokens = threads
     yield
@@ -202,7 +202,7 @@ FORKED_FROM = ("api.sandboxed_reading",)
 
 
 def from_environment() -> FastAPI:
-    """The application of this process.
+    """Return the application of this process.
 
     `uvicorn --factory api.main:from_environment --http api.middleware.heads:BoundedHeads --no-server-header`
     """
@@ -211,8 +211,7 @@ def from_environment() -> FastAPI:
 
 
 def told(api: FastAPI) -> FastAPI:
-    """The application of a process of its own, whose spans and counts others hear of; what it reads of strangers it
-    reads in children of a process without keys."""
+    """Set up tracing, metrics, the fork server and GC for a stand-alone API process; return the application."""
     use_fork_server(FORKED_FROM).ensure_running()
     setup_tracing("stone-api")
     api.state.meters.keep_writing()
@@ -221,7 +220,7 @@ def told(api: FastAPI) -> FastAPI:
 
 
 UNTOLD: TelemetryConfig = {"tracing": False, "metrics": False, "logs": False, "auto_configure": False}
-"""FastAPI's own spans hold paths, queries and bodies' faults; ours are made in `entry`."""
+"""Options that disable FastAPI's own spans, which contain paths, queries and body errors; `entry` makes ours."""
 
 DESCRIPTION = """STONE turns recordings of field robots into 3D traversability labels.
 

@@ -1,10 +1,9 @@
-"""The Prometheus endpoint: counters of all processes, and the platform's status when it is scraped.
+"""The Prometheus endpoint: counters of all processes, and the platform's status at scrape time.
 
-**Conventions.** Labels take few values: methods, route templates, statuses, queues, kinds; never an id or a name. Each
-application counts for itself and, with `keep_writing`, lets the others know. What is shown is what was told, and only
-that:
-whichever process is asked, a count never falls, which Prometheus would take for a beginning anew. So with the database
-away there are no counts, but a line that says so. Names and units: `metric_families.py`.
+**Conventions.** Labels have few values (methods, route templates, statuses, queues, kinds), never an id or a name. Each
+application counts for itself and, with `keep_writing`, writes its counts to the database. The endpoint shows the
+written counts only, so a count is the same from every process and never falls, which Prometheus would take for a
+restart. While the database is unreachable, it shows no counts, and `stone_database_up` is 0.
 """
 
 import time
@@ -53,7 +52,7 @@ log = structlog.get_logger(__name__)
 
 
 class RequestMetrics:
-    """Counts requests; `exposition()` is the text that Prometheus reads."""
+    """Counts requests; `exposition()` returns the text that Prometheus reads."""
 
     def __init__(self, platform: Platform) -> None:
         self._platform = platform
@@ -70,17 +69,17 @@ class RequestMetrics:
         self._counters.observe(REQUEST_SECONDS, (known, route), lasted_s)
 
     def note_bytes(self, came: int, went: int) -> None:
-        """Bytes of the bodies of a request and of its answer."""
+        """Count the bytes of the bodies of a request and its response."""
         self._counters.add(REQUEST_BYTES, ("in",), came)
         self._counters.add(REQUEST_BYTES, ("out",), went)
 
     def keep_writing(self) -> None:
-        """Start a thread that writes this process's counters for the others every `TELL_S`."""
+        """Start a thread that writes this process's counters to the database every `TELL_S`."""
         self._is_heard = True
         Thread(target=self._keep_writing, name="counts", daemon=True).start()
 
     def tell(self) -> None:
-        """Tell once. Raises `SQLAlchemyError` when the database is away."""
+        """Write the counters once. Raises `SQLAlchemyError` if the database is unreachable."""
         with self._write_lock:
             with self._platform.database.transaction() as session:
                 committed = self._row.tell(session)
@@ -90,7 +89,7 @@ class RequestMetrics:
         return generate_latest(self._registry)
 
     def families(self) -> Iterator[Metric]:
-        """Counts and status; of an application that tells nobody its own are added."""
+        """Yield counts and status, with this process's own counts if it does not write them."""
         heartbeat_s = self._platform.settings.jobs.heartbeat_s
         own: Counts = {} if self._is_heard else self._row.counted()
         try:
@@ -114,18 +113,18 @@ class RequestMetrics:
 
 
 class _MetricsCollector(Collector):
-    """Asked when Prometheus asks."""
+    """Collects when Prometheus scrapes."""
 
     def __init__(self, platform: Platform, meters: RequestMetrics) -> None:
         self._platform, self._meters = platform, meters
         self._waiting = wake_up_counter(platform.settings)
 
     def describe(self) -> Iterator[Metric]:
-        """Nothing: registering must not read the database."""
+        """Yield nothing, because registration must not read the database."""
         yield from ()
 
     def collect(self) -> Iterator[Metric]:
-        yield from self._connections()  # before this very question takes one
+        yield from self._connections()  # before this scrape takes a connection itself
         for family in chain(self._meters.families(), self._wake_ups()):
             yield from under_both_names(family)
         yield from self._disks()
@@ -166,20 +165,20 @@ class _MetricsCollector(Collector):
 
 # Counters and status figures as Prometheus metric families.
 #
-# **Conventions.** Names begin with `stone_` and end in their unit. What processes counted (`…_total`, histograms) and
-# the platform's status are the same whichever API process is asked: of several, take the largest. Of the process asked
-# alone are `process_*`, `stone_database_connections` and `stone_disk_*`.
+# **Conventions.** Names start with `stone_` and end in their unit. Counters of processes (`…_total`, histograms) and
+# the platform's status are equal for every API process; if several are scraped, take the largest. `process_*`,
+# `stone_database_connections` and `stone_disk_*` describe the scraped process alone.
 
 
 def counter_metrics(counts: Counts) -> Iterator[Metric]:
-    """A family for every meter, also for those that counted nothing yet."""
+    """Yield a family for every meter, including meters without counts."""
     for meter in METERS:
         of_meter = counts.get(meter.name, {})
         yield _histogram(meter, of_meter) if meter.bounds else _counter(meter, of_meter)
 
 
 def status_metrics(now: PlatformStatus) -> Iterator[Metric]:
-    """Jobs, queues, uploads, workers, chores, and what the store holds."""
+    """Yield families for jobs, queues, uploads, workers, chores, and the store."""
     jobs = GaugeMetricFamily("stone_jobs", f"Unfinished jobs; {MOST} means at least {MOST}", labels=("queue", "state"))
     for (queue, state), count in now.jobs.items():
         jobs.add_metric((queue, state), count)
@@ -201,7 +200,7 @@ def status_metrics(now: PlatformStatus) -> Iterator[Metric]:
 
 
 def under_both_names(family: Metric) -> Iterator[Metric]:
-    """The family, and what the release before called it, if it had another name then."""
+    """Yield the family, and its copy under the previous name if it was renamed."""
     yield family
     for old, new in RENAMED.items():
         if family.name == new:

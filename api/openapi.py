@@ -1,8 +1,8 @@
-"""The OpenAPI document: FastAPI's, completed with what every route has in common.
+"""The OpenAPI document: FastAPI's, completed with the common parts of all routes.
 
-**Conventions.** Each operation names every status it can be answered with: what is particular to it stands at the route
-(`refusals(…)`), the rest follows from its form and is added here. `security` names, beside the scheme, the scope and
-the roles that are asked for.
+**Conventions.** Each operation lists every status that it can return: the route names the particular ones
+(`refusals(…)`), and this module adds those that follow from its form. `security` names the scheme, the required scope
+and the roles.
 """
 
 import json
@@ -48,7 +48,7 @@ CLAUSE_END = re.compile(r"[;:.]\s")
 
 
 def documented(api: FastAPI) -> Callable[[], dict[str, Any]]:
-    """The function that makes the document of `api`, once."""
+    """Return a function that makes the document of `api`, once."""
 
     def document() -> dict[str, Any]:
         if api.openapi_schema is None:
@@ -64,7 +64,7 @@ def operation_id(route: APIRoute) -> str:
 
 
 def operations(document: dict[str, Any]) -> Iterator[tuple[str, str, Operation]]:
-    """(path, method, operation) of everything in the document."""
+    """Yield (path, method, operation) of every operation in the document."""
     for path, methods in document["paths"].items():
         yield from ((path, method, methods[method]) for method in METHODS if method in methods)
 
@@ -76,7 +76,7 @@ def _document(api: FastAPI) -> dict[str, Any]:
     )
     schemas = document.setdefault("components", {}).setdefault("schemas", {})
     schemas |= _problem_schemas()
-    for name in ("HTTPValidationError", "ValidationError"):  # FastAPI's own shape of a 422, which is not ours
+    for name in ("HTTPValidationError", "ValidationError"):  # FastAPI's own shape of a 422, unused here
         schemas.pop(name, None)
     for path, method, operation in operations(document):
         _complete(path, method, operation)
@@ -86,7 +86,7 @@ def _document(api: FastAPI) -> dict[str, Any]:
 
 
 def _give_examples(operation: Operation, schemas: dict[str, Any]) -> None:
-    """Give each body the examples of its schema."""
+    """Add the examples of its schema to each body."""
     for content in operation.get("requestBody", {}).get("content", {}).values():
         examples = schemas.get(content["schema"].get("$ref", "").rpartition("/")[2], {}).get("examples", ())
         if examples:
@@ -94,7 +94,7 @@ def _give_examples(operation: Operation, schemas: dict[str, Any]) -> None:
 
 
 def _problem_schemas() -> dict[str, Any]:
-    """The schemas of a problem and of its findings, which clients know as `Finding`."""
+    """Return the schemas of a problem and of its findings; the latter is named `Finding` for clients."""
     _, schemas = models_json_schema(
         [(model, "serialization") for model in (Problem, ProblemFinding)], ref_template="#/components/schemas/{model}"
     )
@@ -103,7 +103,7 @@ def _problem_schemas() -> dict[str, Any]:
 
 
 def _complete(path: str, method: str, operation: Operation) -> None:
-    """Add what follows from the operation's form."""
+    """Add the parts that follow from the operation's form."""
     operation["summary"] = _summary(operation)
     answers = operation["responses"]
     if "HTTPValidationError" in str(answers.get("422", "")):
@@ -118,7 +118,7 @@ def _complete(path: str, method: str, operation: Operation) -> None:
 
 
 def _summary(operation: Operation) -> str:
-    """The summary that a route gives itself; else the description's beginning instead of the function's name."""
+    """Return the route's own summary, or the start of its description instead of the function's name."""
     given: str = operation["summary"]
     is_made_of_a_name = operation["operationId"] == given.replace(" ", "_").lower()
     if not is_made_of_a_name or "description" not in operation:

@@ -1,8 +1,8 @@
 """Cursor pagination: stable pages while rows are added and deleted.
 
 **Conventions.** The order column is unique and not null (an id). A cursor is opaque: base64url of the JSON of the last
-row's value in that column. It grants nothing, since every page is the list's own query again; whatever else is sent as
-a cursor is refused with 422.
+row's value in that column. It grants no access, because every page runs the list's own query. An invalid cursor returns
+422.
 """
 
 import json
@@ -30,7 +30,7 @@ LARGEST = 2**63 - 1
 
 @dataclass(frozen=True)
 class PageQuery:
-    """Which page is asked for."""
+    """The requested page."""
 
     cursor: str | None
     limit: int
@@ -47,7 +47,7 @@ PageDep = Annotated[PageQuery, Depends(page_query)]
 
 
 class Page(BaseModel, Generic[T]):
-    """Some of a list; `next` is the cursor of the page after, null at the end."""
+    """A part of a list; `next` is the cursor of the next page, null at the end."""
 
     items: list[T]
     next: str | None = Field(default=None, examples=["IjAxOTNhZjAwIg"])
@@ -60,13 +60,13 @@ def whole(items: Sequence[T]) -> Page[T]:
 
 @dataclass(frozen=True)
 class PageRows(Generic[Row]):
-    """The rows of a page and the cursor of the next."""
+    """The rows of a page and the cursor of the next page."""
 
     rows: Sequence[Row]
     next: str | None
 
     def shown(self, as_body: Callable[[Row], T]) -> Page[T]:
-        """The page with every row in the shape of its response body."""
+        """Return the page with every row converted to its response body."""
         return Page[Any](items=[as_body(row) for row in self.rows], next=self.next)
 
 
@@ -76,7 +76,7 @@ def page(
     order: InstrumentedAttribute[Any] | UnaryExpression[Any],
     query: PageQuery,
 ) -> PageRows[Row]:
-    """One page of `statement`, ordered by the unique column `order` (`Sequence.id`, or `Sequence.id.desc()`).
+    """Return one page of `statement`, ordered by the unique column `order` (`Sequence.id`, or `Sequence.id.desc()`).
 
     Raises `bad_cursor`.
     """
@@ -92,7 +92,7 @@ def page(
 
 
 def place_of_page(total: int, query: PageQuery) -> tuple[range, str | None]:
-    """Which of `total` things, whose order never changes, are on the page, and the cursor of the next one.
+    """Return which of `total` items in a fixed order are on the page, and the cursor of the next page.
 
     Raises `bad_cursor`.
     """
@@ -104,12 +104,12 @@ def place_of_page(total: int, query: PageQuery) -> tuple[range, str | None]:
 
 
 def cursor_after(value: object) -> str:
-    """The cursor of what comes after this value."""
+    """Return the cursor of the page after this value."""
     return urlsafe_b64encode(json.dumps(value).encode()).decode().rstrip("=")
 
 
 def last_of(cursor: str, kind: type) -> object:
-    """The value that a cursor comes after. Raises `bad_cursor` where it is none of this kind."""
+    """Return the value that a cursor starts after. Raises `bad_cursor` if it is not of this kind."""
     try:
         padded = cursor.encode("ascii") + b"=" * (-len(cursor) % 4)
         value = json.loads(urlsafe_b64decode(padded))
@@ -121,5 +121,5 @@ def last_of(cursor: str, kind: type) -> object:
 
 
 def _is_storable(value: object) -> bool:
-    """Whether both databases take it: no NUL, no lone surrogate, no integer beyond 64 bits."""
+    """Return whether both databases accept the value: no NUL, no lone surrogate, no integer beyond 64 bits."""
     return abs(value) <= LARGEST if isinstance(value, int) else str(value).isprintable()

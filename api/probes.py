@@ -1,9 +1,8 @@
-"""Readiness probes: whether database, broker and store answer, and in how many milliseconds.
+"""Readiness probes: whether database, broker and store respond, and in how many milliseconds.
 
-**Conventions.** Each is asked in a thread of its own, and by one question at a time: a part that hangs is away for
-everybody who asks meanwhile, and costs one thread, not one per question. An answer holds for `FRESH_S`, so whoever asks
-often costs no more. The store is asked by a small object, written, read and removed: a disk that is full, read-only or
-unmounted still lists.
+**Conventions.** Each part has its own thread and one probe at a time, so a part that hangs costs one thread and is
+reported away. Results are cached for `FRESH_S`, so frequent probes cost no more. The store probe writes, reads and
+deletes a small object: a full, read-only or unmounted disk can still list files.
 """
 
 import time
@@ -30,7 +29,7 @@ log = structlog.get_logger(__name__)
 
 
 class Probes:
-    """`ask()` all three."""
+    """Probes of the three parts; `ask()` returns their states."""
 
     def __init__(self, platform: Platform) -> None:
         self._platform = platform
@@ -40,7 +39,7 @@ class Probes:
         self._threads = ThreadPoolExecutor(len(PART_NAMES), thread_name_prefix="probe")
 
     def ask(self) -> dict[str, PartState]:
-        """The health of each part; takes `PATIENCE_S` at most."""
+        """Return the health of each part, within `PATIENCE_S`."""
         questions = zip(PART_NAMES, (self._database, self._ping, self._store), strict=True)
         asked = {name: self._ask(name, question) for name, question in questions}
         deadline_s = time.monotonic() + PATIENCE_S

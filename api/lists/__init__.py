@@ -1,1 +1,1 @@
-"""Lists as bytes: rows of one statement, written without an object for each."""
+"""Lists as bytes: rows of one statement, written without an object per row."""

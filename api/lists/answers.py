@@ -1,7 +1,7 @@
-"""The answer of a list: its rows as JSON, with a tag by which whoever has it already is told so.
+"""The response of a list: its rows as JSON, or 304 if the client's copy is current.
 
-**Conventions.** Items are dictionaries in the shape and the order of their schema (`tests/api/listed/` holds the
-bytes). The ETag is of the very bytes.
+**Conventions.** Items are dictionaries in the shape and order of their schema (`tests/api/listed/` holds the bytes).
+The ETag is the hash of these bytes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,21 +27,21 @@ from services.runtime.database.rows import KeptSelect, Values, parameter
 from services.runtime.orm import Job, SequenceRow
 
 JSON_TYPE = "application/json"
-MOST_FORMS = 500  # of a list's statement that are kept
+MOST_FORMS = 500  # cached forms of a list's statement
 Item = Mapping[str, Any]
 T = TypeVar("T")
 
 
 def listed(*statuses: int) -> Responses:
-    """The responses of a list besides 200, and these refusals."""
+    """Return the OpenAPI responses of a list besides 200: 304 and these refusals."""
     return {304: {"description": "The caller's copy is current"}, **refusals(*statuses)}
 
 
 @dataclass(frozen=True)
 class PageForm:
-    """What of a page is part of its statement: whether it follows another one, and its length.
+    """The parts of a page that change its statement: whether it follows another page, and its length.
 
-    A planner that does not know the length thinks of reading other tables whole.
+    Without the length as a literal, the query planner considers full scans of other tables.
     """
 
     goes_on: bool
@@ -53,36 +53,38 @@ def form_of(query: PageQuery) -> PageForm:
 
 
 def newest_page(statement: Select[T], ids: InstrumentedAttribute[str], form: PageForm) -> Select[T]:
-    """One page of it and a row more, the newest first: `page_values` are its values."""
+    """Return the statement of one page plus one row, newest first; `page_values` returns its parameters."""
     found = statement.where(ids < parameter("last")) if form.goes_on else statement
     return found.order_by(ids.desc()).limit(literal_column(str(form.limit + 1), Integer))
 
 
 def page_values(query: PageQuery) -> Values:
-    """The values of a page's statement, ordered by ids. Raises `bad_cursor`."""
+    """Return the parameters of a page's statement, ordered by ids. Raises `bad_cursor`."""
     return {} if query.cursor is None else {"last": str(last_of(query.cursor, str))}
 
 
 def page_of(rows: Sequence[Row[Any]], query: PageQuery) -> tuple[Sequence[Row[Any]], str | None]:
-    """The rows of the page, of which one too many was asked for, and the cursor of the next one."""
+    """Return the rows of the page without the extra row, and the cursor of the next page."""
     if len(rows) <= query.limit:
         return rows, None
     return rows[: query.limit], cursor_after(rows[query.limit - 1].id)
 
 
 def list_response(request: Request, items: Sequence[Item], following: str | None) -> Response:
-    """The page, or 304 to who has it already."""
+    """Return the page, or 304 if the client's copy is current."""
     return tagged_response(request, to_json({"items": items, "next": following}), JSON_TYPE)
 
 
 def model_response(request: Request, page: BaseModel) -> Response:
-    """A page of models, written once: whatever a route returns as a model is checked and written by another thread."""
+    """Return a page of models, serialised once; FastAPI would validate and serialise a returned model in another
+    thread.
+    """
     return tagged_response(request, page.model_dump_json().encode(), JSON_TYPE)
 
 
-# The page of jobs that a caller asks for, by a statement that is kept for each form of the question.
+# The page of jobs for a caller, by a statement that is cached for each form of the query.
 #
-# **Conventions.** Everybody lists their own; what is said of one is `api/views/jobs.py`'s.
+# **Conventions.** Users list their own jobs; `api/views/jobs.py` defines the fields of a job.
 
 
 State = Literal["queued", "running", "succeeded", "failed", "cancelled"]
@@ -91,7 +93,7 @@ Kind = Annotated[str | None, Query(pattern=r"^[a-z][a-z_]*(\.[a-z][a-z_]*)*$", m
 
 @dataclass(frozen=True)
 class JobFilters:
-    """Which jobs a list shows; without `root_id` runs and single jobs, with it the jobs of that run."""
+    """The filters of a job list. Without `root_id` it shows runs and single jobs, with it the jobs of that run."""
 
     state: State | None = None
     kind: Kind = None
@@ -99,11 +101,11 @@ class JobFilters:
     root_id: IdQuery = None
 
     def wanted(self, keys: tuple[str, ...] = ("state", "kind", "sequence_id", "root_id")) -> dict[str, str]:
-        """Those of the filters that are given."""
+        """Return the given filters."""
         return {key: value for key in keys if (value := getattr(self, key)) is not None}
 
     def equal(self, statement: Select[Job], keys: tuple[str, ...]) -> Select[Job]:
-        """Rows whose columns equal the filters that are given."""
+        """Limit the statement to rows whose columns equal the given filters."""
         return statement.filter_by(**self.wanted(keys))
 
     def one_level(self, statement: Select[Job]) -> Select[Job]:
@@ -111,14 +113,14 @@ class JobFilters:
 
 
 def one_level(statement: Select[Job], *, is_within: bool) -> Select[Job]:
-    """Runs and single jobs, or the jobs within runs."""
+    """Limit the statement to runs and single jobs, or to the jobs within runs."""
     return statement.where((Job.id != Job.root_id) if is_within else (Job.id == Job.root_id))
 
 
 def job_rows(
     session: Session, owner_id: str, filters: JobFilters, query: PageQuery
 ) -> tuple[Sequence[Row[Any]], str | None]:
-    """Rows of `with_counts`, and the cursor of the next page. Raises `bad_cursor`."""
+    """Return rows of `with_counts`, and the cursor of the next page. Raises `bad_cursor`."""
     wanted = filters.wanted()
     given = {"owner": owner_id, **{f"wanted_{key}": value for key, value in wanted.items()}}
     kept = _kept(tuple(wanted), form_of(query))
@@ -127,16 +129,16 @@ def job_rows(
 
 @lru_cache(MOST_FORMS)
 def _kept(wanted: tuple[str, ...], form: PageForm) -> KeptSelect:
-    """The statement of a page in this form of the question: with which filters."""
+    """Return the cached statement of a page with these filters."""
     mine = select(Job).where(Job.owner_id == parameter("owner"))
     narrowed = mine.filter_by(**{key: parameter(f"wanted_{key}") for key in wanted})
     page = newest_page(one_level(narrowed, is_within="root_id" in wanted), Job.id, form)
     return KeptSelect(with_counts(page))
 
 
-# The page of sequences that a caller asks for, by a statement that is kept for each form of the question.
+# The page of sequences for a caller, by a statement that is cached for each form of the query.
 #
-# **Conventions.** Who may see which sequence is `api/visible.py`'s, what is said of one `api/views/sequences.py`'s.
+# **Conventions.** `api/visible.py` decides who may see which sequence; `api/views/sequences.py` defines its fields.
 
 
 Prefix = Annotated[str | None, Query(pattern=PLAIN, max_length=100)]
@@ -145,7 +147,7 @@ Wanted = Mapping[str, str | BindParameter[str]]
 
 @dataclass(frozen=True)
 class SequenceFilters:
-    """Which sequences a list shows: equal values, and names that begin with `name`."""
+    """The filters of a sequence list: equal values, and names that start with `name`."""
 
     environment: LineQuery = None
     illumination: LineQuery = None
@@ -156,7 +158,7 @@ class SequenceFilters:
 
     @property
     def wanted(self) -> dict[str, str]:
-        """Those that are given."""
+        """Return the given filters."""
         return {name: value for name, value in vars(self).items() if value is not None}
 
     def narrowed(self, statement: Select[SequenceRow]) -> Select[SequenceRow]:
@@ -164,7 +166,7 @@ class SequenceFilters:
 
 
 def narrowed_by(statement: Select[SequenceRow], wanted: Wanted) -> Select[SequenceRow]:
-    """The sequences with these values, or with those that the parameters will have."""
+    """Limit the statement to sequences with these values, or with bound parameters for them."""
     for key, value in wanted.items():
         is_equal = getattr(SequenceRow, key) == value
         begins = func.substr(SequenceRow.name, 1, func.length(value)) == value
@@ -175,7 +177,7 @@ def narrowed_by(statement: Select[SequenceRow], wanted: Wanted) -> Select[Sequen
 def sequence_rows(
     session: Session, caller: Caller, filters: SequenceFilters, query: PageQuery
 ) -> tuple[Sequence[Row[Any]], str | None]:
-    """Rows of `with_glances`, and the cursor of the next page. Raises `bad_cursor`."""
+    """Return rows of `with_glances`, and the cursor of the next page. Raises `bad_cursor`."""
     wanted = filters.wanted
     kept = _kept_sequences(caller.is_administrator, tuple(wanted), form_of(query))
     given = {"caller": caller.user_id, **{f"wanted_{key}": value for key, value in wanted.items()}}
@@ -184,7 +186,7 @@ def sequence_rows(
 
 @lru_cache(MOST_FORMS)
 def _kept_sequences(is_administrator: bool, wanted: tuple[str, ...], form: PageForm) -> KeptSelect:
-    """The statement of a page in this form of the question: by whom, and with which filters."""
+    """Return the cached statement of a page with these filters for this kind of caller."""
     caller = None if is_administrator else parameter("caller")
     named = {key: parameter(f"wanted_{key}") for key in wanted}
     page = newest_page(narrowed_by(sequences_shown(caller), named), SequenceRow.id, form)

@@ -155,6 +155,6 @@ def _has_body(scope: Scope) -> bool:
 
 
 def _declared_bytes(scope: Scope) -> int:
-    """The Content-Length; 0 where it is no number."""
+    """Return the Content-Length, or 0 if it is not a number."""
     declared = Headers(scope=scope).get("content-length", "0")
     return int(declared[:18]) if declared.isascii() and declared.isdigit() else 0

@@ -1,7 +1,7 @@
 """Per-request context: the request's id and its caller.
 
-**Conventions.** An id from outside is taken if it is [A-Za-z0-9-]{1,64}, else one is made. It is in the answer, in
-every log line, in the audit log and in problems.
+**Conventions.** A client's id is used if it matches [A-Za-z0-9-]{1,64}, else a new id is created. The response, every
+log line, the audit log and problems contain it.
 """
 
 import re
@@ -15,12 +15,12 @@ _request_id: ContextVar[str] = ContextVar("request_id", default="")
 
 
 def request_id() -> str:
-    """The id of the request being answered; empty outside of one."""
+    """Return the id of the current request, or an empty string outside a request."""
     return _request_id.get()
 
 
 def begin(offered: str) -> str:
-    """Start a request under the id it offers, if that is one."""
+    """Start a request with the offered id if it is valid, else with a new id; return the id."""
     chosen = offered if ID.fullmatch(offered) else token_hex(16)
     _request_id.set(chosen)
     return chosen

@@ -1,10 +1,9 @@
 """The outermost ASGI middleware: request ids, access log, request metrics, security headers, internal errors.
 
-**Conventions.** Outermost of all: whatever is raised inside becomes a problem here at the latest. An answer that a
-route gave a header of its own keeps it. The access log has one line a request, with the route's template, never the
-query (cursors and names are nobody's business) and never a credential; so has its span. A `traceparent` from outside
-becomes a link, and the span's parent only where `STONE_API__TRUSTS_TRACEPARENT` says that a proxy of ours sets it:
-strangers shall neither name our traces nor decide which are kept.
+**Conventions.** Every exception becomes a problem here at the latest. Headers set by a route are kept. The access log
+has one line per request, with the route's template; like its span, it never contains the query (cursors and names are
+private) or a credential. A `traceparent` from outside becomes a link. It becomes the span's parent only if
+`STONE_API__TRUSTS_TRACEPARENT` states that our proxy sets it: clients must not choose our trace ids or sampling.
 """
 
 import re
@@ -65,7 +64,7 @@ class RequestMiddleware:
             _tell(made, scope, outgoing.status, request_id)
 
     def _span(self, scope: Scope, headers: Headers) -> AbstractContextManager[Span]:
-        """Of what people and programs ask; not of probes. Its name and attributes follow when the route is known."""
+        """Start the span of a request by a person or program, not of probes; name and attributes follow with the route."""
         if scope["path"] in UNTRACED:
             return nullcontext(INVALID_SPAN)
         offered = headers.get("traceparent", "")
@@ -81,7 +80,7 @@ class RequestMiddleware:
         except Exception as error:
             response = self._shown(Request(scope, receive), respond(error))
             if outgoing.status:
-                raise  # too late for another answer: the server cuts the connection, so the client sees it is not whole
+                raise  # too late for another response: the server closes the connection, so the client detects the cut
             await response(scope, receive, outgoing)
         finally:
             self._note(scope, outgoing.status, time.perf_counter() - begun)
@@ -97,7 +96,7 @@ class RequestMiddleware:
 
 
 class _Incoming:
-    """The way in: counts what came."""
+    """The receive channel; counts the received bytes."""
 
     def __init__(self, receive: Receive) -> None:
         self._receive = receive
@@ -110,7 +109,7 @@ class _Incoming:
 
 
 class _Outgoing:
-    """The way out: sets the headers every answer has, and remembers the status and how much went."""
+    """The send channel; sets the common headers, and records the status and the sent bytes."""
 
     def __init__(self, send: Send, request_id: str) -> None:
         self._send, self._request_id = send, request_id
@@ -128,7 +127,7 @@ class _Outgoing:
 
 
 def _tell(made: Span, scope: Scope, status: int, request_id: str) -> None:
-    """What was asked and answered; never the path itself or the query, which name things of people's."""
+    """Name the span and set its attributes, without path or query, which contain private names."""
     if not made.is_recording():
         return
     method, route = scope["method"], template_of(scope)
@@ -140,25 +139,24 @@ def _tell(made: Span, scope: Scope, status: int, request_id: str) -> None:
 
 
 def template_of(scope: Scope) -> str:
-    """The route's path with its parameters' names, so that ids do not become labels; `unmatched` without a route."""
+    """Return the route's path template, so that ids do not become labels; `unmatched` without a route."""
     if "endpoint" not in scope:
         return "unmatched"
     path, rest = str(scope["path"]), ""
     for name, value in reversed(scope.get("path_params", {}).items()):
         found = list(re.finditer(rf"/{re.escape(str(value))}(?=[/.]|$)", path))
-        if found:  # of several the last: what is behind it has been replaced
+        if found:  # the last replaced the earlier ones
             path, rest = path[: found[-1].start()], f"/{{{name}}}{path[found[-1].end() :]}{rest}"
     return path + rest
 
 
-# ASGI middleware by which clients of other releases are understood, or told what to install.
-#
-# **Conventions.** A caller that sends a release (`stone_base/releases.py`) is answered with ours: browsers and others
-# need not know it. A release that cannot be read says nothing.
+# Client version check: ASGI middleware that refuses unsupported client releases with the upgrade command.
+# **Conventions.** A caller that sends its release (`stone_base/releases.py`) gets ours in the response; browsers need
+# none. An unreadable release is ignored.
 
 
 class Releases:
-    """`Releases(app, install)`, an ASGI application around another; `install` is the line that a refusal ends with."""
+    """`Releases(app, install)`, an ASGI application around another; a refusal ends with the line `install`."""
 
     def __init__(self, app: ASGIApp, install: str) -> None:
         self._app, self._install = app, install

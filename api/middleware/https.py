@@ -1,7 +1,7 @@
-"""ASGI middleware that sends Strict-Transport-Security where the platform is reached by https (RFC 6797).
+"""ASGI middleware that sends Strict-Transport-Security if the public URL is https (RFC 6797).
 
-**Conventions.** A year, this host alone: what else is on the domain is not ours to speak for. A proxy that says it too
-says the same twice, and browsers take the first.
+**Conventions.** A year, this host alone; other hosts of the domain are not ours. If a proxy sends the header too,
+browsers use the first.
 """
 
 from starlette.datastructures import MutableHeaders
@@ -11,7 +11,7 @@ HEADER, VALUE = "Strict-Transport-Security", "max-age=31536000"
 
 
 class Https:
-    """An ASGI application around another that adds the header to every answer."""
+    """An ASGI application around another; adds the header to every response."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app

@@ -1,12 +1,12 @@
-"""Idempotency-Key middleware: a creating request sent twice is executed once and answered twice the same.
+"""Idempotency-Key middleware: a creating request sent twice is executed once and gets the same response twice.
 
-**Conventions.** Any POST under `/api/v1` by a known caller may carry a key of 1 to 128 visible ASCII characters. A key
-belongs to one caller, path, role and set of scopes for a day, so no credential with fewer rights receives the answer. A
-browser's request without its CSRF token is not looked up, and the route refuses it. Answers below 400 are repeated,
+**Conventions.** Any POST under `/api/v1` by a known caller may have a key of 1 to 128 visible ASCII characters. A key
+belongs to one caller, path, role and set of scopes for a day, so no credential with fewer rights receives the response.
+A browser's request without its CSRF token is not looked up, and the route refuses it. Responses below 400 are repeated,
 with `Idempotency-Replayed: true`. Refusals and faults changed nothing and are not kept, so the same key may be used
-again. Another body with the same key: 422. A repetition while the first request is in progress: 409. An answer with
-`no-store` or a cookie holds a secret; it is not kept, and its repetition is a 409 with this reason. A JSON body
-identifies a request; of a form or a piece of a file only the head does.
+again. Another body with the same key: 422. A repetition while the first request is in progress: 409. A response with
+`no-store` or a cookie contains a secret; it is not kept, and its repetition is a 409 with this reason. A JSON body
+identifies a request; for a form or a piece of a file only the head does.
 """
 
 import re
@@ -36,10 +36,10 @@ from services.runtime.orm.base import now_ns
 
 # Stored replies of idempotent requests: reserved, marked as done, replayed, deleted after a day.
 #
-# **Conventions.** `status` of a row: 0, being worked on; 1, took effect and is being answered; 2, took effect and its
-# answer is not kept (it holds a secret, or is too large); else the answer's own. The step from 0 to 1 is part of the
-# very transaction that takes effect, so what a crash leaves behind is known once the lease has run out: after 0
-# nothing happened and the request may be worked on again; after 1 it must not be.
+# **Conventions.** `status` of a row: 0, in progress; 1, took effect and is being answered; 2, took effect and its
+# response is not kept (a secret, or too large); else the response's own. The transaction that takes effect also sets 1.
+# After a crash and the end of the lease, a row with 0 had no effect, so the request may run again; a row with 1 must
+# not run again.
 
 
 IN_WORK, TOOK_EFFECT, NOT_KEPT = 0, 1, 2
@@ -50,7 +50,7 @@ working_for: ContextVar[str] = ContextVar("idempotent_reply", default="")
 
 @dataclass(frozen=True)
 class IdempotentRequest:
-    """A request as its caller identified it; `lease_ns` is longer than any such request lasts."""
+    """A request as its caller identified it; `lease_ns` exceeds the duration of any such request."""
 
     user_id: str
     route: str
@@ -61,7 +61,7 @@ class IdempotentRequest:
 
 @dataclass(frozen=True)
 class StoredReply:
-    """An answer that was kept."""
+    """A stored response."""
 
     status: int
     headers: Mapping[str, str]
@@ -69,7 +69,7 @@ class StoredReply:
 
 
 def reserve(database: Database, asked: IdempotentRequest) -> StoredReply | str:
-    """The answer kept for this key, or the id of the row that is now ours to work for.
+    """Return the response kept for this key, or the id of the row that is reserved for this request.
 
     Raises `idempotency_key_reused`, `request_in_flight`, `reply_not_kept`.
     """
@@ -86,7 +86,7 @@ def reserve(database: Database, asked: IdempotentRequest) -> StoredReply | str:
 
 
 def keep(database: Database, row_id: str, reply: StoredReply | None) -> None:
-    """Keep the answer; without one, note that there was an effect."""
+    """Store the response; without one, record that the request took effect."""
     values: dict[str, object] = {"status": NOT_KEPT}
     if reply is not None:
         values = {"status": reply.status, "headers": dict(reply.headers), "body": reply.body}
@@ -95,13 +95,15 @@ def keep(database: Database, row_id: str, reply: StoredReply | None) -> None:
 
 
 def release(database: Database, row_id: str) -> None:
-    """Forget the request: it was refused, and the next one with this key is worked on."""
+    """Delete the row of a refused request, so that its key can be used again."""
     with database.transaction() as session:
         session.execute(delete(IdempotentReply).where(IdempotentReply.id == row_id))
 
 
 def give_up(database: Database, row_id: str) -> None:
-    """Forget a request that ended in a fault, unless it took effect: its commit may only not have been heard of."""
+    """Delete the row of a request that ended in a fault, unless it took effect: its commit may have succeeded
+    unnoticed.
+    """
     mine = IdempotentReply.id == row_id
     with database.transaction() as session:
         session.execute(delete(IdempotentReply).where(mine, IdempotentReply.status == IN_WORK))
@@ -109,12 +111,12 @@ def give_up(database: Database, row_id: str) -> None:
 
 
 def _resume(database: Database, asked: IdempotentRequest) -> StoredReply | str:
-    """The reaction to a key that is known already."""
+    """Handle a key that already has a row: return its response or take over the row."""
     with database.transaction() as session:
         same = (IdempotentReply.user_id == asked.user_id, IdempotentReply.route == asked.route)
         known = select(IdempotentReply).where(*same, IdempotentReply.key == asked.key).with_for_update()
         row = session.scalars(known).one_or_none()
-        if row is None:  # it failed and was forgotten in this very moment
+        if row is None:  # it failed and was deleted in the meantime
             raise request_in_flight()
         if row.request_sha256 != asked.sha256:
             raise ApiError(
@@ -129,7 +131,7 @@ def _resume(database: Database, asked: IdempotentRequest) -> StoredReply | str:
             raise request_in_flight()
         if row.status == TOOK_EFFECT:
             raise reply_not_kept()
-        row.created_ns = now_ns()  # its process died before anything happened
+        row.created_ns = now_ns()  # its process died before it took effect
         return row.id
 
 
@@ -145,13 +147,13 @@ def _mark(session: Session) -> None:
 KEY = re.compile("[!-~]{1,128}")
 MOST_KEPT_BYTES = 64 * 1024
 LEASE_NS = 60 * 10**9
-STREAM_LEASE_NS = 6 * 3600 * 10**9  # a form's body comes while it is worked on
-OUTAGE_S, ASK_AGAIN_S = 20.0, 0.2  # a restart of the database; the client waits longer than that
+STREAM_LEASE_NS = 6 * 3600 * 10**9  # a form's body arrives while the request runs
+OUTAGE_S, ASK_AGAIN_S = 20.0, 0.2  # covers a restart of the database; the client waits longer
 DESCRIBING = ("content-type", "content-length", "upload-length", "upload-metadata", "upload-defer-length")
 
 
 class Idempotency:
-    """An ASGI application that answers repeated requests in the place of another."""
+    """An ASGI application around another that replays stored responses."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
@@ -192,7 +194,7 @@ class Idempotency:
 
 @dataclass
 class _RecordedReply:
-    """The answer, held back until it is kept; an answer too large to keep is sent as it comes, except its end."""
+    """A response held back until it is stored; if it is too large to store, it is sent at once, except its end."""
 
     send: Send
     messages: list[Message] = field(default_factory=list)
@@ -211,7 +213,7 @@ class _RecordedReply:
         return 200 <= self.status < 400
 
     def reply(self) -> StoredReply | None:
-        """The reply to keep: nothing of an answer that holds a secret or is too large."""
+        """Return the reply to store, or None if it contains a secret or is too large."""
         if self.size_bytes > MOST_KEPT_BYTES:
             return None
         headers = Headers(raw=self.messages[0]["headers"])
@@ -228,7 +230,7 @@ class _RecordedReply:
 
 @dataclass
 class _ReplayedBody:
-    """The body that was read, once more; afterwards what the client still says."""
+    """The body that was already read; afterwards the client's further messages."""
 
     receive: Receive
     body: bytes
@@ -242,7 +244,7 @@ class _ReplayedBody:
 
 
 def _ended(database: Database, held: str, outcome: _RecordedReply) -> None:
-    """Write down how the request ended."""
+    """Record how the request ended."""
     if outcome.is_success:
         keep(database, held, outcome.reply())
     elif 400 <= outcome.status < 500:
@@ -252,7 +254,7 @@ def _ended(database: Database, held: str, outcome: _RecordedReply) -> None:
 
 
 async def _note(write: Callable[[], None]) -> None:
-    """Once the database is there: a reply that is not written down makes its repetition wait for the lease."""
+    """Write with retries while the database restarts; without the write, a repetition would wait for the lease."""
     until_s = monotonic() + OUTAGE_S
     while True:
         try:
@@ -270,7 +272,7 @@ def _key_of(scope: Scope) -> str | None:
 
 
 def _caller(request: Request) -> Caller | None:
-    """Whose key it is; nobody's when the request will be refused anyway."""
+    """Return the caller whose key it is, or None if the request will be refused anyway."""
     try:
         caller = identify(request)
         if caller is not None:

@@ -1,9 +1,9 @@
 """Rate limits: token buckets per caller or address, for requests and sign-in attempts.
 
-**Conventions.** A bucket holds a minute's requests and fills evenly. Whoever has shown a valid credential has a bucket
-of their own, everybody else shares that of their address (IPv6: of their /64), so inventing tokens buys nothing.
-Buckets are kept in memory, per process, the `MOST_BUCKETS` used last. Everything is counted, pages too, but `PROBES`;
-what browsers load for pages (`FILES`), a page's dozens of them at once and then never again, apart from the rest.
+**Conventions.** A bucket holds the requests of one minute and fills evenly. Callers with a valid credential have their
+own bucket. All others share the bucket of their address (IPv6: of the /64), so inventing tokens does not help. Buckets
+are in memory, per process; the `MOST_BUCKETS` last used are kept. All requests count except `PROBES`. Static files
+(`FILES`) count separately, because a page loads dozens at once and then caches them.
 """
 
 import ipaddress
@@ -26,19 +26,19 @@ UPLOADS = "/api/v1/uploads"
 MOST_BUCKETS = 10_000
 PROBES = ("/healthz", "/readyz")
 FILES = "/assets/"
-FILES_SHARE = 10  # such files a minute, against other requests
-NAME_SHARE = 3  # sign-ins a minute with one name, from everywhere, against those from one address
+FILES_SHARE = 10  # ratio of the rate of static files to the rate of other requests
+NAME_SHARE = 3  # ratio of sign-ins with one name from everywhere to those from one address
 
 
 class Buckets:
-    """`take(key, per_minute)` takes one token, or says how many seconds it will be until there is one."""
+    """`take(key, per_minute)` takes one token, or returns the seconds until there is one."""
 
     def __init__(self, monotonic_s: Callable[[], float] = time.monotonic) -> None:
         self._now_s, self._lock = monotonic_s, Lock()
         self._held: LRUCache[str, tuple[float, float]] = LRUCache(MOST_BUCKETS)
 
     def take(self, key: str, per_minute: float) -> float:
-        """0.0 when the token was there."""
+        """Return 0.0 if a token was taken, else the seconds until there is one."""
         with self._lock:
             now_s = self._now_s()
             tokens, since_s = self._held.get(key, (per_minute, now_s))
@@ -48,7 +48,7 @@ class Buckets:
 
 
 class RequestLimits:
-    """The rates of one application."""
+    """The rate limits of one application."""
 
     def __init__(self, settings: Settings, monotonic_s: Callable[[], float] = time.monotonic) -> None:
         self._api = settings.api
@@ -57,7 +57,7 @@ class RequestLimits:
         self._lock = Lock()
 
     def admit(self, request: Request) -> None:
-        """Count a request, but no piece of a known caller's upload. Raises `rate_limited`."""
+        """Count a request, except a piece of a known caller's upload. Raises `rate_limited`."""
         with self._lock:
             known = self._known.get(credential_of(request))
         who, per_minute = known or address_of(request), self._api.requests_per_minute
@@ -67,9 +67,9 @@ class RequestLimits:
             self._take(who, per_minute)
 
     def admit_sign_in(self, request: Request, tried: SignInTry) -> None:
-        """Count an attempt at a password, by address and by name. Raises `rate_limited`.
+        """Count a password attempt, by address and by name. Raises `rate_limited`.
 
-        Where the address is known for the name it is counted by both at once, apart from everybody else's.
+        If the address is known for the name, the attempt counts for the pair only, apart from all others.
         """
         if tried.is_known:
             self._take(f"sign-in {address_of(request)} as {tried.name}", self._api.sign_ins_per_minute)
@@ -78,15 +78,15 @@ class RequestLimits:
         self._take(f"sign-in as {tried.name}", self._api.sign_ins_per_minute * NAME_SHARE)
 
     def admit_from(self, request: Request, what: str) -> None:
-        """Count `what` a stranger begins, by address, as many as sign-ins with one name. Raises `rate_limited`."""
+        """Count an unauthenticated `what` by address, at the rate of sign-ins with one name. Raises `rate_limited`."""
         self._take(f"{what} {address_of(request)}", self._api.sign_ins_per_minute * NAME_SHARE)
 
     def admit_guess(self, user_id: str) -> None:
-        """Count a code that a user typed, right or wrong. Raises `rate_limited`."""
+        """Count a typed code, right or wrong. Raises `rate_limited`."""
         self._take(f"code by {user_id}", self._api.sign_ins_per_minute * NAME_SHARE)
 
     def know(self, request: Request, user_id: str) -> None:
-        """Count requests with this credential as this user's from now on."""
+        """Count later requests with this credential for this user."""
         with self._lock:
             self._known[credential_of(request)] = f"user {user_id}"
 
@@ -109,12 +109,12 @@ class RateLimit:
 
 
 def is_piece(request: Request) -> bool:
-    """Whether it brings bytes of an upload, which quota and length bound: counted, small pieces could not be sent."""
+    """Return whether the request brings bytes of an upload, which quota and length limit instead of the rate."""
     return request.method == "PATCH" and request.url.path.startswith(UPLOADS)
 
 
 def credential_of(request: Request) -> str:
-    """A hash of what the request shows of itself; the secret itself is not kept in memory."""
+    """Return a hash of the request's credential, so that memory does not hold the secret."""
     shown = request.headers.get("authorization") or request.cookies.get(COOKIE, "")
     return sha256(shown.encode()).hexdigest()
 

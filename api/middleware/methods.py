@@ -1,6 +1,6 @@
-"""The methods a path allows: the `Allow` header of a 405 (RFC 9110 §15.5.6).
+"""The methods that a path supports: the `Allow` header of a 405 (RFC 9110 §15.5.6).
 
-**Conventions.** Read off the OpenAPI document, since the router knows the first route of a path only.
+**Conventions.** They come from the OpenAPI document, because the router finds only the first route of a path.
 """
 
 import re
@@ -9,11 +9,11 @@ from collections.abc import Iterator
 from fastapi import Request
 
 PARAMETER = re.compile(r"\\{\w+\\}")
-PATH = r"\{path\}"  # a path within something, slashes and all
+PATH = r"\{path\}"  # a path parameter that includes slashes
 
 
 def allowed(request: Request) -> str:
-    """The methods of the request's path, as the header says them; empty where there is no such path."""
+    """Return the methods of the request's path for the header, or an empty string if there is no such path."""
     return ", ".join(sorted(set(_methods(request))))
 
 

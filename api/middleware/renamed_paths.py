@@ -1,7 +1,7 @@
 """ASGI middleware that serves renamed paths by their earlier names, for one release.
 
-**Conventions.** A request by an earlier path is answered as by the new one, and the answer names the new path
-(`Deprecation`, RFC 9745; `Link` with `successor-version`, RFC 5829). A redirect would be followed by few programs.
+**Conventions.** A request to an earlier path gets the response of the new path, with its name
+(`Deprecation`, RFC 9745; `Link` with `successor-version`, RFC 5829). Few programs would follow a redirect.
 """
 
 from collections.abc import Mapping
@@ -15,14 +15,14 @@ DEPRECATED_SINCE = "@1796083200"  # 2026-12-01
 
 
 class RenamedPaths:
-    """An ASGI application around another that knows earlier paths."""
+    """An ASGI application around another that also accepts earlier paths."""
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         path = _successor(scope["path"]) if scope["type"] == "http" else None
-        quoted = quote(path or "")  # of line breaks too, which a header cannot hold
+        quoted = quote(path or "")  # quotes line breaks, which a header cannot contain
         if path is None:
             await self._app(scope, receive, send)
             return

@@ -24,7 +24,7 @@ def _calls(route: APIRoute) -> Iterator[object]:
 
 
 def below(dependant: Dependant) -> Iterator[Dependant]:
-    """Yield the dependant and all that it depends on."""
+    """Yield the dependant and all its dependencies."""
     yield dependant
     for dependency in dependant.dependencies:
         yield from below(dependency)

@@ -42,8 +42,8 @@ def create_dataset(
 ) -> PublishedDataset:
     """The version never changes. Its train and val parts can then be downloaded.
 
-    Jobs then make the inputs. The response contains the warnings of the rules, and the audit log their codes. With If-
-    Match, the ETag of the splits, the request fails if the splits have changed since.
+    Jobs then make the inputs. The response contains the warnings of the rules, and the audit log their codes. With
+    If-Match, the ETag of the splits, the request fails if the splits have changed since.
     """
     asked = NewDataset(body.name, body.licence, caller.user_id)
     platform.settings.root.mkdir(parents=True, exist_ok=True)
