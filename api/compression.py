@@ -1,9 +1,9 @@
 """Responses with an ETag, compressed for clients that accept gzip.
 
 **Conventions.** Only responses without secrets and without text from the request are compressed (lists and boards):
-beside a secret, the compressed length would reveal how much of a guess is right (BREACH). Pages contain the CSRF token
-and stay uncompressed, as do event streams, which must not be buffered. The compressed form has its own ETag
-(RFC 9110 §8.8.3.3); `If-None-Match` may name either.
+beside a secret, the compressed length would reveal guesses (BREACH). Pages contain the CSRF token and stay
+uncompressed, as do event streams, which must not be buffered. The compressed form has its own ETag (RFC 9110 §8.8.3.3);
+`If-None-Match` may name either.
 """
 
 import gzip

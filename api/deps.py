@@ -143,7 +143,9 @@ def at_once(kind: Callable[..., T]) -> Callable[..., Awaitable[T]]:
 
 
 def identify(request: Request) -> Caller | None:
-    """Return the caller by token, else by session; None without either. Raises `UnauthenticatedError` if it is invalid."""
+    """Return the caller by token or session, or None without a credential. Raises `UnauthenticatedError` if it is
+    invalid.
+    """
     if not hasattr(request.state, "caller"):
         shown = _shown_credential(request)
         request.state.caller = None
@@ -269,7 +271,7 @@ def _by_token(platform: Platform, header: str) -> Caller:
 
 
 def _note_use(platform: Platform, note: Callable[[Session, str], None], credential_id: str) -> None:
-    """Record the use of a credential; only log a failure, so that users can still read and delete if the disk is full."""
+    """Record the use of a credential. Failures are only logged, so that users can delete files if the disk is full."""
     try:
         with platform.database.transaction() as session:
             note(session, credential_id)

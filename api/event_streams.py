@@ -97,7 +97,7 @@ class Follower:
     async def snapshots(
         self, subject: StreamSubject, seen: int | None, patience_s: float
     ) -> AsyncGenerator[StreamSnapshot | None]:
-        """Yield every snapshot newer than version `seen`, and None after each `patience_s` without one, until the end."""
+        """Yield every snapshot newer than version `seen` until the end, and None after `patience_s` without one."""
         followed = self._followed.setdefault(subject, _SubjectState())
         followed.waiting += 1
         try:

@@ -18,7 +18,7 @@ UNSAID = "no reason was given"
 
 
 def control_run(session: Session, platform: Platform, caller: Caller, act: JobAct, root_id: str, reason: str) -> Job:
-    """Apply the act and return the run; notify an owner once if another user stopped the run. Raises `JobStateError`."""
+    """Apply the act and return the run; notify its owner if another user stopped it. Raises `JobStateError`."""
     if act == "retry":
         run = control.retry(session, root_id, platform.settings.jobs.max_attempts)
         reopen(session, run)

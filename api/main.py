@@ -1,8 +1,8 @@
 """The FastAPI application: its middleware and routes.
 
 **Conventions.** A request passes, from outside in: `renamed_paths`, `https` (if the public URL is HTTPS), `entry` (id,
-log, metrics, security headers, faults), `limits` (rate), `releases` (client version), `bodies` (sender, size, time),
-`idempotency`, then the router. Routes live under `/api/v1`, a module per noun; probes at the root.
+log, metrics, headers, faults), `limits` (rate), `releases` (client version), `bodies` (sender, size, time),
+`idempotency`, router. Routes live under `/api/v1`, a module per noun; probes at the root.
 """
 
 from collections.abc import AsyncIterator

@@ -2,7 +2,7 @@
 
 **Conventions.** Each part has its own thread and one probe at a time, so a part that hangs costs one thread and is
 reported away. Results are cached for `FRESH_S`, so frequent probes cost no more. The store probe writes, reads and
-deletes a small object: a full, read-only or unmounted disk can still list files.
+deletes a small object, because a full, read-only or unmounted disk can still list files.
 """
 
 import time
@@ -84,7 +84,7 @@ def _state(name: str, asked: Future[float], deadline_s: float) -> PartState:
         took_ms = asked.result(max(deadline_s - time.monotonic(), 0.0))
     except TooSlowError:
         state = "away"
-    except Exception as error:  # whatever a driver raises, the part is away; the reason is for the log only
+    except Exception as error:  # any driver error means that the part is away; the reason is only logged
         log.warning("part unavailable", part=name, reason=str(error)[:300])
         state, took_ms = "away", 0.0
     return PartState(state=state, took_ms=round(took_ms, 2))

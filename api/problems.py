@@ -1,8 +1,7 @@
 """Error responses as `application/problem+json` (RFC 9457).
 
 **Conventions.** `type` is `/api/v1/problems/<code>`, which describes it; `detail` is one sentence; `errors` are the
-first hundred findings of `errors_total`. Nothing of what was sent is repeated but names and lengths, and nothing of our
-insides.
+first hundred findings of `errors_total`. A problem repeats only names and lengths of the request, and no internals.
 """
 
 import errno
@@ -39,13 +38,13 @@ BUSY_S = "2"
 GRANTED_WITHIN_S = 86_400
 
 Shown = Callable[[Request, Response], Response]
-"""How the answer to a refusal or fault is shown to this request."""
+"""A function that renders a refusal or fault for this request."""
 
 log = structlog.get_logger(__name__)
 
 
 class ProblemFinding(BaseModel):
-    """One thing that is wrong."""
+    """One finding about the request."""
 
     code: str
     where: str = ""
@@ -57,7 +56,7 @@ class ProblemFinding(BaseModel):
 
 
 class Problem(BaseModel):
-    """Why the answer is not the one asked for."""
+    """A refusal or fault as a response body."""
 
     type: str = Field(examples=["/api/v1/problems/not_found"])
     title: str
@@ -73,21 +72,21 @@ class Problem(BaseModel):
 
 
 def problem(code: str, detail: str, status: int = 500) -> Problem:
-    """Return a problem of this request with status and title of its code; `status` is of codes that the table lacks."""
+    """Return a problem of this request by its code; `status` is used for codes that the table lacks."""
     kind = PROBLEM_TYPES.get(code) or ProblemType(status, phrase_of(status))
     where, (known, title) = f"{PROBLEMS_PATH}/{code}", kind
     return Problem(type=where, title=title, status=known, detail=detail, code=code, request_id=request_id())
 
 
 def answer(body: Problem, headers: Mapping[str, str] | None = None) -> JSONResponse:
-    """The problem as an answer, never kept by anybody on the way."""
+    """Return the problem as a response that must not be cached."""
     content = body.model_dump(mode="json", exclude_none=True)
     kept = {"Cache-Control": "no-store", **({"Retry-After": BUSY_S} if body.status == 503 else {}), **(headers or {})}
     return JSONResponse(content, body.status, headers=kept, media_type=MEDIA_TYPE)
 
 
 def answer_to(error: StoneError) -> JSONResponse:
-    """The answer to a refusal, by the table."""
+    """Return the response to a refusal, by the table."""
     if error.code not in PROBLEM_TYPES:
         log.error("refusal code without a problem type", code=error.code, sentence=str(error))
         return internal_error()
@@ -102,7 +101,7 @@ def answer_to(error: StoneError) -> JSONResponse:
 
 
 def _exhausted(body: Problem, error: ExhaustedError) -> JSONResponse:
-    """When there will be something left; where nothing tells when, a client is to ask another day, not at once."""
+    """Add the time of the next slot; without one, let clients retry the next day instead of at once."""
     wait_s = GRANTED_WITHIN_S
     if error.next_ns is not None:
         body.next_slot_at = instant(error.next_ns)
@@ -111,17 +110,17 @@ def _exhausted(body: Problem, error: ExhaustedError) -> JSONResponse:
 
 
 def internal_error() -> JSONResponse:
-    """A fault of ours: the response holds the request's id and nothing more."""
+    """Return a 500 response that contains only the request's id."""
     return answer(problem("internal_error", "internal error; report it with its request_id"))
 
 
 def as_it_is(_request: Request, answer: Response) -> Response:
-    """The problem itself; pages show it in words of their own."""
+    """Return the problem unchanged; pages render it in their own words."""
     return answer
 
 
 def install(app: FastAPI, shown: Shown = as_it_is) -> None:
-    """Answer what routes raise with problems; what is raised outside, `middleware/entry.py` hands to `respond`."""
+    """Turn exceptions of routes into problems; `middleware/entry.py` passes other exceptions to `respond`."""
 
     def answered(request: Request, error: Exception) -> Response:
         if isinstance(error, ObjectDamagedError):
@@ -136,13 +135,13 @@ def install(app: FastAPI, shown: Shown = as_it_is) -> None:
 
 
 def _told(request: Request, error: Exception) -> Exception:
-    """The error as this caller may see it: where a visitor finds nothing, they are asked to sign in."""
+    """Return the error for this caller: visitors get 401 instead of 403 or 404."""
     is_visiting = getattr(getattr(request.state, "caller", None), "is_visitor", False)
     return UnauthenticatedError() if is_visiting and isinstance(error, NotFoundError | ForbiddenError) else error
 
 
 def respond(error: Exception) -> JSONResponse:
-    """The answer to anything that was raised; what is not foreseen is logged with its traceback and is a 500."""
+    """Return the response to any exception; an unhandled one is logged with its traceback and is a 500."""
     for kind, shape in ANSWERS:
         if isinstance(error, kind):
             return shape(error)
@@ -151,7 +150,7 @@ def respond(error: Exception) -> JSONResponse:
 
 
 def _invalid(error: Any) -> JSONResponse:
-    if isinstance(error.body, bytes) and error.body:  # FastAPI leaves a body alone that does not say it is JSON
+    if isinstance(error.body, bytes) and error.body:  # without a JSON Content-Type, FastAPI passes the body on as bytes
         return answer_to(no_json())
     raw: Sequence[Any] = error.errors()
     findings = tuple(field_finding(one) for one in raw[:MOST_FINDINGS])
@@ -201,7 +200,9 @@ def _database_away(error: Any) -> JSONResponse:
     log.error("database unreachable", reason=str(error)[:300])
     if isinstance(error, OperationalError) and is_full(error):
         return _disk_full()
-    if "no such column" in str(error) or "no such table" in str(error):  # SQLite's words; PostgreSQL has a class for it
+    if "no such column" in str(error) or "no such table" in str(
+        error
+    ):  # SQLite's messages; PostgreSQL has a class for them
         return internal_error()
     sentence = "the database is unreachable or too busy; nothing was changed, try again"
     return answer(problem("database_unavailable", sentence))

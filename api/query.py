@@ -1,7 +1,7 @@
-"""Unknown query parameters are refused, as unknown keys of a body are.
+"""Refuse unknown query parameters, like unknown keys of a body.
 
-**Conventions.** A parameter that a route lacks would be ignored, and a list would come unfiltered. The answers of
-OpenID Connect providers are exempt: a client must ignore the parameters it does not know (RFC 6749, section 4.1.2).
+**Conventions.** If a route ignored unknown parameters, a list with a misspelt filter would be unfiltered. The responses
+of OpenID Connect providers are exempt: a client must ignore unknown parameters (RFC 6749, section 4.1.2).
 """
 
 from collections.abc import Awaitable, Callable
@@ -28,7 +28,7 @@ def known_query(router: APIRouter) -> Callable[[Request], Awaitable[None]]:
             return
         if unknown := [name for name in request.query_params if name not in names]:
             expected = f"one of {', '.join(names)}" if names else "no query parameters"
-            await identify_async(request)  # a false credential is refused first, and the log names the caller
+            await identify_async(request)  # an invalid credential is refused first, and the log names the caller
             findings = tuple(_finding(name, expected) for name in unknown[:MOST_FINDINGS])
             raise invalid_request(findings, len(unknown))
 

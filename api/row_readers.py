@@ -1,9 +1,8 @@
-"""Routes that answer with some rows: a few threads work on them, and who came first is answered first.
+"""Routes that return rows: a few threads run them in the order of arrival.
 
-**Conventions.** Threads of one process run Python one at a time, so more of them answer no sooner: forty, which is what
-other routes have, take the interpreter from each other in any order, some requests wait five times as long as others,
-and each taking costs. What may last, say for a file or a board that is computed, has no place here: it would hold up
-the lists.
+**Conventions.** Threads of one process run Python one at a time, so more threads answer no sooner. The forty threads of
+other routes contend for the interpreter at a cost, and some requests then wait five times as long as others. Slow work,
+such as reading files or computing boards, must not run here, because it would delay the lists.
 """
 
 from collections.abc import Callable, Coroutine
@@ -21,7 +20,7 @@ _limiter = RunVar[CapacityLimiter]("row_readers")
 
 
 def by_row_readers(answer: Callable[P, Response]) -> Callable[P, Coroutine[Any, Any, Response]]:
-    """The route's function as one that is awaited while one of the few threads runs it."""
+    """Return the route's function as a coroutine function that runs in one of the few threads."""
 
     @wraps(answer)
     async def answered(*args: P.args, **given: P.kwargs) -> Response:
@@ -31,7 +30,7 @@ def by_row_readers(answer: Callable[P, Response]) -> Callable[P, Coroutine[Any, 
 
 
 def _row_readers() -> CapacityLimiter:
-    """Those of the running event loop."""
+    """Return the limiter of the running event loop."""
     limiter = _limiter.get(None)
     if limiter is None:
         limiter = CapacityLimiter(ROW_READERS)

@@ -215,5 +215,5 @@ OF_OTHERS = {460: "Checksum Mismatch"}  # statuses that HTTP itself does not kno
 
 
 def phrase_of(status: int) -> str:
-    """The status's name."""
+    """Return the status's name."""
     return OF_OTHERS.get(status) or HTTPStatus(status).phrase

@@ -1,8 +1,8 @@
-"""Visibility queries: what a caller may see; administrators see everything.
+"""Visibility queries; administrators see everything.
 
-**Conventions.** What is somebody else's is looked up in the same way as what does not exist, and answered in the same
-way: 404. A deleted sequence exists for nobody. What its owner made public is `shown_to` everybody, and theirs still;
-what a hidden phase is scored against is shown to nobody but its owner, whatever it says of itself.
+**Conventions.** Other users' objects are looked up like missing ones, and both return 404. A deleted sequence is
+visible to no one. A public sequence is in `shown_to` for all callers, and still its owner's. The ground truth of a
+hidden phase is shown only to its owner, even if it is public.
 """
 
 from functools import cache
@@ -45,7 +45,7 @@ _NEWEST = (LabelSet.chosen_ns.desc(), LabelSet.id.desc())
 
 
 def theirs(statement: Select[Row], caller: Caller, owner: InstrumentedAttribute[str]) -> Select[Row]:
-    """The statement, of the caller's own things only unless they administrate."""
+    """Limit the statement to the caller's own rows unless the caller is an administrator."""
     return statement if caller.is_administrator else statement.where(owner == caller.user_id)
 
 
@@ -59,7 +59,7 @@ def sequence_of(session: Session, caller: Caller, sequence_id: str) -> SequenceR
 
 
 def sequences_shown_to(caller: Caller) -> Select[SequenceRow]:
-    """The caller's own sequences and the public ones."""
+    """Select the caller's own sequences and the public ones."""
     return sequences_shown(None if caller.is_administrator else caller.user_id)
 
 
@@ -75,12 +75,12 @@ def sequences_shown(user_id: str | BindParameter[str] | None) -> Select[Sequence
 
 
 def shown_sequence(session: Session, caller: Caller, sequence_id: str) -> SequenceRow:
-    """A sequence that the caller may look at. Raises `NotFoundError`."""
+    """Return a sequence that the caller may view. Raises `NotFoundError`."""
     return _only(session, sequences_shown_to(caller).where(SequenceRow.id == sequence_id), "sequence", sequence_id)
 
 
 def hiding(session: Session, sequence_id: str) -> str:
-    """What hides the labels of a sequence, in words; '' where nothing does. The draft splits are read as they are."""
+    """Return the reason why the labels of a sequence are hidden, or ''. The draft splits are read unchanged."""
     of_sequence = DatasetMember.sequence_id == sequence_id
     in_test = select(Dataset.name).join(DatasetMember).where(of_sequence, DatasetMember.part == HIDDEN_PART)
     if version := session.scalar(in_test.order_by(Dataset.id).limit(1)):
@@ -112,7 +112,7 @@ def export_of(session: Session, caller: Caller, sequence_id: str, export_id: str
 
 
 def exports_shown_to(session: Session, caller: Caller, sequence_id: str) -> Select[Export]:
-    """The exports of a sequence that is shown to the caller: all for its owner, the finished ones for readers.
+    """Select the exports of a sequence that the caller may view: all for its owner, the finished ones for others.
 
     A playback is its owner's: others get single files of it through the viewer. Raises `NotFoundError`.
     """
@@ -149,17 +149,17 @@ def job_of(session: Session, caller: Caller, job_id: str) -> Job:
 
 
 def labels_of(session: Session, sequence_id: str) -> LabelSet | None:
-    """The labels that count; None while there are none."""
+    """Return the active labels, or None."""
     return counting_labels(session, sequence_id)
 
 
 def newest_label_set(session: Session, sequence_id: str) -> LabelSet:
-    """The labels that count. Raises `NotFoundError` while there are none."""
+    """Return the active labels. Raises `NotFoundError` if there are none."""
     return _known(labels_of(session, sequence_id), "label set of sequence", sequence_id)
 
 
 def frame_of(session: Session, caller: Caller, token: str) -> tuple[LabelledFrameRow, LabelSet]:
-    """The frame in the newest label set of its sequence; of several sequences that share it, the newest labels.
+    """Return the frame in the newest label set of its sequence; if several sequences have it, the newest labels.
 
     Tokens are made of the sequence's name and the stamp, so two owners may have the same one. Raises `NotFoundError`.
     """
@@ -185,12 +185,12 @@ def frame_of(session: Session, caller: Caller, token: str) -> tuple[LabelledFram
 
 
 def dataset_of(session: Session, name: str) -> Dataset:
-    """A version of the dataset, which is everybody's. Raises `NotFoundError`."""
+    """Return a version of the dataset, visible to all users. Raises `NotFoundError`."""
     return _known(dataset_named(session, name), "dataset version", name)
 
 
 def benchmarks_of(caller: Caller) -> Select[Benchmark]:
-    """All benchmarks for whoever is signed in, the public ones for a visitor."""
+    """Select all benchmarks for signed-in users, the public ones for a visitor."""
     return select(Benchmark).where(Benchmark.is_public) if caller.is_visitor else select(Benchmark)
 
 
@@ -200,7 +200,7 @@ def benchmark_of(session: Session, caller: Caller, name: str) -> Benchmark:
 
 
 def phase_at(session: Session, caller: Caller, benchmark: str, phase: str) -> Phase:
-    """A phase by its names. Raises `NotFoundError`."""
+    """Return a phase by its names. Raises `NotFoundError`."""
     found = phase_named(session, benchmark_of(session, caller, benchmark).name, phase)
     return _known(found, "phase", f"{benchmark}/{phase}")
 
@@ -224,7 +224,7 @@ def phase_of(session: Session, phase_id: str) -> Phase:
 
 
 def teams_of(caller: Caller) -> Select[Team]:
-    """The teams that the caller is a member of; for administrators all."""
+    """Select the caller's teams; for administrators all teams."""
     own = select(TeamMember.team_id).where(TeamMember.user_id == caller.user_id)
     return select(Team) if caller.is_administrator else select(Team).where(Team.id.in_(own))
 
@@ -235,13 +235,13 @@ def team_of(session: Session, caller: Caller, team_id: str) -> Team:
 
 
 def member_team_of(session: Session, caller: Caller, team_id: str) -> Team:
-    """A team that the caller may act for, which an administrator cannot for others. Raises `NotFoundError`."""
+    """Return a team that the caller may act for; administrators cannot act for other teams. Raises `NotFoundError`."""
     team = session.get(Team, team_id) if is_member(session, team_id, caller.user_id) else None
     return _known(team, "team", team_id)
 
 
 def submissions_of(caller: Caller) -> Select[SubmissionRow]:
-    """The submissions of the caller's teams; for administrators all."""
+    """Select the submissions of the caller's teams; for administrators all submissions."""
     own = select(TeamMember.team_id).where(TeamMember.user_id == caller.user_id)
     found = select(SubmissionRow)
     return found if caller.is_administrator else found.where(SubmissionRow.team_id.in_(own))

@@ -7,7 +7,7 @@ more second for every `api.body_bytes_per_s` received (408). The bytes that a re
 the request ends (`held_bytes.py`, 503).
 
 The upload's own length limits pieces of files, which are written as they arrive (`api/tus/body_stream.py`). Forms may
-have `uploads.form_bytes`, of which memory holds `SPOOLED_BYTES`. Forms and pieces of files may pause for
+have `uploads.form_bytes`, with at most `SPOOLED_BYTES` in memory. Forms and pieces of files may pause for
 `uploads.idle_s` at most.
 """
 

@@ -64,7 +64,7 @@ class RequestMiddleware:
             _tell(made, scope, outgoing.status, request_id)
 
     def _span(self, scope: Scope, headers: Headers) -> AbstractContextManager[Span]:
-        """Start the span of a request by a person or program, not of probes; name and attributes follow with the route."""
+        """Start the span of a request, except of probes; its name and attributes are set when the route is known."""
         if scope["path"] in UNTRACED:
             return nullcontext(INVALID_SPAN)
         offered = headers.get("traceparent", "")
@@ -127,7 +127,7 @@ class _Outgoing:
 
 
 def _tell(made: Span, scope: Scope, status: int, request_id: str) -> None:
-    """Name the span and set its attributes, without path or query, which contain private names."""
+    """Set the span's name and attributes, without path or query, which contain private names."""
     if not made.is_recording():
         return
     method, route = scope["method"], template_of(scope)

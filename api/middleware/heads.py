@@ -1,12 +1,12 @@
 """An uvicorn protocol that bounds connections and request heads: `--http api.middleware.heads:BoundedHeads`.
 
-**Conventions.** httptools keeps whatever comes until a head is complete, so one connection that never completes it
-would take all memory, and nobody has asked yet who calls. Beyond `MOST_HEAD_BYTES`, and what one read brings more, the
-answer is 431 and the connection ends (RFC 6585 §5). uvicorn's other parser, h11, has the same bound.
+**Conventions.** httptools buffers a head until it is complete, so one connection with an endless head would take all
+memory, before any authentication. Beyond `MOST_HEAD_BYTES` plus one read the response is 431 and the connection ends
+(RFC 6585 §5). uvicorn's other parser, h11, has the same bound.
 
-A connection has `STONE_API__HEAD_S` to complete its first head, and the same time after each answer for the next head.
-uvicorn's own timer closes an idle connection sooner after an answer. The unread rest of an answered request's body is
-discarded within the same time. If a client accepts no byte of an answer for `STALL_S`, the connection is aborted.
+A connection has `STONE_API__HEAD_S` to complete its first head, and the same time after each response for the next. The
+timer of uvicorn itself closes an idle connection sooner after a response. The unread rest of an answered request's body
+is discarded within the same time. If a client accepts no byte for `STALL_S`, the connection is aborted.
 """
 
 import logging

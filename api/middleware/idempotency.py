@@ -36,10 +36,10 @@ from services.runtime.orm.base import now_ns
 
 # Stored replies of idempotent requests: reserved, marked as done, replayed, deleted after a day.
 #
-# **Conventions.** `status` of a row: 0, in progress; 1, took effect and is being answered; 2, took effect and its
-# response is not kept (a secret, or too large); else the response's own. The transaction that takes effect also sets 1.
-# After a crash and the end of the lease, a row with 0 had no effect, so the request may run again; a row with 1 must
-# not run again.
+# **Conventions.** `status` of a row is 0 while in progress, and 1 when the request took effect and is being answered.
+# It is 2 if the response is not kept (a secret, or too large), else the response's own status. The transaction that
+# takes effect also sets 1. After a crash and the end of the lease, a row with 0 had no effect, so the request may run
+# again; a row with 1 must not run again.
 
 
 IN_WORK, TOOK_EFFECT, NOT_KEPT = 0, 1, 2

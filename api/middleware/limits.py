@@ -1,9 +1,9 @@
 """Rate limits: token buckets per caller or address, for requests and sign-in attempts.
 
 **Conventions.** A bucket holds the requests of one minute and fills evenly. Callers with a valid credential have their
-own bucket. All others share the bucket of their address (IPv6: of the /64), so inventing tokens does not help. Buckets
-are in memory, per process; the `MOST_BUCKETS` last used are kept. All requests count except `PROBES`. Static files
-(`FILES`) count separately, because a page loads dozens at once and then caches them.
+own bucket. All others share the bucket of their address (for IPv6 of the /64), so inventing tokens does not help.
+Buckets are in memory, per process; the `MOST_BUCKETS` last used are kept. All requests count except `PROBES`. Static
+files (`FILES`) count separately, because a page loads dozens at once and then caches them.
 """
 
 import ipaddress

@@ -1,8 +1,8 @@
 """Routes of benchmarks, phases and metrics.
 
-**Conventions.** Read by whoever is signed in, the public ones by anybody. A phase is addressed by the names of its
-benchmark and itself here, by its id elsewhere. The manifest is that of the ground truth in force. Ground truth itself
-has no route; `frame_pictures.py` shows open one from above.
+**Conventions.** Signed-in users can read all benchmarks, visitors only public ones. Here a phase is addressed by the
+names of its benchmark and itself, elsewhere by its id. The manifest belongs to the active ground truth. Ground truth
+has no route; `frame_pictures.py` returns top-view pictures of open ground truth.
 """
 
 from hashlib import sha256
@@ -39,7 +39,7 @@ MARKDOWN: Responses = {200: {"content": {"text/markdown": {"schema": {"type": "s
 
 
 class PhasePath:
-    """Which phase of which benchmark."""
+    """A phase by the names of its benchmark and itself."""
 
     def __init__(self, benchmark_name: BenchmarkName, phase_name: PhaseName, caller: Looker) -> None:
         self.benchmark, self.phase, self._caller = benchmark_name, phase_name, caller
@@ -49,7 +49,7 @@ class PhasePath:
         return phase_at(session, self._caller, self.benchmark, self.phase)
 
     def find_id(self, session: Session) -> str:
-        """The phase's id alone. Raises `NotFoundError`."""
+        """Return only the phase's id. Raises `NotFoundError`."""
         return phase_id_at(session, self._caller, self.benchmark, self.phase)
 
 
@@ -92,7 +92,7 @@ def show_phase(phase_id: IdPath, _caller: Reader, platform: PlatformDep, respons
     responses=MANIFEST | refusals(409),
 )
 def download_phase_manifest(at: AtPhase, platform: PlatformDep, request: Request) -> Response:
-    """The frames that a submission must contain, as `stone validate --manifest` reads them."""
+    """Return the frames that a submission must contain, as `stone validate --manifest` reads them."""
     with platform.database.reading() as session:
         phase = at.find(session)
         pair = evaluation_versions.active(session, phase.id)
@@ -111,7 +111,7 @@ def download_phase_manifest(at: AtPhase, platform: PlatformDep, request: Request
     responses=MARKDOWN | refusals(404),
 )
 def show_metric(at: AtPhase, metric: MetricName, platform: PlatformDep, form: Form = "json") -> MetricItem | Response:
-    """The definition of one metric version, and whether the phase is scored by it."""
+    """Return the definition of one metric version, and whether the phase is scored by it."""
     with platform.database.reading() as session:
         found = metric_item(session, at.find(session), metric)
     if form == "markdown":

@@ -1,8 +1,8 @@
-"""Routes of imports of published datasets: ask for one with an upload or in place, watch it, forget it.
+"""Routes of imports of published datasets: start an import from an upload or in place, follow it, delete it.
 
-**Conventions.** The dataset is one archive: an upload whose purpose is `dataset`, or a file below a root. An import is
-whole or absent: its sequences appear all at once. What is wrong is the failure of its run: a code (DST-…), and a
-sentence that begins with file, row and token.
+**Conventions.** The dataset is one archive: an upload of purpose `dataset`, or a file below a root. An import is whole
+or absent: its sequences appear all at once. A fault is the failure of its run: a code (DST-…), and a sentence that
+starts with file, row and token.
 """
 
 from typing import Annotated
@@ -43,11 +43,11 @@ router = APIRouter(prefix="/dataset-imports", tags=["dataset imports"])
 def create_dataset_import(
     body: NewDatasetImportBody, caller: Curator, platform: PlatformDep, response: Response
 ) -> DatasetImportDetail:
-    """The job `job_id` imports it. An upload can be used once.
+    """Import by the job `job_id`. An upload can be used once.
 
     An archive `in_place` is read where it lies; the job checks that it exists.
     """
-    if body.sets_splits and not caller.is_administrator:  # the role is asked for below; here, the token's scope
+    if body.sets_splits and not caller.is_administrator:  # the role is checked below; here, the token's scope
         raise splits_forbidden()
     classes = None if body.classes is None else stated_classes(body.classes)
     with platform.database.transaction() as session:
@@ -94,7 +94,7 @@ def show_dataset_import(import_id: IdPath, caller: Reader, platform: PlatformDep
 def download_kept_file(
     import_id: IdPath, path: FilePath, caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:
-    """One of the import's `kept_files`, unchanged."""
+    """Return one of the import's `kept_files`, unchanged."""
     with platform.database.reading() as session:
         row, blob = kept_file(session, import_shown_to(session, caller, import_id), path)
         file = StoredFile(blob.object_key, row.size_bytes, blob.sha256, row.media_type, path.rpartition("/")[2])
@@ -108,7 +108,7 @@ def download_kept_file(
     responses=refusals(403, 404),
 )
 def delete_dataset_import(import_id: IdPath, caller: Curator, platform: PlatformDep) -> None:
-    """The tar of an ended import is deleted; its sequences stay."""
+    """Stop or delete the import. The tar of an ended import is deleted; its sequences stay."""
     with platform.database.transaction() as session:
         imported = import_shown_to(session, caller, import_id)
         delete_import(session, imported)

@@ -1,8 +1,8 @@
-"""Routes of a version's inputs: create (administrators), list and download (everybody signed in).
+"""Routes of a version's inputs: create (administrators), list and download (signed-in users).
 
-**Conventions.** An input is the nuScenes layout of one sequence of train or val without anything that was made from
-labels, and never changes. Its tar is laid out, never built: any range of it is served, so that a download goes on where
-it broke off. Of test there is none, whoever asks.
+**Conventions.** An input is the nuScenes layout of one sequence of train or val without data made from labels, and
+never changes. Its tar is generated on the fly and supports ranges, so that a download can resume. There are no inputs
+of test.
 """
 
 from typing import Annotated

@@ -1,7 +1,7 @@
-"""Routes of dataset versions: publish (administrators), read and download (everybody signed in).
+"""Routes of dataset versions: publish (administrators), read and download (signed-in users).
 
-**Conventions.** A version never changes, so its manifest and its archives may be kept for ever. An archive is laid out,
-never built: any range of it is served. Test's labels are in none of these answers, and there is no route to them.
+**Conventions.** A version never changes, so its manifest and archives can be cached for ever. Archives are generated on
+the fly and support ranges. No response contains the labels of test, and there is no route to them.
 """
 
 from pathlib import Path as FilePath
@@ -40,7 +40,7 @@ ARCHIVE = file_responses(MEDIA_TYPES["tar"])
 def create_dataset(
     body: NewDatasetBody, caller: Administrator, platform: PlatformDep, request: Request, response: Response
 ) -> PublishedDataset:
-    """The version never changes. Its train and val parts can then be downloaded.
+    """Publish a version that never changes. Its train and val parts can then be downloaded.
 
     Jobs then make the inputs. The response contains the warnings of the rules, and the audit log their codes. With
     If-Match, the ETag of the splits, the request fails if the splits have changed since.

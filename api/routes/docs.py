@@ -44,7 +44,7 @@ def show_reference(request: Request) -> HTMLResponse:
 
 
 def _operation(document: dict[str, Any], path: str, method: str, operation: Operation) -> str:
-    """One operation, folded: who may, what it takes, how it answers."""
+    """Return one operation, folded: permissions, inputs and responses."""
     asked = " ".join(next(iter(operation.get("security", ANYBODY)[0].values())))
     parameters = "".join(_parameter(each) for each in operation.get("parameters", ()))
     answers = "".join(
@@ -59,7 +59,7 @@ def _operation(document: dict[str, Any], path: str, method: str, operation: Oper
 
 
 def _prose(text: str) -> str:
-    """Text of a docstring, what stands in backticks as code."""
+    """Return a docstring's text as HTML, with backticks as code."""
     return IN_BACKTICKS.sub(r"<code>\1</code>", escape(text))
 
 
@@ -70,7 +70,7 @@ def _parameter(parameter: dict[str, Any]) -> str:
 
 
 def _example(document: dict[str, Any], holder: dict[str, Any]) -> str:
-    """The first example of what `holder` holds, where its schema has one."""
+    """Return the first example of the schema of `holder`, if it has one."""
     for content in holder.get("content", {}).values():
         name = content.get("schema", {}).get("$ref", "").rpartition("/")[2]
         examples = document["components"]["schemas"].get(name, {}).get("examples")

@@ -1,11 +1,11 @@
 """Server-sent events of a job, of a sequence's jobs, or of a submission.
 
-**Conventions.** `id` is the version of what is followed; who comes back with it as Last-Event-ID is told what is new
-since, if anything. An event's data is the job, sequence or submission as its GET route shows it; `event` is
-`progress`, or `ended` for the last one. Who asks again for what has ended and was seen is answered 204, which ends a
-browser's reconnecting. A stream lasts `LONGEST_S` at most. Before each event and each heartbeat the caller is
-identified again, and the subject is looked up as its route does. A stream ends with its credential, with its user's
-access, or when the subject is no longer visible to the caller.
+**Conventions.** `id` is the subject's version. A client that reconnects with it as Last-Event-ID receives only newer
+states. An event's data is the job, sequence or submission as its GET route returns it; `event` is `progress`, or
+`ended` for the last one. A client that has received the last event gets 204, which ends a browser's reconnecting. A
+stream lasts `LONGEST_S` at most. Before each event and each heartbeat the caller is identified again, and the subject
+is looked up as its route does. A stream ends with its credential, with its user's access, or when the subject is no
+longer visible to the caller.
 """
 
 import time
@@ -72,7 +72,7 @@ STREAM: Responses = {
 async def follow_job(
     job_id: IdPath, caller: Reader, platform: PlatformDep, request: Request, last_event_id: LastEventId = None
 ) -> Response:
-    """The progress of a job or run, at most twice a second, until it has ended."""
+    """Send the progress of a job or run, at most twice a second, until it has ended."""
 
     def subject(session: Session, caller: Caller) -> StreamSubject:
         job = job_of(session, caller, job_id)
@@ -90,7 +90,7 @@ async def follow_job(
 async def follow_sequence(
     sequence_id: IdPath, caller: Reader, platform: PlatformDep, request: Request, last_event_id: LastEventId = None
 ) -> Response:
-    """Progress of its runs and changes; the stream ends when the sequence is deleted."""
+    """Send the progress of its runs and its changes; the stream ends when the sequence is deleted."""
 
     def subject(session: Session, caller: Caller) -> StreamSubject:
         return StreamSubject("sequence", sequence_of(session, caller, sequence_id).id)
@@ -107,7 +107,7 @@ async def follow_sequence(
 async def follow_submission(
     submission_id: IdPath, caller: Reader, platform: PlatformDep, request: Request, last_event_id: LastEventId = None
 ) -> Response:
-    """The progress of a submission, until it has ended."""
+    """Send the progress of a submission, until it has ended."""
 
     def subject(session: Session, caller: Caller) -> StreamSubject:
         return StreamSubject("submission", submission_of(session, caller, submission_id).id)
@@ -119,7 +119,7 @@ Find = Callable[[Session, Caller], StreamSubject]
 
 
 class EventStream(StreamingResponse):
-    """Events while the caller listens; the seat is free again however the stream ends."""
+    """Events for one connection; the slot is released however the stream ends."""
 
     def __init__(self, events: AsyncGenerator[bytes], leave: Callable[[], None]) -> None:
         headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
@@ -201,7 +201,7 @@ def _event(snapshot: StreamSnapshot) -> bytes:
 
 
 def _follower(request: Request, platform: Platform) -> Follower:
-    """The one of this application; made on the event loop, so there are never two."""
+    """Return the follower of this application, created once, on the event loop."""
     state = request.app.state
     if not hasattr(state, "follower"):
         state.follower = Follower(platform.database, load)
@@ -210,7 +210,7 @@ def _follower(request: Request, platform: Platform) -> Follower:
 
 
 def load(session: Session, subject: StreamSubject) -> tuple[str, bool]:
-    """What is followed as its GET route shows it, and whether it is over; what is gone is over."""
+    """Return the subject as its GET route returns it, and whether it has ended or is deleted."""
     if subject.kind == "sequence":
         sequence = session.get(SequenceRow, subject.id)
         if sequence is None:

@@ -1,8 +1,8 @@
-"""Routes of frames as pictures: the ground truth of an open phase from above, a prediction of it, where they differ.
+"""Routes of top-view frame pictures: the ground truth of an open phase, a prediction of it, their difference.
 
-**Conventions.** Only of phases whose ground truth is open, and of sequences that nothing hides; of a hidden phase there
-is no picture for anybody, administrators included, also when it has ended. Pictures only: grids are what the dataset's
-downloads are for. What may be seen is decided at each request, before what was made earlier is looked up.
+**Conventions.** Pictures exist only for phases with open ground truth and for sequences that nothing hides. Hidden
+phases have no pictures for anyone, including administrators, even after their end. The dataset's downloads provide the
+grids. Access is checked at each request, before cached pictures are looked up.
 """
 
 from functools import lru_cache
@@ -58,7 +58,7 @@ Grid = NDArray[np.uint8]
 def download_truth_picture(
     token: TokenPath, at: AtPhase, platform: PlatformDep, request: Request, colours: ColoursQuery = "default"
 ) -> Response:
-    """Seen from above, forward up; only in open phases."""
+    """Return the frame seen from above, forward up; only in open phases."""
     with platform.database.reading() as session:
         located = open_truth_of(session, at.find(session))
     frames = _showing(platform.store, located, token)
@@ -82,10 +82,10 @@ def download_predicted_picture(
     score: ScoreQuery = None,
     colours: ColoursQuery = "default",
 ) -> Response:
-    """The prediction from above, its ground truth, or their difference; only in open phases."""
+    """Return the prediction from above, its ground truth, or their difference; only in open phases."""
     with platform.database.reading() as session:
         seen = known_score(session, caller, submission_id, score)
-        key = pictured_zip(session, seen).object_key  # refused before anything is said of the frame
+        key = pictured_zip(session, seen).object_key  # refused before the response reveals anything about the frame
         located = locate_open_truth(session, seen.phase, seen.truth)
     frames = _showing(platform.store, located, token)
     if show == "truth":
@@ -96,7 +96,7 @@ def download_predicted_picture(
 
 
 def _showing(store: Store, located: OpenTruth | None, token: str) -> OpenFrames:
-    """The frames that may be shown, this one among them. Raises `NotFoundError`."""
+    """Return the frames that may be shown, including this frame. Raises `NotFoundError`."""
     frames = open_frames(store, located) if located else None
     if frames is None or token not in frames.sequences:
         raise NotFoundError("frame of this phase", token)
@@ -110,7 +110,7 @@ def _truth_picture(store: Store, of: tuple[ExportLocation, LabelGrid], token: st
 
 @lru_cache(maxsize=HELD_PICTURES)
 def _predicted_picture(store: Store, of: tuple[str, ExportLocation, LabelGrid], token: str, show: Shown) -> bytes:
-    """Raises `NotFoundError` where the zip lacks the frame, which none has that was accepted."""
+    """Return the picture. Raises `NotFoundError` if the zip lacks the frame, which accepted zips never do."""
     predicted = _predicted(store, of[:2], token)
     if predicted is None:
         raise NotFoundError("frame of this submission", token)
@@ -125,6 +125,6 @@ def _truth(store: Store, located: ExportLocation, token: str) -> tuple[Grid, Gri
 
 @lru_cache(maxsize=HELD_GRIDS)
 def _predicted(store: Store, of: tuple[str, ExportLocation], token: str) -> Grid | None:
-    """A store that is a bucket brings the whole zip to this machine once."""
+    """Return the predicted grid; a bucket store downloads the whole zip once."""
     shape = _truth(store, of[1], token)[0].shape
     return predicted_grid(store.local(of[0]), all_tokens(store, of[1]), token, shape)

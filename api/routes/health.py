@@ -1,8 +1,8 @@
 """Health routes: liveness, readiness and metrics.
 
-**Conventions.** `/healthz` asks nobody, so that a database that is away does not restart the API. `/readyz` asks all
-three at once, each for at most `PATIENCE_S`. `/metrics` is for the monitoring token of the settings or for an
-administrator.
+**Conventions.** `/healthz` checks no component, so that an unreachable database does not restart the API. `/readyz`
+probes all three components at once, each for at most `PATIENCE_S`. `/metrics` requires the monitoring token of the
+settings or an administrator.
 """
 
 from hmac import compare_digest

@@ -43,7 +43,7 @@ def list_jobs(
 
 @router.get("/{job_id}", summary="Show one of your jobs", responses=refusals(403, 404))
 def show_job(job_id: IdPath, caller: Reader, platform: PlatformDep) -> JobDetail:
-    """Its progress, and the reason if it failed."""
+    """Return its progress, and the reason if it failed."""
     with platform.database.reading() as session:
         return job_detail(session, job_of(session, caller, job_id))
 
@@ -52,7 +52,7 @@ def show_job(job_id: IdPath, caller: Reader, platform: PlatformDep) -> JobDetail
 def list_job_log(
     job_id: IdPath, caller: Reader, platform: PlatformDep, query: Annotated[LogQuery, Depends(log_query)]
 ) -> LogPage:
-    """The log lines of a job, or of all jobs of a run."""
+    """Return the log lines of a job, or of all jobs of a run."""
     with platform.database.reading() as session:
         return log_page(session, job_of(session, caller, job_id), query, is_administrator=caller.is_administrator)
 

@@ -1,8 +1,8 @@
 """Routes of a phase's leaderboard: the board, its history, and the comparison of two entries.
 
-**Conventions.** Read by whoever is signed in, of a public benchmark by anybody; what each may see is decided where
-rows are read (`services/domain/benchmarks/visibility.py`). The ETag is of the very bytes, so a board that did not
-change is not sent again.
+**Conventions.** Signed-in users can read all boards, visitors those of public benchmarks; visibility is checked where
+rows are read (`services/domain/benchmarks/visibility.py`). The ETag is the hash of the bytes, so an unchanged board is
+not sent again.
 """
 
 from typing import Annotated
@@ -40,7 +40,7 @@ BOARD: Responses = {200: {"content": FORMS}, 304: {"description": "The caller's 
 
 
 class BoardRequest:
-    """Which board, in which form."""
+    """The parameters of a board, and its form."""
 
     def __init__(
         self,
@@ -60,7 +60,7 @@ BoardRequestDep = Annotated[BoardRequest, Depends(at_once(BoardRequest))]
 def show_leaderboard(
     at: AtPhase, asked: BoardRequestDep, caller: Looker, platform: PlatformDep, request: Request
 ) -> Response:
-    """Ranks with intervals and ties, baselines and reported results, at the present or at `as_of`."""
+    """Return ranks with intervals and ties, baselines and reported results, at the present or at `as_of`."""
     with platform.database.lookups() as session:
         phase_id, viewer = at.find_id(session), viewer_for(session, caller)
     return board_response(request, board(platform, phase_id, asked.query, viewer), viewer, asked.form)
@@ -68,7 +68,7 @@ def show_leaderboard(
 
 @router.get("/leaderboard/history", summary="List the changes of the leaderboard", responses=refusals(404))
 def show_leaderboard_history(at: AtPhase, platform: PlatformDep, track: TrackQuery = "all") -> HistoryAnswer:
-    """Each with its time and the best mIoU since."""
+    """Return each change with its time and the best mIoU since."""
     with platform.database.reading() as session:
         return history_answer(session, at.find(session), track)
 
@@ -77,7 +77,7 @@ def show_leaderboard_history(at: AtPhase, platform: PlatformDep, track: TrackQue
 def compare_entries(
     at: AtPhase, caller: Looker, platform: PlatformDep, a: SubmissionQuery, b: SubmissionQuery
 ) -> ComparisonAnswer:
-    """Returns the differences by the active ground truth and metric, and their significance."""
+    """Return the differences by the active ground truth and metric, and their significance."""
     with platform.database.reading() as session:
         phase_id, viewer = at.find(session).id, viewer_for(session, caller)
         both = (known_submission(session, viewer, a), known_submission(session, viewer, b))

@@ -1,8 +1,8 @@
-"""Routes of notifications: what one is told of, by e-mail and by a webhook of one's own.
+"""Routes of notifications: their events, e-mail address and webhook.
 
-**Conventions.** Nobody is told anything until they choose so. Choices are changed with the scope `submit`, which every
-role has; where things are sent to decides who learns of them, so that needs the scope `account`, as a credential does.
-A webhook's secret is in the answer to its making and nowhere else.
+**Conventions.** All notifications are off by default. Choosing events requires the scope `submit`, which every role
+has. Changing an address requires the scope `account`, as for a credential, because it decides who receives the events.
+Only the response that creates a webhook's secret contains it.
 """
 
 from fastapi import APIRouter, Response
@@ -37,7 +37,7 @@ def show_notifications(caller: Reader, platform: PlatformDep) -> NotificationsIt
 
 @router.put("/choices", summary="Choose the events to be notified of")
 def choose_events(body: ChoicesBody, caller: Submitter, platform: PlatformDep) -> NotificationsItem:
-    """Replaces the earlier choice; an empty choice disables all notifications."""
+    """Replace the earlier choice; an empty choice disables all notifications."""
     choices = body.model_dump()
     with platform.database.transaction() as session:
         choose(session, caller.user_id, choices)
@@ -47,9 +47,7 @@ def choose_events(body: ChoicesBody, caller: Submitter, platform: PlatformDep) -
 
 @router.put("/email", status_code=202, summary="Set your e-mail address", responses=refusals(409))
 def set_email(body: EmailBody, caller: AccountHolder, platform: PlatformDep) -> EmailItem:
-    """The platform mails a link to verify the address, at most five a day. It sends nothing else until the link is
-    used.
-    """
+    """Set the address and mail a link to verify it, at most five a day. Other mails start once the link is used."""
     with platform.database.transaction() as session:
         row = email_addresses.set_address(session, caller.user_id, body.address, platform.settings.notifications)
         audit.record(session, caller, "notifications.email", caller.user_id)
@@ -74,7 +72,9 @@ def remove_email(caller: AccountHolder, platform: PlatformDep) -> None:
 
 @router.put("/webhook", summary="Set your webhook")
 def set_webhook(body: WebhookBody, caller: AccountHolder, response: Response, platform: PlatformDep) -> IssuedWebhook:
-    """The response contains a new secret and is not stored. The secret signs all deliveries (Standard Webhooks 1.0)."""
+    """Set the webhook. The response contains a new secret and is not stored. The secret signs all deliveries (Standard
+    Webhooks 1.0).
+    """
     with platform.database.transaction() as session:
         row = webhooks.set_webhook(session, caller.user_id, body.url, platform.settings.notifications)
         audit.record(session, caller, "notifications.webhook", caller.user_id)
@@ -83,7 +83,7 @@ def set_webhook(body: WebhookBody, caller: AccountHolder, response: Response, pl
 
 @router.post("/webhook/secret", summary="Replace the secret of your webhook", responses=refusals(404))
 def rotate_webhook_secret(caller: AccountHolder, response: Response, platform: PlatformDep) -> IssuedWebhook:
-    """The old secret becomes invalid. A webhook that was switched off is switched on again."""
+    """Replace the secret; the old one becomes invalid. A webhook that was switched off is switched on again."""
     with platform.database.transaction() as session:
         row = webhooks.rotate_secret(session, caller.user_id)
         audit.record(session, caller, "notifications.webhook_secret", caller.user_id)
@@ -99,7 +99,7 @@ def remove_webhook(caller: AccountHolder, platform: PlatformDep) -> None:
 
 @router.get("/deliveries", summary="List the deliveries, newest first")
 def list_deliveries(caller: Reader, query: PageDep, platform: PlatformDep) -> Page[DeliveryItem]:
-    """Each contains the result of the last attempt. Deliveries are kept for a month."""
+    """Return each delivery with the result of its last attempt. Deliveries are kept for a month."""
     with platform.database.reading() as session:
         return deliveries_page(session, query, caller.user_id)
 

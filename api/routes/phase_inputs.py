@@ -1,7 +1,7 @@
-"""Routes of phase inputs: create (administrators), list and download (everybody signed in).
+"""Routes of phase inputs: create (administrators), list and download (signed-in users).
 
-**Conventions.** An input is the nuScenes layout of one sequence without anything that was made from labels, and never
-changes. Its tar is laid out, never built: any range of it is served, so that a download goes on where it broke off.
+**Conventions.** An input is the nuScenes layout of one sequence without data made from labels, and never changes. Its
+tar is generated on the fly and supports ranges, so that a download can resume.
 """
 
 from typing import Annotated
@@ -42,7 +42,7 @@ TAR = file_responses(MEDIA_TYPES["tar"])
 def create_phase_inputs(
     phase_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep, response: Response
 ) -> JobDetail:
-    """The inputs of every sequence of the phase without inputs; the job at `Location` reports the progress."""
+    """Create the inputs of every sequence of the phase without inputs; the job at `Location` reports the progress."""
     with platform.database.transaction() as session:
         run = start_inputs(session, phase_of(session, phase_id), caller.user_id)
         audit.record_admin_act(session, caller, "phase.inputs", phase_id, body.reason, {"job_id": run.id})

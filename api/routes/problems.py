@@ -1,4 +1,4 @@
-"""The catalogue of error types: what the `type` of a problem links to."""
+"""The catalogue of error types, which the `type` of a problem links to."""
 
 from fastapi import APIRouter
 

@@ -1,8 +1,8 @@
 """Routes of a submission's results: totals, breakdowns, provenance, confusion counts, its zip.
 
-**Conventions.** A submission is known to its team, to administrators and, while it stands on a board, to everybody.
-What of it is shown to whom is decided where it is read; a part that is withheld as a whole is 403. Without `score` it
-is the score by the pair in force; older ones stay readable by their ids.
+**Conventions.** Its team, administrators and, while it is on a board, all users can see a submission. Visibility of its
+parts is checked when they are read; a part withheld as a whole returns 403. The default `score` is the one by the
+active pair; older scores stay readable by their ids.
 """
 
 from fastapi import APIRouter, Request, Response
@@ -37,7 +37,7 @@ PART = refusals(403, 404, 409)
 def show_results(
     submission_id: IdPath, caller: Looker, platform: PlatformDep, score: ScoreQuery = None
 ) -> ResultsAnswer:
-    """Totals with intervals, supports and extra figures, as far as the caller may see them."""
+    """Return totals with intervals, supports and extra figures, as far as the caller may see them."""
     with platform.database.reading() as session:
         viewer = viewer_for(session, caller)
         found = results(session, viewer, known_submission(session, viewer, submission_id), score)
@@ -71,7 +71,7 @@ def show_provenance(
 def download_confusions(
     submission_id: IdPath, caller: Looker, platform: PlatformDep, request: Request, score: ScoreQuery = None
 ) -> Response:
-    """All figures of the result are computed from them.
+    """Return the counts that all figures of the result are computed from.
 
     `confusions` are [frame, ring, truth, prediction]; `bev` are [frame, ring, in both, in truth only, in prediction
     only]. Frames are in the order of the manifest.
@@ -95,13 +95,13 @@ def download_confusions(
 def download_predictions(
     submission_id: IdPath, caller: Reader, platform: PlatformDep, request: Request, score: ScoreQuery = None
 ) -> Response:
-    """Your own zip as it was sent, or the zip of a baseline of an open phase."""
+    """Return your own zip as it was sent, or the zip of a baseline of an open phase."""
     with platform.database.reading() as session:
         blob = downloadable_zip(session, known_score(session, caller, submission_id, score))
     return _kept(request, platform, blob, (ZIP_TYPE, f"{submission_id}.zip"))
 
 
 def _kept(request: Request, platform: Platform, blob: Blob, named: tuple[str, str]) -> Response:
-    """A kept file, with its type and name."""
+    """Return a stored file, with its type and name."""
     file = StoredFile(blob.object_key, blob.size_bytes, blob.sha256, *named)
     return answer_file(request, platform.store, file)

@@ -1,9 +1,8 @@
-"""Routes of browser sessions: sign in, sign out, change the password, who am I.
+"""Routes of browser sessions: sign in, sign out, change the password, show the caller.
 
-**Conventions.** The cookie is HttpOnly and SameSite=Lax, so that a link in a mail leads to its page and not to signing
-in, and Secure where the platform is reached by https; what changes anything asks for the CSRF token besides. Signing in
-changes nothing that a stranger's page could want changed, so it needs none. An unknown name costs the same time as a
-wrong password.
+**Conventions.** The cookie is HttpOnly, Secure if the public URL is https, and SameSite=Lax, so that links from mails
+keep the session. Requests that change data also require the CSRF token. Sign-in requires none, because a forged sign-in
+changes nothing of value. An unknown name takes as long as a wrong password.
 """
 
 from math import ceil
@@ -109,7 +108,7 @@ def change_password(body: PasswordBody, caller: AccountHolder, request: Request,
 
 
 def _counted_try(request: Request, platform: Platform, name: str) -> SignInTry:
-    """The try, counted. Raises `rate_limited`, `guessed_too_often`."""
+    """Count the attempt and return it. Raises `rate_limited`, `guessed_too_often`."""
     with platform.database.reading() as session:
         tried = login_throttle.try_at(session, name, address_of(request))
     request.app.state.limits.admit_sign_in(request, tried)
@@ -135,7 +134,7 @@ def is_https(settings: Settings) -> bool:
 
 
 def as_caller(user: User) -> Caller:
-    """Somebody who signs in at this moment, as who does so."""
+    """Return the user who is signing in as a caller without scopes."""
     return Caller(user.id, user.name, user.role, frozenset(), is_session=True)
 
 

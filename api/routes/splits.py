@@ -1,8 +1,8 @@
 """Routes of the draft splits: read, check, replace, propose by a solver.
 
-**Conventions.** There is one set of splits, and administrators put it; everybody sees how large it is, and where their
-own sequences are. What the rules forbid is refused with an error for each rule that is broken; what the data do not
-allow comes back as a warning. The solver is loaded when it is first asked.
+**Conventions.** There is one set of draft splits, which administrators save. All users see its sizes and the splits of
+their own sequences. Broken rules are errors that refuse the splits; rules that the data cannot satisfy are warnings.
+The solver is loaded at its first use.
 """
 
 from fastapi import APIRouter, Request, Response

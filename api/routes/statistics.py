@@ -1,6 +1,6 @@
 """Routes of dataset statistics, as JSON and as a figure.
 
-**Conventions.** Both come from the same record, so they cannot differ. Of test's labels nothing is told.
+**Conventions.** Both come from the same record, so they cannot differ. They never include the labels of test.
 """
 
 from hashlib import sha256

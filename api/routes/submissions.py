@@ -1,8 +1,8 @@
 """Routes of submissions: create, finalize, list, change, cancel, withdraw; and the team's quota.
 
-**Conventions.** What is shown here is for the members of its team and for administrators; to everybody else it does not
-exist (what a board shows of it is the board's). The ETag is the submission's revision: it moves with its state and its
-page, not with its progress. The file comes by `/uploads` between announcing and finalising.
+**Conventions.** Only the members of its team and administrators can see a submission here; for others it does not exist
+(the board decides its own visibility). The ETag is the submission's revision, which changes with its state and its
+page, not with its progress. The file is sent through `/uploads` between creation and finalisation.
 """
 
 from dataclasses import dataclass
@@ -90,7 +90,7 @@ def create_validation(
 def finalize_submission(
     submission_id: IdPath, body: FinalizeBody, caller: Submitter, platform: PlatformDep, response: Response
 ) -> SubmissionDetail:
-    """A validation is only checked. The job at `Location` reports the progress."""
+    """Start the checks and the scoring; a validation is only checked. The job at `Location` reports the progress."""
     with platform.database.transaction() as session:
         row = submission_of(session, caller, submission_id)
         job = submissions.finalise(session, row, body.upload_id)

@@ -39,7 +39,7 @@ Reader = Annotated[Caller, Depends(require("read"))]
 
 @router.post("", status_code=201, summary="Create a team", responses=refusals(409))
 def create_team(body: TeamBody, caller: Participant, platform: PlatformDep) -> TeamItem:
-    """The caller becomes its captain. Names that look alike count as equal."""
+    """Create a team with the caller as its captain. Names that look alike count as equal."""
     with platform.database.transaction() as session:
         team = teams.create_team(session, body.name, caller.user_id)
         audit.record(session, caller, "team.found", team.id, facts={"name": team.name})
@@ -56,7 +56,7 @@ def list_teams(caller: Reader, query: PageDep, platform: PlatformDep) -> Page[Te
 
 @router.post("/memberships", status_code=201, summary="Join a team by invitation", responses=refusals(404))
 def join_team(body: JoinBody, caller: Participant, platform: PlatformDep) -> TeamItem:
-    """The caller takes part in all phases of the team that have not ended."""
+    """Add the caller, who takes part in all phases of the team that have not ended."""
     with platform.database.transaction() as session:
         team = teams.join(session, body.secret, session.get_one(User, caller.user_id))
         audit.record(session, caller, "team.join", team.id)
@@ -143,7 +143,7 @@ def _lead(session: Session, caller: Caller, team: Team, act: tuple[str, str, dic
 
 
 def _member(session: Session, name: str) -> User:
-    """Raises `not_member`, as for somebody who is known but no member."""
+    """Return the user. An unknown name raises `not_member`, as for a user outside the team."""
     user = find_user(session, name)
     if user is None:
         raise Refused("not_member", f"{name[:64]!r} is no member of this team")

@@ -25,7 +25,9 @@ router = APIRouter(prefix="/tokens", tags=["people"])
 
 @router.post("", status_code=201, summary="Create a token", responses=refusals(409))
 def create_token(body: TokenBody, caller: AccountHolder, response: Response, platform: PlatformDep) -> IssuedToken:
-    """The response contains the secret and is not stored. A repetition with the same Idempotency-Key returns 409."""
+    """Create a token. The response contains the secret and is not stored. A repetition with the same Idempotency-Key
+    returns 409.
+    """
     wanted = TokenRequest(body.name, None if body.scopes is None else frozenset(body.scopes), body.expires_s)
     with platform.database.transaction() as session:
         authority = authority_of_caller(session, caller, platform.settings.api.token_s)
@@ -52,7 +54,7 @@ def revoke_current_token(caller: Anybody, platform: PlatformDep) -> None:
 
 @router.delete("/{token_id}", status_code=204, summary="Revoke one of your tokens", responses=refusals(404))
 def revoke_token(token_id: IdPath, caller: AccountHolder, platform: PlatformDep) -> None:
-    """All tokens that it created are revoked too."""
+    """Revoke the token and all tokens that it created."""
     _revoke(platform, caller, token_id)
 
 

@@ -1,8 +1,8 @@
 """Routes of uploads by tus 1.0, and their state as JSON.
 
-**Conventions.** tus answers carry no body, refusals are problems. Other people's uploads do not exist (404). A
-submission needs the scope `submit`, anything else `upload`; who has either goes on with a submission. A route that
-takes bytes is asynchronous and leaves disk and database to threads (`api/tus/body_stream.py`).
+**Conventions.** tus responses have no body, refusals are problems. Other users' uploads do not exist (404). A
+submission requires the scope `submit`, other uploads the scope `upload`; either can resume a submission. A route that
+receives bytes is asynchronous and leaves disk and database to threads (`api/tus/body_stream.py`).
 """
 
 from typing import Annotated

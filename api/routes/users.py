@@ -63,7 +63,7 @@ def change_user(user_id: IdPath, body: UserChange, caller: Administrator, platfo
     "/{user_id}/erase", name="erase_user", summary="Erase a user's account permanently", responses=refusals(404, 409)
 )
 def erase(user_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep) -> UserItem:
-    """Name, password, tokens and sessions are deleted at once. The user's data stay, without a name."""
+    """Delete name, password, tokens and sessions at once. The user's data stay, without a name."""
     with platform.database.transaction() as session:
         user = user_of(session, user_id, is_locked=True)
         erase_user(session, user)
@@ -117,6 +117,6 @@ def _hashed(password: Password | None, name: str) -> str | None:
 
 
 def _changes(body: UserChange) -> dict[str, Any]:
-    """What was asked for; of a password only that there was one."""
+    """Return the changed fields, without the value of a password."""
     changes = body.model_dump(include={"role", "is_active"}, exclude_none=True)
     return changes | ({"password": "changed"} if body.password is not None else {})

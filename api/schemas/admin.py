@@ -38,7 +38,7 @@ class AdminJobItem(JobItem):
 
 
 class JobCounts(Answer):
-    """How many jobs there are in each state; `dead` are single jobs that failed with no attempt left."""
+    """Number of jobs in each state; `dead` are single jobs that failed with no attempt left."""
 
     model_config = example(queued=3, running=2, succeeded=9120, failed=14, cancelled=7, dead=2)
 
@@ -61,7 +61,7 @@ class JobActsBody(Body):
 
 
 class JobActItem(Answer):
-    """What came of the act for one of the jobs: the state of its run now, or why it was refused."""
+    """Result of the act on one job: the new state of its run, or the reason of the refusal."""
 
     model_config = example(state="queued", failure=None)
 
@@ -124,7 +124,7 @@ class QueueItem(Answer):
 
 
 class RunningAttempt(Answer):
-    """What a worker process is busy with."""
+    """An attempt that a worker process is running."""
 
     model_config = example(kind="labeler.surface", attempt=1, worker="worker-3:4711")
 
@@ -135,10 +135,9 @@ class RunningAttempt(Answer):
 
 
 class WorkerItem(Answer):
-    """A worker process as it told of itself `age_s` ago; silent when it missed its heartbeats.
+    """A worker process by its heartbeat of `age_s` ago; silent if it missed its heartbeats.
 
-    `held_bytes` is its own memory, the rest that of its machine; null where it could not find out. `job_id` is what it
-    is busy with.
+    `held_bytes` is its own memory, the other sizes describe its machine; null if unknown. `job_id` is its current job.
     """
 
     model_config = example(
@@ -172,9 +171,9 @@ class WorkerItem(Answer):
 
 
 class WorkersAnswer(Answer):
-    """Worker processes by their heartbeats, attempts that run, and whether the broker answers.
+    """Worker processes by their heartbeats, running attempts, and whether the broker responds.
 
-    Workers are asked nothing by the broker: their remote control is off.
+    The broker sends workers no requests: their remote control is off.
     """
 
     model_config = example(is_broker_reachable=True)
@@ -221,7 +220,7 @@ class AlarmItem(Answer):
 
 
 class GrantBody(Body):
-    """How many scorings more a team may have in a phase (negative: take back), and why."""
+    """Number of additional scorings of a team in a phase (negative to revoke), and the reason."""
 
     model_config = example(phase_id=ID_EXAMPLE, scorings=2, reason="the platform was away at the deadline")
 
@@ -231,10 +230,10 @@ class GrantBody(Body):
 
 
 class GrantItem(Answer):
-    """A grant as it stands in the ledger, and what the team may have scored now.
+    """A grant in the ledger, and the scorings that the team has left.
 
-    `next_at` is when the next submission may be finalised, null for never; `limit` and `total_left` are null where
-    there is no limit.
+    `next_at` is the time at which the next submission may be finalised, null for never; `limit` and `total_left` are
+    null without a limit.
     """
 
     model_config = example(scorings=2, limit=5, used=3, reserved=0, total_left=7, next_at="2026-05-03T09:12:44.120000Z")

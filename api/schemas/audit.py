@@ -6,7 +6,7 @@ from api.schemas.base import SHA256_EXAMPLE, Answer, Instant, example
 
 
 class AuditLine(Answer):
-    """Who did what to what, and why; `hash` links it to the line before."""
+    """Actor, act, subject and reason; `hash` links the line to the previous line."""
 
     model_config = example(
         number=17,

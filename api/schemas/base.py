@@ -32,7 +32,7 @@ EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def instant(moment_ns: int) -> datetime:
-    """The instant, to the microsecond, of nanoseconds since 1970."""
+    """Return the instant, to the microsecond, of nanoseconds since 1970."""
     return EPOCH + timedelta(microseconds=moment_ns // 1000)
 
 
@@ -45,7 +45,7 @@ def instant_or_none(moment_ns: int | None) -> datetime | None:
 
 
 def coded(check: Callable[[str], str]) -> Callable[[str], str]:
-    """The check as a validator whose refusal keeps its own code among the errors of the request."""
+    """Return the check as a validator whose refusal keeps its own code among the errors of the request."""
 
     def checked(value: str) -> str:
         try:
@@ -57,7 +57,7 @@ def coded(check: Callable[[str], str]) -> Callable[[str], str]:
 
 
 class Body(BaseModel):
-    """What a request says; a key nobody knows is a mistake and is refused."""
+    """A request body; unknown keys are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -113,7 +113,7 @@ def _attributes_of(answer: type[Answer]) -> tuple[tuple[str, str], ...]:
 
 
 def example(**values: Any) -> ConfigDict:
-    """The model's example, shown in the OpenAPI document."""
+    """Return the model's configuration with its example for the OpenAPI document."""
     return ConfigDict(json_schema_extra={"examples": [values]})
 
 

@@ -1,4 +1,4 @@
-"""Benchmarks over the wire, what is asked for and answered; phases and metrics as they are answered."""
+"""Bodies of benchmarks: requests and responses; for phases and metrics, responses only."""
 
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
@@ -16,7 +16,7 @@ SIGNATURE_EXAMPLE = {"metric": "stone-iou-2", "ground_truth": SHA256_EXAMPLE, "m
 
 
 class SignatureItem(Answer):
-    """What makes two scores comparable: a board never mixes two of them."""
+    """The facts that make two scores comparable; all scores of a board have the same signature."""
 
     model_config = example(metric="stone-iou-2", ground_truth=SHA256_EXAMPLE, mask="all")
 
@@ -82,7 +82,7 @@ class PhaseItem(QualityFields):
 
 
 class PhaseFinding(Answer):
-    """What an administrator should know of a phase."""
+    """A finding about a phase, for administrators."""
 
     model_config = example(
         code="labels_are_public",
@@ -123,7 +123,7 @@ class NewBenchmarkBody(Body):
 
 
 class BenchmarkChange(Body):
-    """What is to change; what is left out or null stays. A public benchmark is read without an account.
+    """Changes; missing and null keys stay. A public benchmark is visible without an account.
 
     `reason` is kept in the audit log.
     """
@@ -136,7 +136,7 @@ class BenchmarkChange(Body):
     reason: Reason
 
     def columns(self) -> dict[str, Any]:
-        """What was said of columns of a benchmark."""
+        """Return the given values of the benchmark's columns."""
         return self.model_dump(exclude={"reason"}, exclude_none=True)
 
 

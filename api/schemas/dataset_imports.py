@@ -20,14 +20,16 @@ ClassesText = Annotated[str, StringConstraints(pattern=PROSE, min_length=1, max_
 
 
 class NewDatasetImportBody(Body):
-    """The import of the dataset in a complete upload, whose purpose is `dataset`, or of a .zip or .tar `in_place`,
-    which is read where it lies; `name` is its file's unless said.
+    """An import of a dataset: a complete upload of purpose `dataset`, or a .zip or .tar `in_place`, read where it lies.
 
-    `layout` and `grid` are those of its label files; they are recognised unless stated.
-    `classes` is the text of a class map (YAML or JSON: `name`, and `classes` from number to free, T, P, N or
-    unobserved); without one labels are numbered as here. `existing`: a scene that is called as a sequence of yours is
-    refused, or (`add`) its labels become another label set of that sequence. `sets_splits`: administrators only. The
-    rest is said of every sequence that is new.
+    - `name`: default is the name of its file.
+    - `layout` and `grid`: those of its label files; recognised automatically by default.
+    - `classes`: text of a class map in YAML or JSON: `name`, and `classes` from number to free, T, P, N or unobserved.
+      By default labels are numbered as here.
+    - `existing`: a scene with the name of one of your sequences is refused, or (`add`) becomes another label set of it.
+    - `sets_splits`: administrators only.
+
+    All other values apply to every new sequence.
     """
 
     model_config = example(
@@ -64,7 +66,7 @@ class NewDatasetImportBody(Body):
         return self
 
     def wished(self, classes: StatedClasses | None) -> NewImport:
-        """The import as the domain knows it. Raises `bad_grid`."""
+        """Return the import as the domain's value. Raises `bad_grid`."""
         facts = ImportedFacts(self.environment, self.illumination, self.region, self.platform, self.is_public)
         stated = StatedLayout(self.layout, None if self.grid is None else chosen_grid(self.grid))
         place = None if self.in_place is None else self.in_place.place()
@@ -139,11 +141,11 @@ class ExtraFileItem(Answer):
 class DatasetImportDetail(DatasetImportItem):
     """An import with its scenes, in the order of the dataset's table.
 
-    `kept_files` are files of the dataset that no table names, as they are; `left_out` are the first of the
-    `left_out_total` that are too large or too many.
+    `kept_files` are unchanged files of the dataset that no table names; `left_out` are the first of the
+    `left_out_total` files that are too large or too many.
 
-    `splits_refused` are the codes of the rules that the dataset's splits break, for which the draft splits stayed as
-    they were, or `no_splits` if the dataset states none; null if they were not to be set, or are not yet.
+    `splits_refused` are the codes of the rules that the dataset's splits break, so that the draft splits stayed. It is
+    `no_splits` if the dataset states none, and null if they were not requested, or are not set yet.
     """
 
     model_config = example(left_out_total=0)

@@ -41,7 +41,7 @@ class DatasetItem(Answer):
 
 
 class DatasetMemberItem(DrivenItem):
-    """A sequence of a version, and the part it is in; of test the quality is not told."""
+    """A sequence of a version, and its part; the quality is not shown for test."""
 
     model_config = example(split="train")
 
@@ -83,8 +83,8 @@ class PublishedDataset(DatasetDetail):
 class DatasetInputItem(Answer):
     """The inputs of a sequence of train or val; its tar is at `inputs/{name}.tar` once the state is `ready`.
 
-    `missing`: being made, or to be made when an administrator asks. `lost`: sequence or recording were deleted before,
-    so there will be none. Of both, sizes are 0 and the sha256 is ''.
+    `missing`: in progress, or not requested by an administrator yet. `lost`: the sequence or recording was deleted
+    before, so there will be none. For both, sizes are 0 and the sha256 is ''.
     """
 
     model_config = example(

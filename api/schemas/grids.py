@@ -29,9 +29,9 @@ class GridItem(Answer):
 
 
 class GridBody(Body):
-    """A grid of one's own, as a file of `--grid` describes it.
+    """A custom grid, as a file of `--grid` describes it.
 
-    `unknown` is the number that exports have for what nobody knows, null if masks tell that.
+    `unknown` is the number of unobserved voxels in exports, null if masks contain this information.
     """
 
     model_config = example(name="ahead", min_m=[0.0, -25.6, -2.0], voxel_m=0.2, shape=[256, 256, 32], unknown=None)

@@ -40,10 +40,10 @@ class FailureItem(Answer):
 
 
 class ProgressItem(Answer):
-    """`done` of `total` in units of the job (of a run: its jobs); `rate_per_s` of a single job that runs, else null.
+    """`done` of `total` in units of the job (for a run: its jobs); `rate_per_s` of a single running job, else null.
 
-    `eta_s` is the one estimate of the seconds left, rounded up; null where it is not known, or the run has ended. Of a
-    job within a run it is null: its run's is the estimate.
+    `eta_s` is the estimate of the seconds left, rounded up; null if unknown, after the end, or for a job within a run,
+    whose run has the estimate.
     """
 
     model_config = example(stage="labeler.surface", done=23, total=52, eta_s=40)
@@ -58,8 +58,8 @@ class ProgressItem(Answer):
 class StageItem(Answer):
     """Jobs of one kind within a run, with a title for people.
 
-    `began_at` is when the first of them was begun, `ended_at` when the last that has ended did, null before; `busy_s`
-    is the time that those which succeeded took together.
+    `began_at` is the start of the first of them, `ended_at` the end of the last that has ended, null before; `busy_s`
+    is the total duration of the succeeded jobs.
     """
 
     model_config = example(**STAGES_EXAMPLE[1])
@@ -76,7 +76,7 @@ class StageItem(Answer):
 
 
 class JobItem(Answer):
-    """A job or a run; `title` says its `kind` to people. `queue` is empty for a run, which holds its jobs together."""
+    """A job or a run; `title` describes its `kind` for people. `queue` is empty for a run, which groups its jobs."""
 
     model_config = example(
         kind="sequence.process",
@@ -144,7 +144,7 @@ class JobDetail(JobItem):
 
 
 class LogLine(Answer):
-    """A line that an attempt said."""
+    """A log line of an attempt."""
 
     model_config = example(
         attempt=1,

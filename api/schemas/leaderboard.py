@@ -39,7 +39,7 @@ class RatiosItem(Answer):
 
 
 class IntervalsItem(Answer):
-    """Of each ratio the interval of 95 %; null where nothing can be said."""
+    """The 95 % interval of each ratio; null if there is none."""
 
     model_config = example(**{name: [0.2389, 0.2474] for name in example_of(RatiosItem)})
 
@@ -60,9 +60,9 @@ class DangerItem(Answer):
 
 
 class PairItem(Answer):
-    """By what scores were made: ground truth (`ground_truth` counts those of the phase) and metric.
+    """The ground truth (`ground_truth` is its number in the phase) and metric of scores.
 
-    `signature` is null while there is no score. Of its sequences those that continue each other are one drive.
+    `signature` is null while there is no score. Sequences that continue each other count as one drive.
     """
 
     model_config = example(
@@ -87,12 +87,12 @@ class BoardPairItem(PairItem):
 
 
 class BoardRow(Answer):
-    """A line of a board. Null is what is not known, does not apply, or is not shown to the caller.
+    """A line of a board. Null values are unknown, not applicable, or not shown to the caller.
 
-    `standing`: only ranked entries have a rank; a baseline is shown beside them, an undefined entry lacks a ratio, a
-    reported result was published elsewhere (`source`, `note`) and not scored here, and a ceiling is the score of labels
-    of a drive against labels of the same drive: no entry can be expected to score above it. In per cent a row has
-    `percent_digits` decimals: a reported one as many as it was printed with.
+    `standing`: only ranked entries have a rank. A baseline is shown beside them, and an undefined entry lacks a ratio.
+    A reported result was published elsewhere (`source`, `note`) and not scored here. A ceiling is the score of labels
+    of a drive against other labels of the same drive: no entry can be expected to score above it. In per cent a row has
+    `percent_digits` decimals; a reported row has as many as were printed.
     """
 
     model_config = example(
@@ -131,11 +131,11 @@ class BoardRow(Answer):
 
 
 class LeaderboardAnswer(Answer):
-    """A board: one pair of ground truth and metric, its rows in order, and what a reader should know (`notes`).
+    """A board: one pair of ground truth and metric, its rows in order, and notes for readers (`notes`).
 
-    The order is by `ordered_by`, each rounded to `ratio_digits`; equal values share a rank. `is_rounded` says that
-    the caller sees them rounded too, since the phase runs and hides its truth. `ranked_total` counts ranked entries, of
-    which at most 2000 are told. `pair` is null before there is a ground truth.
+    Rows are ordered by `ordered_by`, each rounded to `ratio_digits`; equal values share a rank. If `is_rounded`, the
+    caller sees rounded values too, because the phase is running and hides its truth. `ranked_total` counts ranked
+    entries, of these at most 2,000 are listed. `pair` is null before there is a ground truth.
     """
 
     model_config = example(
@@ -171,9 +171,9 @@ class LeaderboardAnswer(Answer):
 
 
 class ChangeItem(Answer):
-    """The board is another since `at`: rows `entered` or `left`, or scores are by another pair (`is_new_pair`).
+    """A change of the board at `at`: rows `entered` or `left`, or scores are by another pair (`is_new_pair`).
 
-    `best_miou` is the highest of the ranked entries since then, rounded; null where there is none.
+    `best_miou` is the highest mIoU of the ranked entries since then, rounded; null if there is none.
     """
 
     model_config = example(at="2026-06-02T09:14:02.512000Z", entered=1, left=0, is_new_pair=False, best_miou=0.2431)
@@ -186,7 +186,9 @@ class ChangeItem(Answer):
 
 
 class HistoryAnswer(Answer):
-    """When a board changed, oldest first: moments for `as_of`. Of very many, those of a day are one, at its last."""
+    """The changes of a board, oldest first: moments for `as_of`. If there are very many, only the last of each day is
+    listed.
+    """
 
     model_config = example(benchmark="stone", phase="test", track="all")
 
@@ -197,7 +199,7 @@ class HistoryAnswer(Answer):
 
 
 class DifferenceItem(Answer):
-    """Of a − b, frame by frame: the interval of its true value, and the two-sided p of Student's t."""
+    """Frame by frame difference a − b: the interval of its true value, and the two-sided p of Student's t."""
 
     model_config = example(interval=[0.0012, 0.0031], standard_error=0.00046, degrees_of_freedom=18.2, p=0.0002)
 
@@ -218,8 +220,9 @@ class SignFlipItem(Answer):
 
 
 class RatioDifferenceItem(Answer):
-    """One ratio of both; null is what is undefined or withheld. `these_places` is about the ground of the ground truth,
-    `new_place` about another; where one is null, `silences` has the code of the reason."""
+    """One ratio of both; null if undefined or withheld. `these_places` applies to the ground of the ground truth,
+    `new_place` to other ground; if one is null, `silences` has the code of the reason.
+    """
 
     model_config = example(
         a=0.2431,
@@ -239,7 +242,7 @@ class RatioDifferenceItem(Answer):
 
 
 class ComparisonAnswer(Answer):
-    """Two submissions by the same pair. `is_withheld`: only totals are told while the phase hides its truth."""
+    """Two submissions by the same pair. `is_withheld`: only totals are shown while the phase hides its truth."""
 
     model_config = example(
         a=ID_EXAMPLE,

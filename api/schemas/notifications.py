@@ -1,4 +1,4 @@
-"""Notifications over the wire: what is told, who chose what, where to, and what was delivered."""
+"""Bodies of notifications: events, choices, addresses and deliveries."""
 
 from typing import Annotated, Literal
 
@@ -25,7 +25,7 @@ Kinds = Annotated[tuple[EventKind, ...], Field(max_length=32)]
 
 
 class EventItem(Answer):
-    """A kind of event that one may be told of."""
+    """A kind of event with notifications."""
 
     model_config = example(kind="run.failed", title="One of my runs failed")
 
@@ -34,7 +34,7 @@ class EventItem(Answer):
 
 
 class ChoicesBody(Body):
-    """The events one wants to be told of, by each channel."""
+    """The events to notify of, for each channel."""
 
     model_config = example(email=["run.failed"], webhook=["run.failed", "submission.scored"])
 
@@ -71,7 +71,7 @@ class IssuedWebhook(WebhookItem):
 
 
 class NotificationsItem(Answer):
-    """How one is told of events; `sends_email` is whether this platform can."""
+    """The notification settings; `sends_email` is whether this platform sends e-mail."""
 
     model_config = example(email=["run.failed"], webhook=[], webhook_target=None, sends_email=True)
 
@@ -92,7 +92,7 @@ class EmailBody(Body):
 
 
 class EmailSecretBody(Body):
-    """What the link that was mailed ends with."""
+    """The secret at the end of the mailed link."""
 
     model_config = example(secret="x" * 43)
 
@@ -100,7 +100,7 @@ class EmailSecretBody(Body):
 
 
 class WebhookBody(Body):
-    """Where to send events to: as an incoming webhook of Slack or Mattermost, or a program of one's own."""
+    """The URL for events: a Slack or Mattermost incoming webhook, or your own endpoint."""
 
     model_config = example(url=URL)
 
@@ -108,9 +108,9 @@ class WebhookBody(Body):
 
 
 class DeliveryItem(Answer):
-    """An event told to the caller by one channel; `answer` is what came of the last try.
+    """An event sent to the caller by one channel; `answer` is the result of the last attempt.
 
-    `state` is queued, waiting (until `due_at`), delivered, dropped (not to be told any more) or dead (given up).
+    `state` is queued, waiting (until `due_at`), delivered, dropped (cancelled) or dead (no attempt left).
     """
 
     model_config = example(

@@ -67,7 +67,7 @@ class SessionItem(Answer):
 
 
 class BrowserItem(Answer):
-    """A browser in which a user is signed in; `is_current` is the one that asks."""
+    """A browser in which a user is signed in; `is_current` marks the calling one."""
 
     model_config = example(expires_at=ENDS, is_current=True)
 
@@ -78,7 +78,7 @@ class BrowserItem(Answer):
 
 
 class MeItem(Answer):
-    """Who is calling and what they may; `csrf_token` for browsers only."""
+    """The caller and their permissions; `csrf_token` for browsers only."""
 
     model_config = example(
         name="ada", role="curator", scopes=["read", "submit", "upload"], is_session=False, expires_at=ENDS
@@ -104,8 +104,8 @@ class PasswordBody(Body):
 
 
 class TokenBody(Body):
-    """A token to be; without `scopes` it has all that the caller holds but `account`, without `expires_s` it lasts a
-    year. What a token makes ends with it.
+    """A new token; by default it has all scopes of the caller except `account` and lasts a year. Tokens that it creates
+    end with it.
     """
 
     model_config = example(name="field laptop", scopes=["read", "upload"], expires_s=2592000)
@@ -148,7 +148,7 @@ class UserBody(Body):
 
 
 class UserChange(Body):
-    """What is to change; the rest stays."""
+    """Changes; missing keys stay."""
 
     model_config = example(role="curator", reason="leads the next campaign")
 
@@ -172,7 +172,7 @@ class UserItem(Answer):
 
 
 class RevokedItem(Answer):
-    """How many tokens of a user ended, and out of how many browsers they were signed."""
+    """Number of a user's tokens that were revoked, and of browsers that were signed out."""
 
     model_config = example(tokens=3, browsers=1)
 
@@ -189,9 +189,9 @@ class TeamBody(Body):
 
 
 class TeamItem(Answer):
-    """A team of which the caller is a member; nobody leads one that everybody has left.
+    """A team of the caller; the captain is null if all members have left.
 
-    It takes part in `phases` (ids), and whoever joins takes part in those that have not ended too.
+    It takes part in `phases` (ids), and new members take part in those that have not ended.
     """
 
     model_config = example(name="Terrain Gang", captain="ada", members=["ada"], phases=[ID_EXAMPLE])

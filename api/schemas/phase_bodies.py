@@ -1,4 +1,4 @@
-"""Phases over the wire: what an administrator asks for, and how a path names benchmark, phase and metric."""
+"""Bodies of phases: requests of administrators, and the path names of benchmark, phase and metric."""
 
 from datetime import datetime
 from typing import Annotated, Any
@@ -108,7 +108,7 @@ class AddedPhaseBody(NewPhaseBody):
 
 
 class PhaseChange(Body):
-    """What is to change; the rest stays, and so does what null would mean nothing for.
+    """Changes; missing keys stay, as do null keys that have no null value.
 
     Version, part, mask and secrecy cannot change once there is a ground truth.
     """
@@ -131,13 +131,13 @@ class PhaseChange(Body):
     reason: Reason
 
     def columns(self) -> dict[str, Any]:
-        """What was said of columns of a phase, but for the version, which is a name."""
+        """Return the given values of the phase's columns, except for the version, which is a name."""
         said = {name for name in self.model_fields_set if name in NULLABLE or getattr(self, name) is not None}
         return rule_columns(self, said - {"dataset", "reason"})
 
 
 def rule_columns(body: Body, names: set[str]) -> dict[str, Any]:
-    """The fields of these names as columns of a phase: instants and seconds in nanoseconds."""
+    """Return the fields of these names as columns of a phase: instants and seconds in nanoseconds."""
     return dict(_column(name, getattr(body, name)) for name in sorted(names))
 
 

@@ -14,9 +14,9 @@ class GravestItem(Answer):
 
 
 class QualityFields(Answer):
-    """How well labels hold where the robot drove; null if it was not measured, or is not told.
+    """Quality of labels where the robot drove; null if it was not measured, or is not shown.
 
-    `held_out_recall` is the share of driven ground that labels made from the other half of the way call T or P, over
+    `held_out_recall` is the share of driven ground that labels made from the other half of the track call T or P, over
     `held_out_m` metres. `gravest` is null if no finding harms the labels.
     """
 

@@ -22,11 +22,11 @@ class NewRescoreBody(Body):
 
 
 class RescoreItem(Answer):
-    """A re-score and how far it is.
+    """A re-score and its progress.
 
-    Of `total` standing submissions `scored` have their new score; `missing` can still get it, of which the first 20 are
-    named; `hidden` too but nobody misses them; the files of `gone` were purged. `state` is running, incomplete (its run
-    has ended and something is missing: start it again), complete, activated or abandoned.
+    `total` counts standing submissions: `scored` have their new score, `missing` can still get it (the first 20 are
+    named), `hidden` are optional, and the files of `gone` were purged. `state` is running, incomplete (its run has
+    ended with submissions missing: start it again), complete, activated or abandoned.
     """
 
     model_config = example(
@@ -72,7 +72,7 @@ class SideItem(Answer):
 
 
 class MovedItem(Answer):
-    """An entry or baseline by both pairs; null where it has no score, or no rank."""
+    """An entry or baseline by both pairs; null without a score or rank."""
 
     model_config = example(
         team="Forest",
@@ -101,7 +101,9 @@ class MovedItem(Answer):
 
 
 class RescoreDiffAnswer(Answer):
-    """What the switch would change, or has changed. The ETag names the activation in force: If-Match of `activate`."""
+    """The changes that the switch would make, or has made. The ETag identifies the active activation: If-Match of
+    `activate`.
+    """
 
     model_config = example(
         is_order_changed=True, is_new_leader=False, largest_rank_move=2, largest_value_move=0.011, without_new_score=0

@@ -25,9 +25,13 @@ ByQuery = Annotated[By, Query(description="What the frames are grouped by; the d
 
 
 class ExtrasItem(DangerItem):
-    """Not ranked. Danger: of N voxels the share predicted drivable (T or P), and predicted T alone; over-caution: of T
-    voxels the share predicted N. IoU of drivable columns: without N beyond the robot's height of 1.6 m above the
-    surface (`clear_drivable_iou`), or with any N (`bev_drivable_iou`)."""
+    """Figures that are not ranked.
+
+    - Danger: share of N voxels predicted drivable (T or P), and predicted T alone; over-caution: share of T voxels
+      predicted N.
+    - IoU of drivable columns: without N up to the robot's height of 1.6 m above the surface (`clear_drivable_iou`), or
+      without any N (`bev_drivable_iou`).
+    """
 
     model_config = example(
         t_predicted_n_ratio=0.058,
@@ -50,7 +54,7 @@ class ScopedIntervals(Answer):
 
 
 class ScopedSilences(Answer):
-    """Why there is no interval, by ratio; null where there is one."""
+    """Reason why there is no interval, by ratio; null if there is one."""
 
     model_config = example(
         these_places=dict.fromkeys(example_of(RatiosItem)),
@@ -74,7 +78,7 @@ class ScoreItem(Answer):
 
 
 class ResultsAnswer(Answer):
-    """What a submission scored. Null is undefined, or not shown to the caller.
+    """The scores of a submission. Null values are undefined, or not shown to the caller.
 
     `total` is rounded to `ratio_digits` if `is_rounded`. `within_occupied` are the same ratios with only the voxels
     that the ground truth calls occupied. `tolerant` are the ratios with voxels of a class paired if they are at most
@@ -126,7 +130,7 @@ class ResultsAnswer(Answer):
 
 
 class PartItem(Answer):
-    """Of one sequence, environment, illumination or ring of distance."""
+    """The result for one sequence, environment, illumination or ring of distance."""
 
     model_config = example(name="forest", frames=1400)
 
@@ -137,7 +141,7 @@ class PartItem(Answer):
 
 
 class BreakdownAnswer(Answer):
-    """The parts of a result; none where nothing is known to group by."""
+    """The parts of a result; empty if nothing is known to group by."""
 
     model_config = example(by="environment")
 
@@ -149,10 +153,10 @@ class BreakdownAnswer(Answer):
 
 
 class ProvenanceAnswer(Answer):
-    """What a score was computed from and by what; null is not shown to the caller.
+    """The sources and code of a score; null values are not shown to the caller.
 
-    `ground_truth_sha256` is of every evaluated voxel, `prediction_sha256` of the zip, `content_sha256` of all counts:
-    equal for equal predictions.
+    `ground_truth_sha256` covers every evaluated voxel, `prediction_sha256` the zip, `content_sha256` all counts, so
+    that it is equal for equal predictions.
     """
 
     model_config = example(

@@ -1,4 +1,4 @@
-"""Signing in over the wire: the ways there are, and programs that wait for somebody to approve them."""
+"""Bodies of sign-in: the ways to sign in, and programs that wait for approval."""
 
 from typing import Annotated, Literal
 
@@ -11,7 +11,7 @@ USER_CODE = "BCDF-GHJK"
 
 
 class ProviderItem(Answer):
-    """The provider to sign in with: what it is called, and where a browser goes for it."""
+    """The provider to sign in with: its name, and the path that a browser opens."""
 
     model_config = example(title="Field Robotics Lab", path="/api/v1/sign-in/oidc")
 
@@ -20,7 +20,7 @@ class ProviderItem(Answer):
 
 
 class SignInWays(Answer):
-    """How one may sign in: by name and password, with a provider, or either."""
+    """The ways to sign in: by name and password, with a provider, or either."""
 
     model_config = example(passwords=True)
 
@@ -38,8 +38,9 @@ class DeviceBody(Body):
 
 
 class DeviceCodesItem(Answer):
-    """The program's secret, and the code that a person types at `url`; asked for sooner than after `interval_s`, a
-    token is refused."""
+    """The program's secret, and the code that a person types at `url`; polling for the token sooner than `interval_s`
+    is refused.
+    """
 
     model_config = example(
         device_code="x" * 43,

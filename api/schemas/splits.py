@@ -15,7 +15,7 @@ Size = Annotated[int, Field(ge=0, le=MOST_SEQUENCES)]
 
 
 class SplitsToJudge(Body):
-    """Splits that nobody put yet, by the ids of their sequences."""
+    """Unsaved splits, by the ids of their sequences."""
 
     model_config = example(train=[ID_EXAMPLE], val=[], test=[])
 
@@ -33,7 +33,7 @@ class SplitsBody(SplitsToJudge):
 
 
 class Sizes(Answer):
-    """How many sequences are in each part."""
+    """Number of sequences in each part."""
 
     model_config = example(train=31, val=7, test=5)
 
@@ -43,7 +43,7 @@ class Sizes(Answer):
 
 
 class SizesAsked(Body):
-    """How many sequences each part is to have."""
+    """Requested number of sequences in each part."""
 
     model_config = example(train=31, val=7, test=5)
 
@@ -53,7 +53,7 @@ class SizesAsked(Body):
 
 
 class ProposalBody(Body):
-    """What is to be proposed, of all labelled sequences but those to leave out."""
+    """A request for a proposal from all labelled sequences except those to leave out."""
 
     model_config = example(sizes={"train": 1, "val": 0, "test": 0}, leave_out=[])
 
@@ -62,7 +62,7 @@ class ProposalBody(Body):
 
 
 class RuleItem(Answer):
-    """What a rule says: broken (`error`), or not to be kept with these data (`warning`)."""
+    """Verdict of a rule: broken (`error`), or impossible with these data (`warning`)."""
 
     model_config = example(
         code="day_and_night",
@@ -79,10 +79,10 @@ class RuleItem(Answer):
 
 
 class GapItem(Answer):
-    """How far train and test are apart: the least distance of their tracks and the least time between them.
+    """Distance between train and test: the least distance of their tracks and the least time between them.
 
-    `nearest` and `soonest` name the two sequences; null if no two tracks can be compared, which is in place if they
-    lie in one map. `unknown` sequences have no track.
+    `nearest` and `soonest` name the two sequences. Both are null if no two tracks can be compared; distances in place
+    require tracks in one map. `unknown` sequences have no track.
     """
 
     model_config = example(
@@ -104,7 +104,7 @@ class GapItem(Answer):
 
 
 class VerdictsAnswer(Answer):
-    """What the rules say of splits; `revision` is that of the splits that stand meanwhile.
+    """The rules' verdicts on splits; `revision` is that of the saved draft splits.
 
     `gap` is null if train or test is empty.
     """
@@ -118,7 +118,7 @@ class VerdictsAnswer(Answer):
 
 
 class DrivenItem(QualityFields):
-    """Where and when a sequence was driven, and how much of it there is; null is what nobody counted."""
+    """Place, time and size of a drive; null values are unknown."""
 
     model_config = example(
         name="lake-2026-05-03",
@@ -142,7 +142,7 @@ class DrivenItem(QualityFields):
 
 
 class SplitEntry(DrivenItem):
-    """A labelled sequence as the dataset sees it; `drive` is that of which it is one of several, '' for none."""
+    """A labelled sequence in the dataset; `drive` names the drive that it shares with other sequences, or ''."""
 
     model_config = example(drive="")
 
@@ -152,9 +152,9 @@ class SplitEntry(DrivenItem):
 
 
 class SplitsAnswer(Answer):
-    """The splits under discussion: all sizes, and of the sequences those the caller may see.
+    """The draft splits: all sizes, and the sequences that the caller may see.
 
-    `findings` and `gap` are of the whole and null for whoever does not see the whole.
+    `findings` and `gap` cover all sequences, and are null for callers who do not see all.
     """
 
     model_config = example(
@@ -178,7 +178,7 @@ class SplitsAnswer(Answer):
 
 
 class SharesItem(Answer):
-    """What a part holds of the assigned seconds, and of which classes its occupied voxels are (null: not known)."""
+    """The share of the assigned seconds in a part, and the class shares of its occupied voxels (null: unknown)."""
 
     model_config = example(
         sequences=31,
@@ -192,7 +192,7 @@ class SharesItem(Answer):
 
 
 class Shares(Answer):
-    """Of the whole and of each part."""
+    """The shares of the whole and of each part."""
 
     whole: SharesItem
     train: SharesItem

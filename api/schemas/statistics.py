@@ -6,7 +6,7 @@ from api.schemas.quality import QualityFields
 
 
 class VoxelRatios(Answer):
-    """Of the occupied voxels."""
+    """Shares of the occupied voxels."""
 
     traversable: float
     potentially_traversable: float
@@ -14,10 +14,10 @@ class VoxelRatios(Answer):
 
 
 class TallyItem(QualityFields):
-    """Sums over some sequences; those that continue each other are one of the `drives`.
+    """Sums over several sequences; sequences that continue each other count as one of the `drives`.
 
-    Null is what is not known, or not told, of any of them. The held-out recall is that of all judged metres together;
-    `held_out_known` sequences have one. `gravest` is the gravest finding of any.
+    Null values are unknown or not shown for all of them. The held-out recall is that of all judged metres together;
+    `held_out_known` sequences have one. `gravest` is the most harmful finding of any sequence.
     """
 
     model_config = example(
@@ -45,7 +45,7 @@ class TallyItem(QualityFields):
 
 
 class KeyTally(TallyItem):
-    """Of the sequences with this word; '' is unspecified, or unassigned."""
+    """The sums over sequences with this word; '' is unspecified, or unassigned."""
 
     model_config = example(key="lake")
 
@@ -53,7 +53,7 @@ class KeyTally(TallyItem):
 
 
 class CellTally(TallyItem):
-    """Of one environment in one illumination."""
+    """The sums over one environment in one illumination."""
 
     model_config = example(environment="lake", illumination="dusk")
 
@@ -64,7 +64,7 @@ class CellTally(TallyItem):
 class StatisticsAnswer(Answer):
     """The composition of a version of the dataset (`dataset`), or of the labelled sequences the caller may see (null).
 
-    Of a version, voxels are those of train and val: of test none are told.
+    For a version, voxels are those of train and val; test is not included.
     """
 
     model_config = example(

@@ -54,7 +54,7 @@ class FinalizeBody(Body):
 
 
 class SubmissionChangesBody(Body):
-    """What the page of the method says; what is left out or null stays. The modality of a draft only."""
+    """Changes of the method page; missing and null keys stay. The modality can change only in a draft."""
 
     model_config = example(method="OccFormer-T v2", description="Trained on train and val.")
 
@@ -64,7 +64,7 @@ class SubmissionChangesBody(Body):
 
 
 class VisibilityBody(Body):
-    """Whether boards leave it out, and why; the team is told the reason."""
+    """Whether boards hide the submission, and the reason, which the team sees."""
 
     model_config = example(hidden=True, reason="trained on the test part")
 
@@ -73,7 +73,7 @@ class VisibilityBody(Body):
 
 
 class SubmissionProgress(Answer):
-    """Of the jobs that are known so far."""
+    """Progress over the jobs known at present."""
 
     model_config = example(done=4, total=16)
 
@@ -139,7 +139,7 @@ class SubmissionDetail(SubmissionItem):
 
 
 class FileProblem(Answer):
-    """One thing that is wrong: in which file of the zip, of which frame."""
+    """One problem: its file in the zip, and its frame."""
 
     model_config = example(
         code="label_out_of_range", file="run/a.npz", frame="a", expected="values 0 to 3", actual="value 255"
@@ -153,7 +153,7 @@ class FileProblem(Answer):
 
 
 class ValidationReport(Answer):
-    """What checking the file found: the first hundred problems of `errors_total`; `ok` is null until it was checked."""
+    """The problems of the file: the first hundred of `errors_total`; `ok` is null until the file is checked."""
 
     model_config = example(state="invalid", ok=False, errors_total=1, failure=None)
 
@@ -166,9 +166,10 @@ class ValidationReport(Answer):
 
 
 class StandingAnswer(Answer):
-    """What a team may in a phase; null limits are none. `limit` is that of the window of `window_s`, grants included.
+    """The rights of a team in a phase; null limits are unlimited. `limit` applies to the window of `window_s`, grants
+    included.
 
-    `next_slot_at` is when the next submission may be finalised: now, later, or null where none ever may.
+    `next_slot_at` is the time at which the next submission may be finalised: now, later, or null if never.
     """
 
     model_config = example(

@@ -53,7 +53,7 @@ class JoinBody(Body):
 
 
 class CaptainBody(Body):
-    """Who is to lead the team, by name. `reason` is asked of administrators who do not lead it."""
+    """The name of the new captain. `reason` is required of administrators who do not lead the team."""
 
     model_config = example(member="ada", reason="the captain left the institute")
 

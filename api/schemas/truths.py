@@ -63,10 +63,10 @@ class TruthAccepted(Answer):
 
 
 class ReportedItem(Body):
-    """A result as somebody published it: `source` says who and where; ratios, not percentages; null was not given.
+    """A result published elsewhere: `source` names authors and place; ratios, not percentages; null was not given.
 
-    `kind` is `ceiling` for labels of a drive scored against labels of the same drive, as `stone ceiling` does.
-    `note` is what a reader of the board must know of it; `percent_digits` are the decimals of its per cent as printed.
+    `kind` is `ceiling` for labels of a drive scored against labels of the same drive, as `stone ceiling` does. `note`
+    is a remark for readers of the board; `percent_digits` is the number of decimals of the printed per cent.
     """
 
     model_config = example(

@@ -5,9 +5,9 @@ from services.runtime.orm import Upload
 
 
 class UploadItem(Answer):
-    """A file under way. `state`: open, complete, consumed, failed, expired, terminated; `detail` says why it failed.
+    """An upload. `state`: open, complete, consumed, failed, expired, terminated; `detail` is the reason of a failure.
 
-    `offset_bytes` is how much of it is here, `sha256` what it was found to be once it is complete.
+    `offset_bytes` is the number of bytes received, `sha256` the computed hash once it is complete.
     """
 
     model_config = example(

@@ -1,9 +1,9 @@
 """Streams request bodies to disk: one block is written by a thread while the next is received.
 
-**Conventions.** A request holds two blocks at most, whatever the client sends and however slow the disk is. All work on
-disk and database is done in threads of this module's own, so that a stalled disk stalls uploads and nothing else; the
-last block is written, the upload ended and its offset read by one of them, since each costs as much as a statement.
-After `WAITING_S` the received bytes are written: the bytes of a pausing client are on disk, not in memory.
+**Conventions.** A request holds two blocks at most, regardless of client and disk speed. All work on disk and database
+runs in threads of this module, so that a stalled disk stalls uploads only. One of these threads also writes the last
+block, ends the upload and reads its offset, because each step takes as long as a statement. After `WAITING_S` the
+received bytes are written, so that the bytes of a pausing client are on disk, not in memory.
 """
 
 import asyncio
@@ -35,7 +35,7 @@ T = TypeVar("T")
 
 
 async def in_thread(function: Callable[P, T], *arguments: P.args, **options: P.kwargs) -> T:
-    """Its result, without holding up the event loop; what it makes and says is this request's."""
+    """Run the function in a thread of this module and return its result, with this request's log context."""
     in_context = copy_context().run
     work = partial(in_context, function, *arguments, **options)
     return await asyncio.get_running_loop().run_in_executor(THREADS, work)
@@ -73,7 +73,7 @@ def _received(platform: Platform, ended: Callable[[], Upload]) -> ReceivedUpload
 
 
 async def _pump(request: Request, reception: UploadReceiver, idle_s: float) -> Sequence[bytes]:
-    """Write all blocks but the last one, which is given back."""
+    """Write all blocks except the last one, and return it."""
     blocks = _BlockWriter(reception)
     chunks = request.stream()
     try:
@@ -117,7 +117,7 @@ class _BlockWriter:
             await self._write()
 
     async def rest(self) -> Sequence[bytes]:
-        """What was taken and not written, when all else is."""
+        """Return the blocks taken and not written, after all others are written."""
         self.stop()
         await self._written()
         return self._pieces
@@ -129,7 +129,7 @@ class _BlockWriter:
             self._due = None
 
     async def flush(self) -> None:
-        """All that was taken is written."""
+        """Write all blocks taken."""
         if self._pieces:
             await self._write()
         await self._written()

@@ -1,7 +1,7 @@
 """Creation of uploads: by tus, with or without first bytes, or whole by a form.
 
-**Conventions.** A creation whose bytes are refused leaves nothing behind, for its client was never told the upload's
-name; only a full disk leaves it open, for what fitted counts.
+**Conventions.** If the bytes of a creation are refused, the upload is deleted, because its client never received the
+upload's name. Only a full disk leaves it open, and keeps the bytes that fitted.
 """
 
 from tempfile import SpooledTemporaryFile
@@ -28,7 +28,7 @@ from stone.errors import StoneError
 
 
 async def accept_creation(request: Request, platform: Platform, caller: Caller) -> Upload:
-    """The upload that the request's headers declare, with what its body holds."""
+    """Create the upload that the request's headers declare, with the bytes of its body."""
     if "upload-defer-length" in request.headers:
         raise ApiError("length_deferred", "Upload-Defer-Length is not supported; send Upload-Length with the creation")
     kind, _, named = request.headers.get("upload-concat", "").partition(";")
@@ -48,12 +48,12 @@ async def accept_creation(request: Request, platform: Platform, caller: Caller) 
 
 
 def owner_of(caller: Caller) -> UploadOwner:
-    """The caller as the owner of an upload."""
+    """Return the caller as the owner of an upload."""
     return UploadOwner(caller.user_id, caller.is_administrator, caller.role == "participant")
 
 
 def find_own(platform: Platform, upload_id: str, caller: Caller) -> Upload:
-    """The caller's upload, alive. Raises `upload_missing`, `upload_gone`, `ForbiddenError`."""
+    """Return the caller's upload, if it is alive. Raises `upload_missing`, `upload_gone`, `ForbiddenError`."""
     upload = find_alive(platform.database, upload_id, caller.user_id)
     if upload.purpose != SUBMISSION and "upload" not in caller.scopes:
         raise ForbiddenError(f"a {upload.purpose} requires the scope 'upload'; yours are {sorted(caller.scopes)}")
@@ -61,14 +61,14 @@ def find_own(platform: Platform, upload_id: str, caller: Caller) -> Upload:
 
 
 def refuse_unscoped(caller: Caller, declared: UploadDeclaration) -> None:
-    """A submission needs the scope `submit`, everything else `upload`. Raises `ForbiddenError`."""
+    """Require the scope `submit` for a submission, `upload` for other uploads. Raises `ForbiddenError`."""
     scope = "submit" if declared.purpose == SUBMISSION else "upload"
     if scope not in caller.scopes:
         raise ForbiddenError(f"a {declared.purpose} requires the scope {scope!r}; yours are {sorted(caller.scopes)}")
 
 
 async def _joined(request: Request, platform: Platform, caller: Caller, named: str) -> Upload:
-    """The upload that is made of the parts with these URLs."""
+    """Create the upload that joins the parts with these URLs."""
     declared = declared_by(request, 0)
     refuse_unscoped(caller, declared)
     part_ids = [url.rpartition("/")[2] for url in named.split()]
@@ -105,9 +105,9 @@ FORM_TYPE = "multipart/form-data"
 
 
 async def accept_form(request: Request, platform: Platform, caller: Caller) -> Upload:
-    """The complete upload that the form holds.
+    """Create the complete upload that the form contains.
 
-    Raises `unsupported_media_type`, `bad_form`, `upload_too_large` and what creating and receiving raise.
+    Raises `unsupported_media_type`, `bad_form`, `upload_too_large` and the errors of creating and receiving.
     """
     form = await _parse(request)
     try:

@@ -36,7 +36,7 @@ KEY = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 async def speak_tus(
     tus_resumable: Annotated[str, Header(description=f"Version of tus: `{VERSION}`.", examples=[VERSION])] = "",
 ) -> None:
-    """A dependency: the client says that it speaks our version. Raises `tus_version`."""
+    """Require the supported tus version, as a dependency. Raises `tus_version`."""
     if tus_resumable != VERSION:
         raise ApiError(
             "tus_version",
@@ -46,7 +46,7 @@ async def speak_tus(
 
 
 def count_of(request: Request, name: str) -> int:
-    """The header as a count of bytes. Raises `bad_tus_header`."""
+    """Return the header as a number of bytes. Raises `bad_tus_header`."""
     given = request.headers.get(name, "")
     if not COUNT.fullmatch(given):
         raise ApiError("bad_tus_header", f"{name} is {given[:80]!r}; expected a count of bytes, digits only")
@@ -54,7 +54,7 @@ def count_of(request: Request, name: str) -> int:
 
 
 def piece_of(request: Request, offset_bytes: int) -> UploadChunk:
-    """The request's headers about its body. Raises `bad_tus_header`, `unsupported_media_type`."""
+    """Return the request's headers about its body. Raises `bad_tus_header`, `unsupported_media_type`."""
     given = request.headers.get("content-type", "")
     if given != CHUNK_TYPE:
         raise unsupported_media_type(given, CHUNK_TYPE)
@@ -63,7 +63,7 @@ def piece_of(request: Request, offset_bytes: int) -> UploadChunk:
 
 
 def declared_by(request: Request, length_bytes: int, *, is_part: bool = False) -> UploadDeclaration:
-    """The file that a creation declares, or a part of one, which needs no metadata.
+    """Return the file that a creation declares, or a part of a file, which needs no metadata.
 
     Raises `bad_tus_header`, `BadMetadataError`.
     """

@@ -24,7 +24,7 @@ MOST_SPANS = 2000
 LOOKED_AT = 1000
 NEVER_NS = 2**62
 DEAD = and_(Job.queue != "", Job.state == "failed", Job.attempts_left <= 0)
-"""Jobs that failed after all their attempts; what refuses its input fails at once, and would again."""
+"""Jobs that failed after all their attempts; a job that refuses its input fails at once and would fail again."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def admin_job_items(session: Session, jobs: Listing[Job]) -> list[AdminJobItem]:
 
 
 def admin_job_detail(session: Session, job: Job) -> AdminJobDetail:
-    """A job with its attempts; of a run also its jobs: those that have not succeeded first, then as they began."""
+    """Return a job with its attempts; for a run also its jobs, unsuccessful ones first, then by start."""
     children = (Job.root_id == job.id, Job.id != job.id)
     unfinished_first = case((Job.state == "succeeded", 1), else_=0)
     in_time = (unfinished_first, func.coalesce(Job.started_ns, NEVER_NS), Job.id)
@@ -83,13 +83,13 @@ def job_counts(session: Session, levelled: Select[Job], flat: Select[Job]) -> Jo
 
 
 def late_kinds(session: Session) -> list[str]:
-    """The kinds among the newest jobs, by name: what a filter suggests."""
+    """Return the kinds among the newest jobs, by name, as suggestions for a filter."""
     newest = select(Job.kind).order_by(Job.id.desc()).limit(LOOKED_AT).subquery()
     return sorted(session.scalars(select(newest.c.kind).distinct()))
 
 
 def job_spans_of(session: Session, job: Job) -> list[JobSpan]:
-    """The jobs of a run in the order they were made; of a single job, itself."""
+    """Return the jobs of a run in the order of creation; for a single job, itself."""
     columns = (Job.id, Job.kind, Job.state, Job.attempt, Job.created_ns, Job.started_ns, Job.finished_ns)
     found = select(*columns).where(Job.root_id == job.id, Job.queue != "").order_by(Job.id).limit(MOST_SPANS)
     return [JobSpan(*row) for row in session.execute(found)]
@@ -135,7 +135,7 @@ class EndedJobCounts:
 
 
 def pending_wake_ups_of(platform: Platform) -> WakeUpCounts:
-    """Wake-ups not yet received, by queue; None where the broker does not answer."""
+    """Return the wake-ups not yet received, by queue; None if the broker does not respond."""
     count = wake_up_counter(platform.settings)
     try:
         return {name: count(name) for name in QUEUES}
@@ -144,7 +144,7 @@ def pending_wake_ups_of(platform: Platform) -> WakeUpCounts:
 
 
 def queue_items(session: Session, wake_ups: WakeUpCounts = UNASKED) -> list[QueueItem]:
-    """Each queue with its switch, its jobs and what it achieved lately: three statements."""
+    """Return each queue with its switch, its jobs and its recent results, by three statements."""
     at_ns = now_ns()
     modes = dict(session.execute(select(Queue.name, Queue.mode)).all())
     standing, ended = _backlogs(session), _ended_counts(session, at_ns)
@@ -162,7 +162,7 @@ def queue_items(session: Session, wake_ups: WakeUpCounts = UNASKED) -> list[Queu
 
 
 def worker_items(session: Session, settings: Settings) -> list[WorkerItem]:
-    """The processes that tell of themselves, silent ones first, each with what it holds."""
+    """Return the processes with heartbeats, silent ones first, each with its resources."""
     busy = {attempt.worker: (job, attempt) for job, attempt in running_attempts(session, MOST_WORKERS)}
     seen = workers_seen(session, settings.jobs.heartbeat_s, MOST_WORKERS)
     return [_worker(one, busy.get(one.worker.name)) for one in seen]

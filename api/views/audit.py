@@ -14,7 +14,7 @@ from services.runtime.orm import AuditEntry, Phase, PhaseTeam, ScoringEntry, Tea
 
 @dataclass(frozen=True)
 class AuditFilter:
-    """Which lines: each that is said must be met."""
+    """A filter of audit lines; a line must match every given value."""
 
     act: str | None = None
     actor: str | None = None
@@ -23,13 +23,13 @@ class AuditFilter:
 
 
 def audit_page(session: Session, query: PageQuery, wanted: AuditFilter) -> Page[AuditLine]:
-    """The lines that are wanted, newest first."""
+    """Return the lines that match, newest first."""
     found = select(AuditEntry).filter_by(**{name: value for name, value in vars(wanted).items() if value})
     return page(session, found, AuditEntry.number.desc(), query).shown(AuditLine.of)
 
 
 def acts_known(session: Session) -> list[str]:
-    """The acts that the log holds, by name: each is found as the first after the last, by a step down the index."""
+    """Return the acts in the log, by name; each step looks up the next one in the index."""
     later = aliased(AuditEntry)
     acts = select(func.min(AuditEntry.act).label("act")).cte(recursive=True)
     after = select(func.min(later.act)).where(later.act > acts.c.act).correlate(acts).scalar_subquery()
@@ -62,7 +62,7 @@ def grant_item(entry: ScoringEntry, now: ScoringQuota) -> GrantItem:
 
 
 def team_quotas(session: Session, phase: Phase, limit: int) -> list[TeamQuota]:
-    """The teams that take part in the phase, or were granted scorings in it, by name."""
+    """Return the teams that take part in the phase, or were granted scorings in it, by name."""
     entered = select(PhaseTeam.team_id).where(PhaseTeam.phase_id == phase.id)
     booked = select(ScoringEntry.team_id).where(ScoringEntry.phase_id == phase.id)
     teams = select(Team).where(Team.id.in_(entered.union(booked))).order_by(Team.name).limit(limit)

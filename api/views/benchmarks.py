@@ -1,6 +1,6 @@
 """Benchmarks as the API shows them: rows of `services.runtime.orm.benchmarks` become bodies.
 
-**Conventions.** What a phase's ground truth is made of is shown by its number and hashes only.
+**Conventions.** A phase's ground truth is shown by its number and hashes only.
 """
 
 from collections.abc import Sequence
@@ -41,7 +41,7 @@ def benchmark_items(session: Session, rows: Sequence[Benchmark]) -> list[Benchma
 
 
 def benchmark_detail(session: Session, row: Benchmark) -> BenchmarkDetail:
-    """A benchmark with its phases, by name."""
+    """Return a benchmark with its phases, by name."""
     return BenchmarkDetail.of(row, phases=[phase_item(session, phase) for phase in phases_of(session, row)])
 
 
@@ -50,13 +50,13 @@ def phases_of(session: Session, benchmark: Benchmark) -> Sequence[Phase]:
 
 
 def phase_detail(session: Session, phase: Phase) -> PhaseDetail:
-    """A phase as its administrator sees it."""
+    """Return a phase for an administrator."""
     findings = [PhaseFinding.of(one, severity="warning") for one in findings_of(session, phase)]
     return PhaseDetail(**dict(phase_item(session, phase)), findings=findings)
 
 
 def phase_item(session: Session, phase: Phase) -> PhaseItem:
-    """A phase as everybody sees it."""
+    """Return a phase for any reader."""
     at_ns, dataset = now_ns(), session.get_one(Dataset, phase.dataset_id)
     return PhaseItem.of(
         phase,
@@ -72,7 +72,7 @@ def phase_item(session: Session, phase: Phase) -> PhaseItem:
 
 
 def metric_item(session: Session, phase: Phase, version: str) -> MetricItem:
-    """A version of the metric, and whether the phase is scored by it now. Raises `NotFoundError`."""
+    """Return a version of the metric, and whether the phase is scored by it. Raises `NotFoundError`."""
     found, pair = known_metric(version), evaluation_versions.active(session, phase.id)
     is_active = pair is not None and pair.metric == version
     return MetricItem.of(found, is_active=is_active)

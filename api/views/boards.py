@@ -1,7 +1,7 @@
 """Boards and comparisons as response bodies and files.
 
-**Conventions.** Nothing is decided here about who sees what: that was done where the rows were read. What is written of
-a board is kept under its revision, which is another one for who sees another board.
+**Conventions.** Visibility was applied where the rows were read. The written form of a board is cached under its
+revision, which differs for viewers who see another board.
 """
 
 from threading import Lock
@@ -31,14 +31,14 @@ from services.runtime.orm import Benchmark, Phase
 from stone.scoring.intervals import LEVEL
 
 JSON_TYPE = "application/json"
-MOST_KEPT_BYTES = 4 * 2**20  # of all boards
+MOST_KEPT_BYTES = 4 * 2**20  # for all boards together
 
 _WRITTEN: LRUCache[tuple[str, Form], bytes] = LRUCache(MOST_KEPT_BYTES, len)
 _WRITTEN_LOCK = Lock()
 
 
 def board_response(request: Request, board: Board, viewer: Viewer, form: Form) -> Response:
-    """The board in this form, or 304 to who has it already."""
+    """Return the board in this form, or 304 if the client's copy is current."""
     content, headers = _board_bytes(board, viewer, form), {"Cache-Control": "private, no-cache"}
     if form == "json":
         return tagged_response(request, content, JSON_TYPE, headers)
@@ -48,7 +48,7 @@ def board_response(request: Request, board: Board, viewer: Viewer, form: Form) -
 
 
 def _board_bytes(board: Board, viewer: Viewer, form: Form) -> bytes:
-    """The board in this form, written once for each revision of it."""
+    """Return the board in this form, written once for each revision."""
     key = (board.revision, form)
     with _WRITTEN_LOCK:
         kept = _WRITTEN.get(key)
@@ -86,7 +86,7 @@ def history_answer(session: Session, phase: Phase, track: Track) -> HistoryAnswe
 
 
 def evaluation_version_item(seen: ScoreView) -> PairItem:
-    """The evaluation version that a score was made by."""
+    """Return the evaluation version of a score."""
     return PairItem.of(
         seen.score,
         ground_truth=seen.truth.number,

@@ -32,7 +32,7 @@ def changes(platform: Platform, caller: Caller, calibration_id: str, against: st
 
 
 def version_before(session: Session, row: CalibrationRow) -> CalibrationRow | None:
-    """The version before it of its owner's calibrations of its name; None for the first."""
+    """Return the previous version among its owner's calibrations of its name; None for the first."""
     of_name = select(CalibrationRow).where(CalibrationRow.owner_id == row.owner_id, CalibrationRow.name == row.name)
     earlier = of_name.where(CalibrationRow.version < row.version).order_by(CalibrationRow.version.desc()).limit(1)
     return session.scalars(earlier).first()

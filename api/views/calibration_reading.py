@@ -1,8 +1,8 @@
 """Uploaded calibration files: read in a sandboxed child process within limits, refused with coded findings.
 
-**Conventions.** Reading a hostile megabyte costs up to three seconds of one core, so no more than `AT_ONCE` are read at
-a time and the others wait, briefly; then they are told to come back. The parsers run in a child without network, files
-to write or the API's connections (`services/runtime/sandbox`), and answer with one JSON object.
+**Conventions.** Reading a hostile megabyte costs up to three seconds of one core. At most `AT_ONCE` files are read at a
+time; others wait briefly and are then refused with `rate_limited`. The parsers run in a child without network, files to
+write or the API's connections (`services/runtime/sandbox`), and return one JSON object.
 """
 
 from collections.abc import Iterator
@@ -43,7 +43,7 @@ _turns = BoundedSemaphore(AT_ONCE)
 
 @contextmanager
 def received(file: IO[bytes], filename: str) -> Iterator[Path]:
-    """The file under its own name in a folder that lasts as long as this. Raises `body_too_large`."""
+    """Yield the path of the file under its own name in a temporary folder. Raises `body_too_large`."""
     content = file.read(LARGEST_BYTES + 1)
     if len(content) > LARGEST_BYTES:
         raise body_too_large(LARGEST_BYTES)
@@ -54,7 +54,7 @@ def received(file: IO[bytes], filename: str) -> Iterator[Path]:
 
 
 def read(path: Path) -> ReadCalibration:
-    """The calibration in the file; raises as `understood`."""
+    """Return the calibration in the file; raises as `understood`."""
     found = understood(path)
     mounts = found.calibration.mounts
     sensors = tuple({"name": mount.name, "kind": mount.kind, "frame_id": mount.frame_id} for mount in mounts)
@@ -63,9 +63,9 @@ def read(path: Path) -> ReadCalibration:
 
 
 def understood(path: Path) -> CalibrationRead:
-    """The calibration in a file or a zip.
+    """Return the calibration in a file or a zip.
 
-    Raises `CalibrationRefusedError`; `rate_limited` when too many are being read; `ConfinedInterruptedError`.
+    Raises `CalibrationRefusedError`; `rate_limited` if too many are being read; `ConfinedInterruptedError`.
     """
     if not _turns.acquire(timeout=PATIENCE_S):
         raise rate_limited(PER_MINUTE, int(PATIENCE_S))
@@ -91,7 +91,7 @@ def _believed(name: str, answer: bytes) -> CalibrationRead:
 
 
 def stored(store: Store, object_key: str, filename: str) -> Calibration:
-    """A calibration that was kept, read again; raises as `understood`, and ObjectMissingError."""
+    """Return a stored calibration, read again; raises as `understood`, and ObjectMissingError."""
     content = b"".join(store.read(object_key))
     with received(BytesIO(content), filename) as path:
         return understood(path).calibration
@@ -113,7 +113,7 @@ def _since_1970_ns(moment: datetime) -> int:
 
 
 def _check_names(filename: str, calibration: Calibration) -> None:
-    """Names are shown and looked for. Raises `CAL-422` for one with characters nobody can see."""
+    """Check that names are printable, because people read and search them. Raises `CAL-422`."""
     for name in (calibration.name, *(mount.name for mount in calibration.mounts)):
         if not name.isprintable():
             raise bad_calibration_key(filename, repr(name)[:80], "a name of printable characters", 0)

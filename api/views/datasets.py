@@ -1,6 +1,6 @@
-"""Dataset versions as response bodies, and a preview of the version that would be published now.
+"""Dataset versions as response bodies, and a preview of the version that would be published.
 
-Of test's labels nothing is told.
+They never include the labels of test.
 """
 
 from collections.abc import Mapping
@@ -25,11 +25,11 @@ from stone.splits.splits import PARTS, RuleFinding
 
 @dataclass(frozen=True)
 class DatasetPreview:
-    """A version as it would be published now; `obstacle` says why it cannot be, '' where it can.
+    """A preview of the version to publish; `obstacle` is the reason why it cannot be published, or ''.
 
-    `files` and `size_bytes` are those of train and val together, `warnings` what the rules say all the same, `gap` how
-    far train and test are apart. `members`
-    are all sequences by split, with the quality of their labels, which is for administrators alone to read.
+    `files` and `size_bytes` are those of train and val together, `warnings` the rules' warnings, `gap` the distance
+    between train and test. `members` are all sequences by split, with the quality of their labels, for administrators
+    only.
     """
 
     revision: int
@@ -43,7 +43,7 @@ class DatasetPreview:
 
 
 def prospect_of(session: Session, least_recall: float) -> DatasetPreview:
-    """A preview of the version as `prepare_dataset` would find it with that least held-out recall."""
+    """Return a preview of the version that `prepare_dataset` would make with that least held-out recall."""
     revision = current_splits(session).revision
     try:
         current, members, warnings = members_now(session)

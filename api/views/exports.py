@@ -27,7 +27,7 @@ def export_items(session: Session, sequence_id: str, exports: Listing[Export]) -
 
 
 def served_file(store: Store, stored: StoredFiles, path: str) -> ServedFile:
-    """One file of an export. Raises `NotFoundError`."""
+    """Return one file of an export. Raises `NotFoundError`."""
     files, read = stored.files, stored.reader(store)
     ordinal = files.ordinals.get(path)
     if ordinal is None:
@@ -43,7 +43,7 @@ def served_file(store: Store, stored: StoredFiles, path: str) -> ServedFile:
 
 
 def served_archive(store: Store, stored: StoredFiles, kind: ArchiveKind, called: tuple[str, str]) -> ServedFile:
-    """All files of an export as one, with its name (without the ending) and its sha256."""
+    """Return all files of an export as one archive, with its name (without the ending) and its sha256."""
     files, read = stored.files, stored.reader(store)
     archive = archive_of(files, kind)
     return ServedFile(
@@ -71,7 +71,7 @@ def _item(row: Export, job: Job, counting_id: str) -> ExportItem:
 
 
 def _archives(row: Export) -> list[ArchiveItem]:
-    """None before there are files."""
+    """Return the archives; none before there are files."""
     if row.finished_ns is None:
         return []
     return [

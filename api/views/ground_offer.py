@@ -32,7 +32,7 @@ class GroundOffer:
 
     @property
     def height_m(self) -> float:
-        """How far the ground lies above the ego origin."""
+        """The height of the ground above the ego origin."""
         return self.ground.height_m
 
     @property
@@ -42,7 +42,7 @@ class GroundOffer:
 
 
 def ground_offer_of(platform: Platform, sequence_id: str) -> GroundOffer | None:
-    """None if the ground is where it should be, or nobody knows."""
+    """Return the offered correction; None if the ground lies as expected, or its height is unknown."""
     with platform.database.reading() as session:
         found = _found(session, session.get_one(SequenceRow, sequence_id))
     if found is None:

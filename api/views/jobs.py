@@ -22,7 +22,7 @@ SAID = (
     Job.id, Job.root_id, Job.owner_id, Job.sequence_id, Job.kind, Job.queue, Job.state, Job.priority, Job.attempt,
     Job.failure_code, Job.failure, Job.cancel_reason, Job.revision, Job.created_ns, Job.started_ns, Job.finished_ns,
 )  # fmt: skip
-"""What `job_facts` reads of a job."""
+"""The columns of a job that `job_facts` reads."""
 _said_of = attrgetter(*(column.key for column in SAID))
 OWN_PROGRESS = (Job.stage, Job.done, Job.total, Job.progress_ns)
 # Built once: to build a statement for fifty ids costs more than to run it.
@@ -35,7 +35,7 @@ COUNTED = (
 
 
 def with_counts(page: Select[Job]) -> Select[Any]:
-    """The jobs of `page`, newest first: `SAID`, `OWN_PROGRESS`, and of runs how many jobs are done, of how many."""
+    """Select `SAID` and `OWN_PROGRESS` of the jobs of `page`, newest first, and for runs the done and total jobs."""
     shown = page.with_only_columns(*SAID, *OWN_PROGRESS).cte("shown")
     of_runs = (Job.root_id.in_(select(shown.c.id)), Job.queue != "")
     counted = select(Job.root_id, DONE.label("jobs_done"), func.count().label("jobs")).where(*of_runs)
@@ -48,13 +48,13 @@ def with_counts(page: Select[Job]) -> Select[Any]:
 
 
 def facts_of_rows(session: Session, rows: Sequence[Row[Any]]) -> list[dict[str, Any]]:
-    """Rows of `with_counts` as a list shows them; whatever of them is alive is read for the estimates."""
+    """Return rows of `with_counts` as a list shows them; live jobs are read for the estimates."""
     left = _time_left(session, cast("Sequence[Job]", rows))  # which have the columns that it reads
     return [job_facts(row[: len(SAID)], _progress_of_row(session, row), left.get(row.id)) for row in rows]
 
 
 def _time_left(session: Session, jobs: Sequence[Job]) -> Mapping[str, int]:
-    """Of those that are alive runs; what has ended is not asked for."""
+    """Return the estimated seconds left of live runs."""
     alive = [job.id for job in jobs if job.id == job.root_id and job.state not in TERMINAL]
     return time_left(session, alive) if alive else {}
 
@@ -76,7 +76,7 @@ def job_items(session: Session, jobs: Sequence[Job]) -> list[JobItem]:
 
 
 def job_detail(session: Session, job: Job) -> JobDetail:
-    """A job with its attempts, a run with its stages."""
+    """Return a job with its attempts, a run with its stages."""
     progress = progress_of(session, job)
     attempts = select(JobAttempt).where(JobAttempt.job_id == job.id).order_by(JobAttempt.number)
     return JobDetail(
@@ -100,7 +100,7 @@ def job_item(job: Job, progress: Progress, left_s: int | None) -> JobItem:
 
 
 def job_facts(said: Sequence[Any], progress: Progress, left_s: int | None) -> dict[str, Any]:
-    """A `JobItem`, of the values of `SAID`."""
+    """Return a `JobItem` from the values of `SAID`."""
     id, root_id, owner_id, sequence_id, kind, queue, state, priority, attempt, *more = said
     failure_code, failure, cancel_reason, revision, created_ns, started_ns, finished_ns = more
     return {
@@ -149,8 +149,8 @@ def _failure(code: str, sentence: str) -> dict[str, str] | None:
 # Job logs by pages, also while the job runs.
 #
 # **Conventions.** `after` names the last line that was read: `<logged_ns>.<job id>.<attempt>.<number>`. The lines of
-# one job come in the order they were said. Those of a run come in the order of their clocks, and what is younger than
-# `SETTLE_S` is held back while the run lasts: workers write twice a second, so a line may arrive after a later one.
+# one job come in the order of writing. Those of a run come in the order of their clocks. Workers write twice a second,
+# so a line may arrive after a later one; while the run lasts, lines younger than `SETTLE_S` are held back.
 
 
 SETTLE_S = 2.0
@@ -159,16 +159,16 @@ AFTER = re.compile(r"(\d{1,18}|[1-8]\d{18})\.([0-9a-f]{32})\.(\d{1,9})\.(\d{1,9}
 
 @dataclass(frozen=True)
 class LogQuery:
-    """Which lines are asked for."""
+    """The requested log lines."""
 
     after: str | None
     limit: int
 
 
 def log_page(session: Session, job: Job, query: LogQuery, *, is_administrator: bool = False) -> LogPage:
-    """The next lines of a job, or of all jobs of a run. Raises `bad_cursor`.
+    """Return the next lines of a job, or of all jobs of a run. Raises `bad_cursor`.
 
-    Tracebacks of jobs that see what their owners may not are for administrators.
+    Only administrators see tracebacks of jobs with access to hidden data.
     """
     mark = _mark(query.after)
     statement = _of_run(job, mark) if not job.queue else _of_job(job, mark)
@@ -191,7 +191,7 @@ def _of_run(job: Job, mark: tuple[int, str, int, int] | None) -> Select[JobLine]
 
 
 def _reticent(job: Job) -> Select[str]:
-    """The jobs of the run that have seen what is hidden."""
+    """Select the jobs of the run that have read hidden data."""
     return select(Job.id).where(Job.root_id == job.root_id, Job.queue.in_(RETICENT))
 
 

@@ -44,7 +44,7 @@ def comparison_items(session: Session, rows: Listing[LabelComparison]) -> list[L
 
 
 def pair_picture(store: Store, pair: StoredPair, colours: ColourName) -> bytes:
-    """A, B and the difference from above, a PNG. Raises `grid_unreadable`."""
+    """Return A, B and the difference from above as a PNG. Raises `grid_unreadable`."""
     return recoloured(_picture(store, pair), colours)
 
 

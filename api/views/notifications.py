@@ -1,4 +1,4 @@
-"""Notifications as response bodies: choices, places, deliveries; a webhook's secret only where it is issued."""
+"""Notifications as response bodies: choices, addresses, deliveries; a webhook's secret only when it is issued."""
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
@@ -18,7 +18,7 @@ from services.runtime.settings import Settings
 
 
 def notifications_item(session: Session, user_id: str, settings: Settings) -> NotificationsItem:
-    """How the user is told of events."""
+    """Return the user's notification settings."""
     chosen = choices_of(session, user_id)
     email, webhook = session.get(EmailAddress, user_id), session.get(Webhook, user_id)
     return NotificationsItem(
@@ -36,7 +36,7 @@ def email_item(row: EmailAddress) -> EmailItem:
 
 
 def deliveries_page(session: Session, query: PageQuery, user_id: str) -> Page[DeliveryItem]:
-    """What the user was told, or should have been, newest first."""
+    """Return the user's deliveries in any state, newest first."""
     rows = page(
         session,
         select(NotificationDelivery).where(NotificationDelivery.user_id == user_id),

@@ -18,7 +18,7 @@ from services.runtime.uploads.creation import owner_limit_bytes
 from services.runtime.uploads.rows import UploadOwner
 
 TO_PROVIDER = "/api/v1/sign-in/oidc"
-"""Where a browser goes to sign in with the provider."""
+"""The path that a browser opens to sign in with the provider."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class StorageUsage:
 
 
 def sign_in_ways(settings: Settings) -> SignInWays:
-    """How one may sign in here."""
+    """Return the ways to sign in."""
     title = settings.oidc.shown_title
     provider = ProviderItem(title=title, path=TO_PROVIDER) if settings.oidc.issuer else None
     return SignInWays(passwords=settings.api.passwords, provider=provider)
@@ -49,7 +49,7 @@ def user_of(session: Session, user_id: str, is_locked: bool = False) -> User:
 
 
 def users_page(session: Session, query: PageQuery, name: str | None, role: str | None) -> Page[UserItem]:
-    """Users, newest first; those whose name holds `name`, and whose role is `role`, where these are said."""
+    """Return users, newest first, filtered by part of the `name` and by `role` if given."""
     found: Select[User] = select(User)
     if name:
         found = found.where(User.name.contains(name.lower(), autoescape=True))
@@ -59,12 +59,14 @@ def users_page(session: Session, query: PageQuery, name: str | None, role: str |
 
 
 def tokens_page(session: Session, query: PageQuery, user_id: str) -> Page[TokenItem]:
-    """The tokens of a user, newest first."""
+    """Return the tokens of a user, newest first."""
     return page(session, select(Token).where(Token.user_id == user_id), Token.id.desc(), query).shown(TokenItem.of)
 
 
 def browsers_of(session: Session, user_id: str, current_id: str) -> list[BrowserItem]:
-    """The browsers in which a user is signed in, newest first; `current_id` is that of the one that asks, or ''."""
+    """Return the browsers in which a user is signed in, newest first; `current_id` is that of the calling browser, or
+    ''.
+    """
     theirs = select(WebSession).where(WebSession.user_id == user_id, WebSession.expires_ns > now_ns())
     return [
         BrowserItem.of(row, is_current=row.id == current_id)
@@ -73,7 +75,7 @@ def browsers_of(session: Session, user_id: str, current_id: str) -> list[Browser
 
 
 def storage_of(platform: Platform, session: Session, user: User) -> StorageUsage:
-    """The user's storage: used bytes and quota."""
+    """Return the user's storage: used bytes and quota."""
     limit_bytes = owner_limit_bytes(
         platform, UploadOwner(user.id, user.role == "administrator", user.role == "participant")
     )

@@ -48,9 +48,9 @@ def sequence_preview(session: Session, sequence: SequenceRow, labels: LabelSet |
 
 
 def picture_in(store: Store, file: StoredFile, colours: ColourName) -> bytes:
-    """A stored picture with the class colours of this palette; unchanged where it has no palette of ours.
+    """Return a stored picture with the class colours of this palette; unchanged if it has no palette of ours.
 
-    Reads the store, so not within a transaction. Raises `ObjectMissingError`.
+    Reads the store, so it must not run within a transaction. Raises `ObjectMissingError`.
     """
     return recoloured(read_whole(store, file), colours)
 
@@ -65,7 +65,7 @@ def _of_sequence(session: Session, sequence: SequenceRow, labels: LabelSet | Non
 
 
 def _shown(sequence_id: str | BindParameter[str], recipe: str | BindParameter[str] | None) -> tuple[Any, ...]:
-    """Of a sequence those of this recipe, of none those of the newest."""
+    """Return the conditions for the previews of this recipe; without a recipe, of the newest labels."""
     other = aliased(Preview)
     of_sequence = (other.sequence_id == sequence_id, other.recording_id.is_(None))
     newest = select(other.recipe).where(*of_sequence).order_by(other.id.desc()).limit(1).scalar_subquery()

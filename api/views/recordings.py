@@ -8,12 +8,12 @@ from services.runtime.orm import Recording
 
 
 def recording_item(row: Recording) -> RecordingItem:
-    """A recording as a list shows it."""
+    """Return a recording as a list shows it."""
     return RecordingItem.of(row, files=_file_items(row), place=PlaceItem.recorded(row.place))
 
 
 def recording_detail(session: Session, row: Recording) -> RecordingDetail:
-    """A recording with what its inspection said."""
+    """Return a recording with its inspection."""
     return RecordingDetail.of(
         row, files=_file_items(row), place=PlaceItem.recorded(row.place), previews=previews_of_recording(session, row)
     )

@@ -14,7 +14,7 @@ MOST_NAMED = 20
 
 
 def rescore_item(session: Session, rescore: Rescore) -> RescoreItem:
-    """The re-score with its progress."""
+    """Return the re-score with its progress."""
     progress = rescore_progress(session, rescore)
     run = session.get(Job, rescore.job_id) if rescore.job_id else None
     return RescoreItem.of(

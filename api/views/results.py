@@ -29,7 +29,7 @@ from services.runtime.orm import SubmissionRow
 
 
 def viewer_for(session: Session, caller: Caller) -> Viewer:
-    """The caller as a viewer of submissions."""
+    """Return the caller as a viewer of submissions."""
     if caller.is_visitor:
         return Viewer(is_visitor=True)
     return viewer_of(session, caller.user_id, caller.is_administrator)
@@ -69,7 +69,7 @@ def results_answer(session: Session, viewer: Viewer, found: SubmissionResults) -
 
 
 def score_items(session: Session, viewer: Viewer, submission: SubmissionRow) -> list[ScoreItem]:
-    """The scores that may be read by their ids, oldest first."""
+    """Return the scores that may be read by their ids, oldest first."""
     pair = active(session, submission.phase_id)
     return [
         ScoreItem(

@@ -1,7 +1,7 @@
 """Scenes and frames for the viewer: database rows and stored files become responses.
 
-**Conventions.** Everything goes through what the caller is shown. What is made of a frame's labels is kept by the
-process, the last few: labels never change.
+**Conventions.** Every function checks what the caller may see. Results for the last few frames are cached by the
+process, because labels never change.
 """
 
 import json
@@ -46,7 +46,7 @@ ColoursQuery = Annotated[
 
 @dataclass(frozen=True)
 class SceneLocation:
-    """Which labels of which sequence, where `scene.json` lies, and how far their playback is."""
+    """A label set of a sequence, the place of its `scene.json`, and the progress of its playback."""
 
     sequence_id: str
     label_set_id: str
@@ -55,7 +55,7 @@ class SceneLocation:
 
 
 def scene_of(session: Session, caller: Caller, sequence_id: str) -> SceneLocation:
-    """The scene of the newest labels. Raises `NotFoundError`, `no_scene`."""
+    """Return the scene of the newest labels. Raises `NotFoundError`, `no_scene`."""
     sequence = shown_sequence(session, caller, sequence_id)
     labels = newest_label_set(session, sequence.id)
     file = artefact_file(session, sequence, labels, "scene/scene.json")
@@ -68,7 +68,7 @@ def scene_of(session: Session, caller: Caller, sequence_id: str) -> SceneLocatio
 
 
 def scene_bytes(store: Store, scene: SceneLocation) -> bytes:
-    """The body of a `SceneDetail`; reads the store, so not within a transaction."""
+    """Return the body of a `SceneDetail`; it reads the store, so it must not run within a transaction."""
     shown = shown_by(store, scene.playback)
     playback: dict[str, Any] = {"export_id": scene.playback.export_id, "state": scene.playback.state}
     playback |= shown.as_record()
@@ -80,7 +80,7 @@ def scene_bytes(store: Store, scene: SceneLocation) -> bytes:
 
 
 def scene_file(session: Session, caller: Caller, sequence_id: str, name: str, version: str | None) -> StoredFile:
-    """A file of the scene of the newest labels. Raises `NotFoundError`."""
+    """Return a file of the scene of the newest labels. Raises `NotFoundError`."""
     sequence = shown_sequence(session, caller, sequence_id)
     labels = newest_label_set(session, sequence.id)
     file = artefact_file(session, sequence, labels, f"scene/{name}.bin")
@@ -90,7 +90,7 @@ def scene_file(session: Session, caller: Caller, sequence_id: str, name: str, ve
 
 
 def labels_file(session: Session, caller: Caller, token: str, version: str | None = None) -> StoredFile:
-    """The `labels.npz` of a frame. Raises `NotFoundError`."""
+    """Return the `labels.npz` of a frame. Raises `NotFoundError`."""
     frame, labels = frame_of(session, caller, token)
     pack = session.get_one(Artefact, frame.pack_id)
     object_key = session.get_one(Blob, pack.blob_sha256).object_key
@@ -109,7 +109,7 @@ def frame_picture(store: Store, labels: StoredFile, colours: ColourName) -> byte
 
 
 def played_file(platform: Platform, asked: tuple[Caller, str, str | None], name: Callable[[str], str]) -> ServedFile:
-    """A file of a frame's playback: of the caller, the token and the version asked for, and its name by token.
+    """Return a file of a frame's playback, for (caller, token, version) and its name by token.
 
     Raises `NotFoundError`, `no_playback`.
     """
@@ -124,9 +124,9 @@ def played_file(platform: Platform, asked: tuple[Caller, str, str | None], name:
 
 
 def played_cameras(platform: Platform, asked: tuple[Caller, str, str | None]) -> ServedFile:
-    """`STR1` of the playback of the newest labels: of the caller, the sequence and the version asked for.
+    """Return `STR1` of the playback of the newest labels, for (caller, sequence, version).
 
-    Its version is the playback: it can be made anew of the same labels. Raises `NotFoundError`, `no_playback`.
+    Its version is the playback, which can be made again from the same labels. Raises `NotFoundError`, `no_playback`.
     """
     caller, sequence_id, version = asked
     with platform.database.reading() as session:
@@ -150,7 +150,7 @@ def _placed_voxels(semantics: Grid, observed: Grid, _grid: LabelGrid) -> bytes:
 
 @lru_cache(maxsize=HELD_SCENES)
 def _record(store: Store, file: StoredFile) -> dict[str, Any]:
-    """An object never changes, so neither does what was read of it."""
+    """Return the JSON of an object, cached because objects never change."""
     record: dict[str, Any] = json.loads(read_whole(store, file))
     return record
 
@@ -159,7 +159,7 @@ def _record(store: Store, file: StoredFile) -> dict[str, Any]:
 
 
 def artefact_file(session: Session, sequence: SequenceRow, labels: LabelSet | None, name: str) -> StoredFile | None:
-    """A file of these labels, called after the sequence; None where there are no labels, or no such file."""
+    """Return a file of these labels, named after the sequence; None without labels or such a file."""
     if labels is None:
         return None
     named = select(Artefact, Blob).join(Blob, Blob.sha256 == Artefact.blob_sha256)

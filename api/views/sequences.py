@@ -1,7 +1,7 @@
-"""Sequences as the API shows them, with their newest run and the labels that count: two statements, however many.
+"""Sequences as the API shows them, with their newest run and the active labels, by two statements for any number.
 
-**Conventions.** Without a caller they are shown as a visitor sees them. Facts are what a body says, as a dictionary in
-the order of its schema: of a list they are written as they are.
+**Conventions.** Without a caller they are shown as to a visitor. Facts are a body as a dictionary in the order of its
+schema; lists write them unchanged.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -25,7 +25,7 @@ from services.runtime.orm import Artefact, Job, LabelSet, Recording, SequenceRow
 from stone_base.label_quality import LabelQuality
 
 UNLISTED = ("labels/", "scene/")
-PICTURES = ("bev.png", "thumbnail.jpg", "thumbnail.png")  # of older label sets a JPEG
+PICTURES = ("bev.png", "thumbnail.jpg", "thumbnail.png")  # JPEG in older label sets
 
 SAID = (
     "id", "owner_id", "name", "environment", "illumination", "region", "platform", "is_public", "calibration_id"
@@ -39,10 +39,10 @@ LABELS = (
 
 
 def with_glances(page: Select[SequenceRow], owner: str | BindParameter[str] | None) -> Select[Any]:
-    """The sequences of `page`, newest first, each with its newest run and the id of the labels that count; parts of the
-    splits of those of `owner` only, None being an administrator.
+    """Select the sequences of `page`, newest first, each with its newest run and the id of its active labels.
 
-    Whatever is of other tables is looked up for each: joined, a planner would read small tables whole.
+    Splits are selected for the sequences of `owner` only, for an administrator (None) for all. Other tables are looked
+    up per row, because for joins a planner would read small tables whole.
     """
     shown = page.cte("shown")
     recordings = select(func.count()).select_from(Recording).where(Recording.sequence_id == shown.c.id)
@@ -59,7 +59,7 @@ def with_glances(page: Select[SequenceRow], owner: str | BindParameter[str] | No
 
 
 def sequence_facts(session: Session, rows: Sequence[Row[Any]]) -> list[dict[str, Any]]:
-    """What a list says of rows of `with_glances`, each a `SequenceItem`; their labels are a statement."""
+    """Return the list items of rows of `with_glances`, each a `SequenceItem`; one statement reads their labels."""
     labels = _label_facts(session, [row.labels_id for row in rows if row.labels_id is not None])
     return [_facts(row, labels.get(row.labels_id, (NO_LABELS, None))) for row in rows]
 
@@ -114,7 +114,7 @@ def _label_sets(places: int) -> KeptSelect:
 
 
 def _label_facts(session: Session, ids: Sequence[str]) -> dict[str, tuple[dict[str, Any], str | None]]:
-    """By id, what is said of label sets, and the picture of each."""
+    """Return the facts and the picture of label sets, by id."""
     rows: Sequence[Sequence[Any]] = _label_sets(places_for(len(ids))).rows(session, numbered(ids)) if ids else ()
     return {row[0]: (_labels_said(row), row[-1]) for row in rows}
 
@@ -134,7 +134,7 @@ def _labels_said(row: Sequence[Any]) -> dict[str, Any]:
 
 
 def sequence_detail(session: Session, sequence: SequenceRow, caller: Caller = VISITOR) -> SequenceDetail:
-    """A sequence with the files of the labels that count."""
+    """Return a sequence with the files of the active labels."""
     return _detail(session, dict(sequence_items(session, [sequence], caller)[0]), caller)
 
 
@@ -154,7 +154,7 @@ def _shown_one(is_administrator: bool) -> KeptSelect:
 
 
 def _detail(session: Session, facts: Mapping[str, Any], caller: Caller) -> SequenceDetail:
-    """What facts of a list say of a sequence, and its files."""
+    """Return the detail of a sequence from its list item, and its files."""
     sequence_id, is_own = facts["id"], caller.is_administrator or facts["owner_id"] == caller.user_id
     labels = labels_of(session, sequence_id) if facts["labels"] else None
     artefacts = _artefacts(session, labels.id) if labels else []

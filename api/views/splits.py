@@ -16,7 +16,7 @@ if TYPE_CHECKING:  # with it comes scipy's solver
 def splits_answer(
     current: CurrentSplits, seen: tuple[CatalogueEntry, ...], findings: Iterable[RuleFinding] | None
 ) -> SplitsAnswer:
-    """The splits with those of their sequences that are `seen`; findings for whoever sees all."""
+    """Return the splits with their sequences in `seen`; findings only for callers who see all."""
     return SplitsAnswer.of(
         current,
         sizes=dict(zip(PARTS, current.split.sizes, strict=True)),
@@ -28,7 +28,7 @@ def splits_answer(
 
 
 def proposal_answer(proposal: "Proposal", seen: tuple[CatalogueEntry, ...]) -> ProposalAnswer:
-    """A proposal with its sequences in full."""
+    """Return a proposal with its sequences in full."""
     train, val, test = (_shares(one) for one in proposal.shares)
     return ProposalAnswer.of(
         proposal,

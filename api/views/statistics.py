@@ -12,7 +12,9 @@ from stone.splits.composition import CatalogueEntry
 
 
 def composition_record(session: Session, caller: Caller, dataset: str | None) -> Record:
-    """Of the version of that name, else of the labelled sequences the caller owns. Raises `NotFoundError`."""
+    """Return the composition of the version of that name, else of the caller's labelled sequences. Raises
+    `NotFoundError`.
+    """
     if dataset is not None:
         return statistics_record(dataset_entries(session, dataset_of(session, dataset)))
     seen = entries_of(labelled_sequences(session, sequences_of(caller)))

@@ -1,6 +1,6 @@
 """Submissions as response bodies for their team and administrators; scores are in `results`.
 
-**Conventions.** Who may see one is decided by `api/visible.py`.
+**Conventions.** `api/visible.py` decides who may see a submission.
 """
 
 from collections.abc import Sequence
@@ -47,14 +47,14 @@ def submission_items(session: Session, rows: Sequence[SubmissionRow]) -> list[Su
 
 
 def submission_detail(session: Session, row: SubmissionRow) -> SubmissionDetail:
-    """A submission with its method's page."""
+    """Return a submission with its method's page."""
     shown = submission_items(session, [row])[0]
     more: dict[str, Any] = {"description": row.description, "upload_id": _upload_id(session, row)}
     return SubmissionDetail(**dict(shown), **more, expected_s=expected_s(session, row))
 
 
 def validation_report(row: SubmissionRow) -> ValidationReport:
-    """The validation problems of the file."""
+    """Return the validation problems of the file."""
     problems = row.problems or {}
     is_checked = row.problems is not None or row.state in ("scored", "valid")
     state: Any = row.state
@@ -69,7 +69,7 @@ def validation_report(row: SubmissionRow) -> ValidationReport:
 
 
 def quota_answer(session: Session, phase: Phase, team_id: str) -> StandingAnswer:
-    """The team's remaining scorings and validations."""
+    """Return the team's remaining scorings and validations."""
     standing = scoring_quota.scoring_quota(session, phase, team_id)
     left, next_validation_ns = validations_left(session, phase, team_id)
     return StandingAnswer.of(
@@ -90,7 +90,7 @@ def _problems_total(row: SubmissionRow) -> int | None:
 
 
 def _upload_id(session: Session, row: SubmissionRow) -> str | None:
-    """The upload that was used up, or the newest that is on its way: where a client goes on."""
+    """Return the consumed upload, or the newest unfinished one, which a client resumes."""
     if row.upload_id is not None or row.state != "draft":
         return row.upload_id
     alive = select(Upload.id).where(Upload.target_id == row.id, Upload.purpose == "submission")

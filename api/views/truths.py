@@ -23,7 +23,7 @@ def reported_item(row: Reported) -> ReportedItem:
 
 
 def reported_tag(items: Sequence[ReportedItem]) -> str:
-    """The revision of all reported rows of a phase."""
+    """Return the revision of all reported rows of a phase."""
     return sha256("\n".join(item.model_dump_json() for item in items).encode()).hexdigest()
 
 
@@ -38,7 +38,7 @@ def _item(session: Session, row: GroundTruthRow, is_active: bool) -> TruthItem:
 
 
 def _state(session: Session, row: GroundTruthRow) -> Literal["making", "ready", "failed"]:
-    """`failed` is also what was cancelled: the job says which."""
+    """Return the state; a cancelled ground truth is `failed`, and its job has the reason."""
     if row.ready_ns is not None:
         return "ready"
     job: Any = session.get(Job, row.job_id) if row.job_id else None

@@ -1,7 +1,7 @@
 """Routes for administrators: create and change benchmarks and their phases.
 
-**Conventions.** Every change says why, which the audit log keeps. A ground truth is made by a job; the first of a phase
-is in force as soon as it is ready, every later one once a re-score is activated.
+**Conventions.** The audit log keeps the reason of every change. A job makes a ground truth. The first ground truth of a
+phase becomes active when it is ready, and later ones when a re-score is activated.
 """
 
 from fastapi import APIRouter, Request, Response
@@ -109,7 +109,7 @@ def change(
     request: Request,
     response: Response,
 ) -> PhaseDetail:
-    """The evaluated data can change only before there is a ground truth."""
+    """Change a phase. The evaluated data can change only before there is a ground truth."""
     with platform.database.transaction() as session:
         phase = lock_phase(session, phase_of(session, phase_id).id)
         require_match(request, phase.revision)

@@ -71,7 +71,7 @@ class AdminFilters(JobFilters):
         return self.levelled(self.flat(statement))
 
     def flat(self, statement: Select[Job]) -> Select[Job]:
-        """Of any state, those within runs included."""
+        """Select jobs in any state, including the jobs within runs."""
         statement = self.equal(statement, ("kind", "sequence_id", "root_id", "queue", "owner_id"))
         if self.owner is not None:
             statement = statement.where(Job.owner_id.in_(select(User.id).where(User.name == self.owner)))
@@ -80,7 +80,7 @@ class AdminFilters(JobFilters):
         return statement
 
     def levelled(self, statement: Select[Job]) -> Select[Job]:
-        """An id is looked for among the jobs of runs too, and a queue has no runs."""
+        """Select runs and single jobs; with an id or a queue, select jobs within runs too."""
         return statement if self.queue or self.id_part else self.one_level(statement)
 
 
@@ -99,7 +99,7 @@ def list_all_jobs(
 
 @router.get("/jobs/counts", summary="Count the jobs in each state", responses=refusals(403))
 def count_jobs(_caller: Administrator, platform: PlatformDep, filters: AdminFiltersDep) -> JobCounts:
-    """The filters `state` and `dead` have no effect here."""
+    """Count the jobs. The filters `state` and `dead` have no effect here."""
     with platform.database.reading() as session:
         return job_counts(session, filters.of_any_state(select(Job)), filters.flat(select(Job)))
 
@@ -112,7 +112,7 @@ def steer_jobs(body: JobActsBody, caller: Administrator, platform: PlatformDep) 
 
 @router.get("/jobs/{job_id}", summary="Show a job of any user", responses=refusals(403, 404))
 def show_any_job(job_id: IdPath, caller: Administrator, platform: PlatformDep) -> AdminJobDetail:
-    """Its progress; for a run also its jobs, unsuccessful jobs first."""
+    """Return its progress; for a run also its jobs, unsuccessful jobs first."""
     with platform.database.reading() as session:
         return admin_job_detail(session, job_of(session, caller, job_id))
 
@@ -121,7 +121,7 @@ def show_any_job(job_id: IdPath, caller: Administrator, platform: PlatformDep) -
 def list_any_job_log(
     job_id: IdPath, caller: Administrator, platform: PlatformDep, query: Annotated[LogQuery, Depends(log_query)]
 ) -> LogPage:
-    """The log lines of a job, or of all jobs of a run."""
+    """Return the log lines of a job, or of all jobs of a run."""
     with platform.database.reading() as session:
         return log_page(session, job_of(session, caller, job_id), query, is_administrator=caller.is_administrator)
 

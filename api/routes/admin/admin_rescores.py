@@ -124,7 +124,7 @@ def abandon_rescore(
 
 
 def _asked(session: Session, phase: Phase, body: NewRescoreBody) -> EvaluationVersion:
-    """The pair that is meant; what is not said is as on the board."""
+    """Return the requested pair; missing parts equal those of the board."""
     current = active(session, phase.id)
     if current is None:
         raise ApiError("conflict", "the phase has no board yet; its first ground truth must be ready")

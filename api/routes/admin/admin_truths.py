@@ -69,7 +69,7 @@ def list_reported_results(
 def replace_reported_results(
     phase_id: IdPath, body: ReportedBody, caller: Administrator, platform: PlatformDep, request: Request
 ) -> Page[ReportedItem]:
-    """The board marks them and never ranks them.
+    """Replace the rows, which the board marks and never ranks.
 
     With If-Match, the request fails if the rows have changed since.
     """

@@ -1,9 +1,9 @@
 """Routes of exports: request, list, download whole or file by file, delete.
 
-**Conventions.** Equal requests are one export: asking again answers with the one that stands, so an unchanged sequence
-is not written twice. Archives are laid out, never built: any range of one is served, and its bytes and sha256 stay the
-same, so that a download goes on where it broke off. An export is its owner's to make and
-to delete; the finished ones of a sequence that is shown to others may be downloaded by whoever is signed in.
+**Conventions.** Equal requests are one export: a repetition returns the existing export, so an unchanged sequence is
+not written twice. Archives are generated on the fly with stable bytes and sha256, and support ranges, so that a
+download can resume. Only the owner of a sequence creates and deletes its exports. If the sequence is visible to others,
+all signed-in users can download the finished ones.
 """
 
 from dataclasses import dataclass
@@ -46,7 +46,7 @@ ARCHIVE = file_responses(*ARCHIVE_TYPES)
 
 @dataclass(frozen=True)
 class ExportPath:
-    """Which export of which sequence."""
+    """An export of a sequence, by their ids."""
 
     sequence_id: IdPath
     export_id: IdPath
@@ -151,7 +151,7 @@ def download_export_archive(
 
 
 def _finished(platform: Platform, caller: Caller, at: ExportPath) -> tuple[StoredFiles, Export, SequenceRow]:
-    """The files of an export. Raises `NotFoundError`, `export_unfinished`."""
+    """Return the files of an export. Raises `NotFoundError`, `export_unfinished`."""
     with platform.database.reading() as session:
         sequence = shown_sequence(session, caller, at.sequence_id)
         export = readable_export(session, caller, sequence.id, at.export_id)

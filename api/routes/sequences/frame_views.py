@@ -1,7 +1,7 @@
 """Routes of the viewer's frame data: voxels, top-down picture, camera images, point cloud, radar detections.
 
-**Conventions.** Voxels and picture are made of the labels when they are asked for, which takes less than reading a
-stored copy would save; pictures of cameras and sweeps are of the playback (`services/domain/viewer/playback.py`).
+**Conventions.** Voxels and picture are made from the labels at each request, which is faster than reading a stored
+copy. Camera images and sweeps come from the playback (`services/domain/viewer/playback.py`).
 """
 
 from dataclasses import replace
@@ -32,7 +32,7 @@ PNG, JPEG = "image/png", "image/jpeg"
 def download_voxels(
     token: TokenPath, caller: Looker, platform: PlatformDep, request: Request, version: VersionQuery = None
 ) -> Response:
-    """The class of each voxel and whether LiDAR and camera observed it, three bits each."""
+    """Return the class of each voxel and whether LiDAR and camera observed it, three bits each."""
     with platform.database.reading() as session:
         file = labels_file(session, caller, token, version)
     facts = GeneratedFile(VOXELS, f"{token}-voxels.bin", file.is_lasting)

@@ -1,7 +1,7 @@
 """Routes of single frames by token: their place in a sequence, and their labels.
 
-**Conventions.** A token is known to whoever knows the bag, so it opens nothing: frames of others are 404. The labels of
-a frame are a range of a pack, served as a file of its own with its own sha256.
+**Conventions.** Everyone with the bag can compute its tokens, so a token grants no access: other users' frames are 404.
+The labels of a frame are a range of a pack, served as a separate file with its own sha256.
 """
 
 from typing import Annotated
@@ -39,7 +39,7 @@ def show_frame(token: TokenPath, caller: Looker, platform: PlatformDep) -> Frame
     "/labels.npz", summary="Download a frame's labels (npz)", response_class=Response, responses=file_responses(NPZ)
 )
 def download_labels(token: TokenPath, caller: Looker, platform: PlatformDep, request: Request) -> Response:
-    """The arrays `semantics`, `mask_lidar` and `mask_camera` of a frame, each (256, 256, 32) uint8."""
+    """Return the arrays `semantics`, `mask_lidar` and `mask_camera` of a frame, each (256, 256, 32) uint8."""
     with platform.database.reading() as session:
         file = labels_file(session, caller, token)
     return answer_file(request, platform.store, file)

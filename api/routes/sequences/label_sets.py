@@ -42,7 +42,7 @@ PNG, VOXELS, DIFFERENCES = "image/png", MEDIA_TYPES["STV1"], MEDIA_TYPES["STD1"]
 
 @dataclass(frozen=True)
 class ComparisonPath:
-    """Which comparison of which sequence."""
+    """A comparison of a sequence's label sets, by ids."""
 
     sequence_id: IdPath
     comparison_id: IdPath
@@ -50,7 +50,7 @@ class ComparisonPath:
 
 @dataclass(frozen=True)
 class LabelSetPath:
-    """Which label set of which sequence."""
+    """A label set of a sequence, by ids."""
 
     sequence_id: IdPath
     label_set_id: IdPath
@@ -105,7 +105,9 @@ def remove_label_set(sequence_id: IdPath, label_set_id: IdPath, caller: Curator,
 def download_label_set_voxels(
     at: LabelSetAt, token: TokenPath, caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:
-    """The class of each voxel and whether it was observed. The token may be that of the same frame in another set."""
+    """Return the class of each voxel and whether it was observed. The token may be that of the same frame in another
+    set.
+    """
     with platform.database.reading() as session:
         labels = label_set_of(session, caller, at.sequence_id, at.label_set_id)
         file = stored_frame(session, labels, token)
@@ -164,7 +166,7 @@ def download_label_difference(
     request: Request,
     colours: ColoursQuery = "default",
 ) -> Response:
-    """The labels from above: A, B, and their difference."""
+    """Return the labels from above: A, B, and their difference."""
     picture = pair_picture(platform.store, _pair(platform, caller, at, token), colours)
     return answer_made(request, picture, GeneratedFile(PNG, f"{token}-difference.png"))
 
@@ -178,13 +180,13 @@ def download_label_difference(
 def download_difference_voxels(
     at: AtComparison, token: TokenPath, caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:
-    """The difference of each voxel between A and B, three bits each."""
+    """Return the difference of each voxel between A and B, three bits each."""
     content = pair_differences(platform.store, _pair(platform, caller, at, token))
     return answer_made(request, content, GeneratedFile(DIFFERENCES, f"{token}-differences.bin"))
 
 
 def _pair(platform: Platform, caller: Caller, at: ComparisonPath, token: str) -> StoredPair:
-    """The label files of a frame in A and B. Raises `NotFoundError`."""
+    """Return the label files of a frame in A and B. Raises `NotFoundError`."""
     with platform.database.reading() as session:
         row = label_comparison_of(session, caller, at.sequence_id, at.comparison_id)
         pair = stored_pair(session, row, token)

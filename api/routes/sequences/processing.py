@@ -1,7 +1,7 @@
 """Routes that process a sequence and serve its products: report, frames, mesh, previews.
 
-**Conventions.** What is shown belongs to the newest labels of the sequence. Equal requests are one run: asking again
-answers with the run that is at it, or that has made it already.
+**Conventions.** Products belong to the newest labels of the sequence. Equal requests are one run: a repetition returns
+the run that is in progress or has made the labels.
 """
 
 from fastapi import APIRouter, Request, Response

@@ -112,7 +112,7 @@ def _choice(text: str) -> tuple[str, str]:
     return part, topic
 
 
-# What inspections of earlier versions did not say.
+# Keys that inspections of earlier releases lack.
 LATER_KEYS = ("frame_id", "point_count")
 
 
@@ -126,7 +126,7 @@ def _candidates(inspection: dict[str, Any]) -> list[Candidate]:
 
 
 def _channel_of_frame(session: Session, sequence: SequenceRow) -> dict[str, str]:
-    """The channel of each frame_id that the sequence's calibration knows."""
+    """Return the channel of each frame_id in the sequence's calibration."""
     if sequence.calibration_id is None:
         return {}
     sensors = session.get_one(CalibrationRow, sequence.calibration_id).sensors

@@ -33,7 +33,7 @@ roots_router = APIRouter(prefix="/recording-roots", tags=["recordings"])
 
 @dataclass(frozen=True)
 class RecordingPreview:
-    """Which preview of which recording."""
+    """A preview of a recording, by its name."""
 
     sequence_id: IdPath
     recording_id: IdPath
@@ -46,7 +46,7 @@ def create_recording(
 ) -> RecordingAccepted:
     """Create a recording from your complete uploads; a job reads and keeps it. An upload can be used once.
 
-    Of a bag of several files, all files are accepted or none. A bag `in_place` is read where it lies; the job checks
+    The files of one bag are accepted all together or not at all. A bag `in_place` is read where it lies; the job checks
     that it exists.
     """
     with platform.database.transaction() as session:

@@ -1,8 +1,7 @@
 """Routes of the viewer's scene: the labels' metadata, and the map by tiles.
 
-**Conventions.** The binary formats are told in `services/domain/viewer/formats.py`. An address with `v`, the label set
-that is meant (of cameras, the playback), answers for good; without it a browser asks each time whether what it has
-still counts.
+**Conventions.** `services/domain/viewer/formats.py` describes the binary formats. A URL with `v`, the id of the label
+set (for cameras, of the playback), never changes its content; without it a browser must revalidate its copy.
 """
 
 from typing import Annotated
@@ -35,7 +34,7 @@ PlaybackQuery = Annotated[
     responses={200: {"model": SceneDetail}, 304: {"description": "The caller's copy is current"}, **refusals(404)},
 )
 def show_scene(sequence_id: IdPath, caller: Looker, platform: PlatformDep, request: Request) -> Response:
-    """The grid, the frames with their poses, the tiles of the map, and the playback."""
+    """Return the grid, the frames with their poses, the tiles of the map, and the playback."""
     with platform.database.reading() as session:
         scene = scene_of(session, caller, sequence_id)
     return answer_made(request, scene_bytes(platform.store, scene), GeneratedFile(JSON, scene.file.filename))
@@ -87,7 +86,7 @@ def download_scene_mesh(
     request: Request,
     version: VersionQuery = None,
 ) -> Response:
-    """The thinned surface; each vertex has a class."""
+    """Return the thinned surface; each vertex has a class."""
     with platform.database.reading() as session:
         file = scene_file(session, caller, sequence_id, f"mesh_{tile_name}", version)
     return answer_file(request, platform.store, file)

@@ -95,7 +95,9 @@ def change_sequence(
     """Change the attributes of a sequence; missing and null keys stay."""
     with platform.database.transaction() as session:
         if body.is_public:
-            lock_splits(session)  # first, as whoever puts splits does: of two at once one sees the other
+            lock_splits(
+                session
+            )  # first, as for saving splits, so that of two concurrent requests one sees the other's change
         sequence = lock_sequence(session, sequence_of(session, caller, sequence_id).id)
         require_match(request, sequence.revision)
         changes = {key: value for key, value in body if value is not None and value != getattr(sequence, key)}
@@ -174,7 +176,7 @@ def _refuse_revealing_truth(session: Session, sequence: SequenceRow) -> None:
 
 
 def _flush_named(session: Session, name: str) -> None:
-    """The unique index decides, so that of two at once one gets the name. Raises `name_taken`."""
+    """Flush; the unique index gives a name to one of two concurrent requests. Raises `name_taken`."""
     try:
         session.flush()
     except IntegrityError:

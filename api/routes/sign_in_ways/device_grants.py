@@ -1,7 +1,7 @@
-"""Routes by which a program signs in with a browser's help (RFC 8628): ask for codes, approve, take the token.
+"""Routes by which a program signs in with a browser's help (RFC 8628): request codes, approve, fetch the token.
 
-**Conventions.** A program that is nobody yet asks for two codes, shows one to a person, and asks with the other until
-they decided at `/device`. Only a browser's session approves: a token belongs to a program, and would create
+**Conventions.** An unauthenticated program requests two codes, shows one to a person, and polls with the other until
+the person decides at `/device`. Only a browser's session can approve: a token belongs to a program, and would create
 another token that outlives it. A token never has more rights than its approver.
 """
 
@@ -26,7 +26,7 @@ router = APIRouter(prefix="/device-grants", tags=["people"])
 def create_device_grant(
     body: DeviceBody, request: Request, response: Response, platform: PlatformDep
 ) -> DeviceCodesItem:
-    """A person types `user_code` at `url`; `device_code` is the program's secret."""
+    """Create two codes: a person types `user_code` at `url`; `device_code` is the program's secret."""
     request.app.state.limits.admit_from(request, "device grant")
     asked = DeviceRequest(body.name, address_of(request).removeprefix("address "), tuple(body.scopes))
     with platform.database.transaction() as session:
@@ -39,8 +39,10 @@ def create_device_grant(
 
 @router.post("/decision", status_code=204, summary="Approve or deny a program", responses=refusals(404, 409))
 def decide_device_grant(body: DeviceDecision, caller: AccountHolder, request: Request, platform: PlatformDep) -> None:
-    """An approved program gets a token of the caller, with the requested scopes that the caller holds. If the browser's
-    session ends before the program fetches the token, it gets none. A token cannot approve (403 `browser_only`)."""
+    """Approve or deny. An approved program gets a token of the caller, with the requested scopes that the caller holds.
+    If the browser's session ends before the program fetches the token, it gets none. A token cannot approve (403
+    `browser_only`).
+    """
     if body.approves and not caller.is_session:
         sentence = "a token cannot approve a program; open /device in a signed-in browser"
         raise ApiError("browser_only", sentence)

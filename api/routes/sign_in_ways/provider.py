@@ -67,7 +67,7 @@ def start_oidc(request: Request, platform: PlatformDep, back: Back = "/") -> Red
 def finish_oidc(
     request: Request, platform: PlatformDep, code: Said = "", state: Said = "", iss: Said = "", error: Said = ""
 ) -> RedirectResponse:
-    """The first sign-in creates the account. The role follows the groups that the provider sends."""
+    """Create the account at the first sign-in. The role follows the groups that the provider sends."""
     request.app.state.limits.admit_from(request, "answer of a provider")
     begun, back = _begun(request.cookies.get(COOKIE, ""))
     identity = _provider(request).finish(begun, CodeAnswer(code, state, iss, error))
@@ -87,7 +87,7 @@ def _provider(request: Request) -> Provider:
 
 
 def _begun(kept: str) -> tuple[CodeRequest | None, str]:
-    """The sign-in that this browser began, and the page it came from."""
+    """Return the sign-in that this browser started, and the page to return to."""
     secret, _, page = kept.partition(".")
     if not secret or len(kept) > LONGEST_COOKIE:
         return None, "/"

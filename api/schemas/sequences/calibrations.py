@@ -20,7 +20,7 @@ class FindingItem(Answer):
 
 
 class SensorItem(Answer):
-    """One sensor the calibration places on the robot; `frame_id` is that of its messages, "" where it is not told."""
+    """One sensor that the calibration places on the robot; `frame_id` is that of its messages, "" if unknown."""
 
     model_config = example(name="CAM_FRONT", kind="camera", frame_id="cam_front")
 
@@ -59,7 +59,7 @@ class CalibrationItem(Answer):
 
 
 class TransformChangeItem(Answer):
-    """How far an origin moved (in the LiDAR's frame; the LiDAR's own in the ego frame), and how far it turned."""
+    """Translation of an origin (in the LiDAR's frame; the LiDAR's own in the ego frame), and its rotation."""
 
     model_config = example(translation_m=[0.0, 0.01, 0.0], distance_m=0.01, rotation_deg=0.2)
 
@@ -141,7 +141,7 @@ class ProfileItem(Answer):
 
 
 class RolesAnswer(Answer):
-    """Which topic of a recording would play which part; what could not be told is in `findings`."""
+    """The topics of a recording by role; `findings` has the unresolved ones."""
 
     model_config = example(platform="warthog-1", chosen={}, channels=TOPICS_EXAMPLE, findings=[])
 

@@ -64,7 +64,7 @@ class ExportItem(Answer):
 
 
 class ExportAccepted(Answer):
-    """The export that was asked for, and the job that makes it or has made it."""
+    """The requested export, and the job that makes it or has made it."""
 
     model_config = example(job=example_of(JobItem) | {"kind": "labeler.export"})
 

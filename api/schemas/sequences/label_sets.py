@@ -11,7 +11,7 @@ CONFUSION_EXAMPLE = [[2040000, 900, 300, 1200], [700, 21000, 400, 10], [350, 380
 
 
 class LabelSetItem(QualityFields):
-    """A label set of a sequence; one of them counts, the one that was asked for last."""
+    """A label set of a sequence; the one requested last is active."""
 
     model_config = example(
         profile="field",
@@ -77,7 +77,7 @@ class SeenVoxels(Answer):
 
 
 class FrameAgreement(Answer):
-    """How alike the labels of a frame are; its token is that in A."""
+    """Agreement of the labels of a frame; its token is that in A."""
 
     model_config = example(token=ID_EXAMPLE, agreement_ratio=0.902)
 
@@ -86,7 +86,7 @@ class FrameAgreement(Answer):
 
 
 class AgreementRecord(Answer):
-    """How alike two label sets are; `seen_in_both` is null where one of them does not say what was seen."""
+    """Agreement of two label sets; `seen_in_both` is null if one of them has no masks."""
 
     model_config = example(frames=1, only_in_a=0, only_in_b=0, has_equal_classes=False)
 
@@ -126,7 +126,7 @@ class LabelComparisonItem(Answer):
 
 
 class LabelComparisonAccepted(Answer):
-    """The comparison that was asked for, and the job that makes it or has made it."""
+    """The requested comparison, and the job that makes it or has made it."""
 
     model_config = example(job=example_of(JobItem) | {"kind": "eval.compare"})
 

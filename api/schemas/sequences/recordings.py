@@ -36,14 +36,14 @@ class PlaceBody(Body):
     path: str = Field(min_length=1, max_length=1024)
 
     def place(self) -> RecordingPlace:
-        """The place as the domain understands it."""
+        """Return the place as the domain's value."""
         return RecordingPlace(self.root, self.path)
 
 
 class InPlaceBody(PlaceBody):
     """A bag that stays where it lies: `path` below `root`, one of the names that `GET /recording-roots` lists.
 
-    Of an object in a bucket, pictures are read only `with_pictures`: labels need none, exports of pictures do.
+    For an object in a bucket, pictures are read only `with_pictures`: labels need none, exports of pictures do.
     """
 
     model_config = example(root="nas", path="2026/run_0.db3")
@@ -51,7 +51,7 @@ class InPlaceBody(PlaceBody):
     with_pictures: bool = False
 
     def place(self) -> RecordingPlace:
-        """The place as the domain understands it."""
+        """Return the place as the domain's value."""
         return RecordingPlace(self.root, self.path, with_pictures=self.with_pictures)
 
 
@@ -86,14 +86,14 @@ class NewRecordingBody(Body):
         return self
 
     def received(self) -> NewRecording:
-        """The uploads as the runtime understands them."""
+        """Return the uploads as the runtime's value."""
         if self.upload_ids is None:
             return NewRecording((self.upload_id or "",))
         return NewRecording(tuple(self.upload_ids), self.name or "")
 
 
 class RecordingFileItem(Answer):
-    """One file of a recording. `is_recovered`: it was cut off; what could be read of it is processed."""
+    """One file of a recording. `is_recovered`: it was cut off, and its readable part is processed."""
 
     model_config = example(filename="run.mcap", size_bytes=8123456789, is_recovered=False)
 
@@ -121,8 +121,8 @@ class PlaceItem(Answer):
 class RecordingItem(Answer):
     """One bag of a sequence. `state`: received, registered (read and kept), refused (see `findings`).
 
-    Of several files, `sha256` is that of the lines `sha256sum` prints for them in order of name. With a `place` it is
-    read where it lies, and `sha256` is of sizes, times of change and what was read.
+    For several files, `sha256` is that of the lines `sha256sum` prints for them in order of name. With a `place` it is
+    read where it lies, and `sha256` covers sizes, modification times and the bytes read.
     """
 
     model_config = example(filename="run.mcap", size_bytes=8123456789, state="registered", findings=[])
@@ -140,7 +140,7 @@ class RecordingItem(Answer):
 
 
 class RecordingDetail(RecordingItem):
-    """A recording with what its inspection said: topics, roles, clocks, and how good it is (null until registered)."""
+    """A recording with its inspection: topics, roles, clocks, and quality (null until registered)."""
 
     model_config = example(inspection={"topics": []}, quality={"score": 87})
 
@@ -150,7 +150,7 @@ class RecordingDetail(RecordingItem):
 
 
 class RecordingRoots(Answer):
-    """Names of the roots below which bags may be read in place; what lies there is not shown."""
+    """Names of the roots below which bags may be read in place; their contents are not shown."""
 
     model_config = example(roots=["nas"])
 

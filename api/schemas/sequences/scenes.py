@@ -70,9 +70,9 @@ class MountedSensorItem(Answer):
 
 
 class PlaybackItem(Answer):
-    """Whether there are pictures and sweeps beside the voxels, and of which cameras.
+    """Whether there are pictures and sweeps beside the voxels, and which cameras have pictures.
 
-    `has_rays`: `scene/cameras` says how the pictures look at the labels; playbacks of earlier releases have none.
+    `has_rays`: `scene/cameras` has the poses and rays of the pictures; playbacks of earlier releases have none.
     `sensors` are those of the calibration, empty in playbacks of earlier releases, which have no radars either.
     """
 

@@ -80,9 +80,9 @@ class NewSequenceBody(Body):
 
 
 class SequenceChangesBody(Body):
-    """What is to change; what is left out stays. With labels the name stays too: frame tokens are made of it.
+    """Changes; missing keys stay. With labels the name stays too, because frame tokens contain it.
 
-    What is made of a public sequence may be looked at by anybody, without an account.
+    The products of a public sequence are visible to everyone, without an account.
     """
 
     model_config = example(illumination="dusk")
@@ -112,9 +112,9 @@ class JobGlance(Answer):
 
 
 class LabelGlance(QualityFields):
-    """The label set of a sequence that counts; `code_version` names the sources that made it.
+    """The active label set of a sequence; `code_version` names the sources that made it.
 
-    `chosen_at` is when it came to count: made, or asked for again.
+    `chosen_at` is the time at which it became active: made, or requested again.
     """
 
     id: str
@@ -128,8 +128,8 @@ class LabelGlance(QualityFields):
 class SequenceItem(Answer):
     """A sequence as a list shows it.
 
-    What its labels add up to is null without them, or where an earlier version did not write it down. `split` is train,
-    val, test or null, and told to its owner and to administrators only. `picture` names a preview, if any.
+    Totals of its labels are null without labels, or for labels of an earlier release. `split` is train, val, test or
+    null, and shown to its owner and to administrators only. `picture` names a preview, if any.
     """
 
     model_config = example(
@@ -186,9 +186,9 @@ class ArtefactItem(PreviewItem):
 
 
 class LaterRecordingsItem(Answer):
-    """Recordings that the labels of a sequence were not made of, by name.
+    """Recordings that the labels of a sequence do not contain, by name.
 
-    It is processed again by itself, with the last run's request; `why_not` says why it is not, "" where it is.
+    It is processed again automatically, with the last run's request; `why_not` is the reason if it is not, else "".
     """
 
     model_config = example(names=["cameras.mcap"], why_not="")
@@ -198,10 +198,10 @@ class LaterRecordingsItem(Answer):
 
 
 class SequenceDetail(SequenceItem):
-    """A sequence with the files of its newest label set, and pictures of what they were made of.
+    """A sequence with the files of its newest label set, and pictures of its sources.
 
-    The packs of labels are reached through its frames. `later_recordings` were added after its labels were made; null
-    where none were, and told to its owner and to administrators only.
+    Its frames link to the packs of labels. `later_recordings` were added after its labels were made; null without such
+    recordings, and shown to its owner and to administrators only.
     """
 
     model_config = example(later_recordings=None)
@@ -222,16 +222,16 @@ ParameterName = Annotated[str, Field(max_length=64, pattern=r"^[a-z][a-z0-9_.]*$
 
 
 RecordingName = Annotated[str, Field(min_length=1, max_length=255)]
-# As a text every nanosecond of it counts; of years, a JSON number holds tens of nanoseconds.
+# Text keeps every nanosecond; for years, a JSON number is exact only to tens of nanoseconds.
 OffsetSeconds = Annotated[Decimal, Field(ge=-MOST_OFFSET_NS / 1e9, le=MOST_OFFSET_NS / 1e9, allow_inf_nan=False)]
 
 
 class ProcessBody(Body):
-    """How a sequence is to be labelled; parameters that are left out are those of the profile.
+    """A request to label a sequence; missing parameters have the defaults of the profile.
 
-    Without `recording_ids` it is made of all registered recordings, and again, by itself, once one is added.
-    `clock_offsets_s`, by id or name of recording, are added to its times instead of what is measured. `grid` is that of
-    the labels.
+    Without `recording_ids` it uses all registered recordings, and runs again automatically when a recording is added.
+    `clock_offsets_s`, by id or name of a recording, are added to its times and replace the measured ones. `grid` is the
+    grid of the labels.
     """
 
     model_config = example(
@@ -253,7 +253,7 @@ class ProcessBody(Body):
     grid: GridName | GridBody = "paper"
 
     def chosen(self) -> ProcessRequest:
-        """The request as the runtime understands it. Raises `bad_grid`."""
+        """Return the request as the runtime's value. Raises `bad_grid`."""
         stages = tuple[str, ...](self.stages)
         topics = (self.odometry_topic, self.lidar_topic)
         chosen = ProcessRequest(self.profile, self.parameters, *topics, stages, ground=self.ground)

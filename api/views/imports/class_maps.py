@@ -1,7 +1,7 @@
-"""Class maps that come as text: read in a sandboxed child within limits, as whatever strangers bring.
+"""Class maps that come as text: read in a sandboxed child within limits, like all files of users.
 
-**Conventions.** Of 64 KiB of YAML, a child that is given 10 s and 512 MiB is all that can be used up; no more than
-`AT_ONCE` are read at a time and the others wait, briefly; then they are told to come back.
+**Conventions.** The child has 10 s and 512 MiB for 64 KiB of YAML. At most `AT_ONCE` texts are read at a time; others
+wait briefly and are then refused with `rate_limited`.
 """
 
 from dataclasses import replace
@@ -27,7 +27,7 @@ _turns = BoundedSemaphore(AT_ONCE)
 
 
 class ClassMapAnswer(SandboxAnswer):
-    """What the child read: the map's name, and what each number means."""
+    """The child's result: the map's name, and the meaning of each number."""
 
     expected: ClassVar[str] = "a class map"
     name: Annotated[str, Field(max_length=100)]
@@ -35,7 +35,7 @@ class ClassMapAnswer(SandboxAnswer):
 
 
 def stated_classes(text: str) -> StatedClasses:
-    """The map in the text. Raises `DST-070`; `rate_limited` when too many are being read."""
+    """Return the map in the text. Raises `DST-070`; `rate_limited` if too many are being read."""
     if not _turns.acquire(timeout=PATIENCE_S):
         raise rate_limited(PER_MINUTE, int(PATIENCE_S))
     try:

@@ -26,7 +26,7 @@ def import_items(session: Session, rows: Sequence[DatasetImport]) -> list[Datase
 
 
 def import_detail(session: Session, row: DatasetImport) -> DatasetImportDetail:
-    """An import with its scenes."""
+    """Return an import with its scenes."""
     (item,) = import_items(session, [row])
     progress = progress_of(session, row)
     refused = (progress.run.result or {}).get("splits_refused")
