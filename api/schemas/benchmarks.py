@@ -51,7 +51,9 @@ class PhaseItem(QualityFields):
         benchmark="stone",
         **NEW_PHASE_EXAMPLE,
         standing="open",
-        visibility=["The ground truth is hidden and the phase has not ended: everybody: totals rounded to 4 digits."],
+        visibility=[
+            "While the ground truth is hidden and the phase has not ended, all viewers see totals rounded to 4 digits."
+        ],
         revision=1,
         created_at="2026-05-29T08:00:00Z",
     )

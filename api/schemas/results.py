@@ -21,7 +21,7 @@ SCORED_AT = "2026-06-02T09:14:02.512000Z"
 ScoreQuery = Annotated[
     IdQuery, Query(description="Id of an older score of the submission (default: the score in force).")
 ]
-ByQuery = Annotated[By, Query(description="What the frames are grouped by; the distance is from the robot.")]
+ByQuery = Annotated[By, Query(description="Grouping of the frames; the distance is from the robot.")]
 
 
 class ExtrasItem(DangerItem):
@@ -82,7 +82,7 @@ class ResultsAnswer(Answer):
 
     `total` is rounded to `ratio_digits` if `is_rounded`. `within_occupied` are the same ratios with only the voxels
     that the ground truth calls occupied. `tolerant` are the ratios with voxels of a class paired if they are at most
-    one voxel apart in height, `columns` those of columns that count once; both are null for scores of an earlier
+    one voxel apart in height, and `columns` those of columns that count once. Both are null for scores of an earlier
     version. Rows of `confusion` are the ground truth, columns the prediction.
     """
 

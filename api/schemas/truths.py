@@ -102,7 +102,7 @@ class ReportedItem(Body):
 class ReportedBody(Body):
     """All reported rows of the phase at once; `reason` is kept in the audit log."""
 
-    model_config = example(rows=[example_of(ReportedItem)], reason="what the paper reports")
+    model_config = example(rows=[example_of(ReportedItem)], reason="results as in the paper")
 
     rows: Annotated[list[ReportedItem], Field(max_length=MOST_ROWS)]
     reason: Reason

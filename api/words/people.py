@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 PEOPLE: Mapping[str, str] = {
     "role": "Role: participant, curator or administrator.",
-    "scopes": "Scopes: what the credential allows.",
+    "scopes": "Scopes of the credential.",
     "secret": "Secret, shown once.",
     "csrf_token": "Token that unsafe requests of this session repeat in `X-CSRF-Token`; null for tokens.",
     "is_session": "Whether a browser's session calls, not a token.",

@@ -171,7 +171,7 @@ def _refuse_revealing_truth(session: Session, sequence: SequenceRow) -> None:
         raise ApiError(
             "hidden_truth",
             f"sequence {sequence.name!r} is {where}: if it were public, anyone could download the labels that score "
-            "entries; make another sequence public, or remove this sequence from test before you publish a version",
+            "entries. Make another sequence public, or remove this sequence from test before you publish a version",
         )
 
 
