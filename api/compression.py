@@ -22,7 +22,9 @@ ZIPPED = "-gzip"
 def takes_gzip(request: Request) -> bool:
     """Return whether the client accepts gzip (RFC 9110 §12.5.3)."""
     offered = request.headers.get("accept-encoding", "").lower().replace(" ", "").split(",")
-    return any(one == "gzip" or (one.startswith("gzip;q=") and one.strip("0.") != "gzip;q=") for one in offered)
+    return any(
+        coding == "gzip" or (coding.startswith("gzip;q=") and coding.strip("0.") != "gzip;q=") for coding in offered
+    )
 
 
 def tagged_response(
@@ -30,10 +32,14 @@ def tagged_response(
 ) -> Response:
     """Return the content, or 304 if the client's copy is current."""
     tag, is_zipped = sha256(content).hexdigest(), len(content) >= LEAST_BYTES and takes_gzip(request)
-    told = {"ETag": etag(f"{tag}{ZIPPED}" if is_zipped else tag), "Vary": "Accept-Encoding", **(headers or {})}
+    response_headers = {
+        "ETag": etag(f"{tag}{ZIPPED}" if is_zipped else tag),
+        "Vary": "Accept-Encoding",
+        **(headers or {}),
+    }
     if is_unchanged(request, tag) or is_unchanged(request, f"{tag}{ZIPPED}"):
-        return Response(status_code=304, headers=told)
+        return Response(status_code=304, headers=response_headers)
     if not is_zipped:
-        return Response(content, headers=told, media_type=media_type)
+        return Response(content, headers=response_headers, media_type=media_type)
     zipped = gzip.compress(content, LEVEL, mtime=0)
-    return Response(zipped, headers=told | {"Content-Encoding": "gzip"}, media_type=media_type)
+    return Response(zipped, headers=response_headers | {"Content-Encoding": "gzip"}, media_type=media_type)

@@ -185,12 +185,12 @@ def require(scope: str, *accepted: str) -> Callable[..., Awaitable[Caller]]:
 
 def require_one(scopes: tuple[str, ...], *accepted: str) -> Callable[..., Awaitable[Caller]]:
     """Return a dependency as `require` does, for callers with any of `scopes`; the OpenAPI document names the first."""
-    asked = [scopes[0], *accepted]  # for the OpenAPI document only
+    scopes_and_roles = [scopes[0], *accepted]  # for the OpenAPI document only
 
     async def caller_who_may(
         request: Request,
-        _bearer: Annotated[HTTPAuthorizationCredentials | None, Security(bearer, scopes=asked)],
-        _cookie: Annotated[str | None, Security(cookie, scopes=asked)],
+        _bearer: Annotated[HTTPAuthorizationCredentials | None, Security(bearer, scopes=scopes_and_roles)],
+        _cookie: Annotated[str | None, Security(cookie, scopes=scopes_and_roles)],
     ) -> Caller:
         caller = await identify_async(request)
         if caller is None:

@@ -121,6 +121,6 @@ def split_refused(errors: tuple[RuleFinding, ...], names: Mapping[str, str]) -> 
 
 
 def _where(error: RuleFinding, names: Mapping[str, str]) -> str:
-    named = [names.get(one, one) for one in error.sequences]
+    named = [names.get(sequence_id, sequence_id) for sequence_id in error.sequences]
     more = f" and {len(named) - NAMED} more" if len(named) > NAMED else ""
     return ", ".join(named[:NAMED]) + more

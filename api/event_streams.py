@@ -126,7 +126,9 @@ class Follower:
 
     async def _poll_while_followed(self) -> None:
         while self._followed:
-            known = {subject: one.newest.version if one.newest else None for subject, one in self._followed.items()}
+            known = {
+                subject: state.newest.version if state.newest else None for subject, state in self._followed.items()
+            }
             try:
                 changes = await to_thread.run_sync(self._changes, known, limiter=self._thread)
             except SQLAlchemyError as error:

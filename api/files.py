@@ -136,17 +136,17 @@ def answer_bytes(request: Request, file: ServedFile) -> Response:
     if request.method == "HEAD":  # ranges do not apply to HEAD (RFC 9110 §14.2)
         return Response(headers={**headers, "Content-Length": str(file.size_bytes)}, media_type=file.media_type)
     start, stop = 0, file.size_bytes
-    asked = _range(request, file)
-    if asked is None:
+    requested = _range(request, file)
+    if requested is None:
         headers["Content-Digest"] = headers["Repr-Digest"]
     else:
-        start, stop = asked
+        start, stop = requested
         headers["Content-Range"] = f"bytes {start}-{stop - 1}/{file.size_bytes}"
     headers["Content-Length"] = str(stop - start)
-    status = 200 if asked is None else 206
+    status = 200 if requested is None else 206
     pieces = file.read(start, stop)
     if file.object_keys and stop - start == file.size_bytes:
-        pieces = _compared(pieces, file, platform_of(request).database)
+        pieces = _verified(pieces, file, platform_of(request).database)
     return StreamingResponse(_opened(pieces), status, headers, media_type=file.media_type)
 
 
@@ -172,10 +172,10 @@ def _headers(file: ServedFile) -> dict[str, str]:
 
 def _range(request: Request, file: ServedFile) -> tuple[int, int] | None:
     """Return the requested half-open range, or None for the whole file. Raises `range_not_satisfiable`."""
-    found = ONE_RANGE.fullmatch(request.headers.get("range", "").strip())
-    if found is None or found.group() == "bytes=-" or not _is_same(request, file):
+    match = ONE_RANGE.fullmatch(request.headers.get("range", "").strip())
+    if match is None or match.group() == "bytes=-" or not _is_same(request, file):
         return None
-    first, last = found.groups()
+    first, last = match.groups()
     if not first:
         start, stop = max(file.size_bytes - int(last), 0), file.size_bytes
     else:
@@ -198,7 +198,7 @@ def _is_same(request: Request, file: ServedFile) -> bool:
     return request.headers.get("if-range", etag(file.sha256)) == etag(file.sha256)
 
 
-def _compared(pieces: Iterator[bytes], file: ServedFile, database: Database) -> Iterator[bytes]:
+def _verified(pieces: Iterator[bytes], file: ServedFile, database: Database) -> Iterator[bytes]:
     """Yield the pieces of the whole file, each hashed while it is sent; the last only if the hash is right.
 
     Raises `ObjectDamagedError`.

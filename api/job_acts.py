@@ -25,10 +25,10 @@ def control_run(session: Session, platform: Platform, caller: Caller, act: JobAc
         return run
     before = session.get_one(Job, root_id)
     is_own, is_told = before.owner_id == caller.user_id, bool(before.cancel_reason)
-    said = reason if reason or is_own else UNSAID
-    run = (control.cancel if act == "cancel" else control.terminate)(session, root_id, said)
+    shown_reason = reason if reason or is_own else UNSAID
+    run = (control.cancel if act == "cancel" else control.terminate)(session, root_id, shown_reason)
     if not is_own and not is_told:
-        tell_run_stopped(session, run, said)
+        tell_run_stopped(session, run, shown_reason)
     return run
 
 

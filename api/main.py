@@ -207,10 +207,10 @@ def from_environment() -> FastAPI:
     `uvicorn --factory api.main:from_environment --http api.middleware.heads:BoundedHeads --no-server-header`
     """
     speak_json()
-    return told(make_api(open_platform(Settings())))
+    return configure_process(make_api(open_platform(Settings())))
 
 
-def told(api: FastAPI) -> FastAPI:
+def configure_process(api: FastAPI) -> FastAPI:
     """Set up tracing, metrics, the fork server and GC for a stand-alone API process; return the application."""
     use_fork_server(FORKED_FROM).ensure_running()
     setup_tracing("stone-api")

@@ -142,11 +142,11 @@ class _MetricsCollector(Collector):
     def _disks(self) -> Iterator[Metric]:
         free = GaugeMetricFamily("stone_disk_free_bytes", "Free space on the disks used", labels=("place",))
         size = GaugeMetricFamily("stone_disk_bytes", "Size of the disks used", labels=("place",))
-        for place, folder in (("data", self._platform.settings.root), ("scratch", Path(gettempdir()))):
+        for volume, folder in (("data", self._platform.settings.root), ("scratch", Path(gettempdir()))):
             room = disk(folder)
             if room.free_bytes is not None and room.total_bytes is not None:
-                free.add_metric((place,), room.free_bytes)
-                size.add_metric((place,), room.total_bytes)
+                free.add_metric((volume,), room.free_bytes)
+                size.add_metric((volume,), room.total_bytes)
         yield free
         yield size
 
@@ -211,8 +211,8 @@ def under_both_names(family: Metric) -> Iterator[Metric]:
 
 
 def _workers(seen: Iterable[WorkerPresence], queues: Iterable[str]) -> Iterator[Metric]:
-    alive = [one.worker for one in seen if not one.is_silent]
-    silent = [one.worker for one in seen if one.is_silent]
+    alive = [presence.worker for presence in seen if not presence.is_silent]
+    silent = [presence.worker for presence in seen if presence.is_silent]
     family = GaugeMetricFamily(
         "stone_workers", "Worker processes by the queues they listen to", labels=("queue", "state")
     )
@@ -222,7 +222,7 @@ def _workers(seen: Iterable[WorkerPresence], queues: Iterable[str]) -> Iterator[
     yield family
     held = sum(worker.held_bytes or 0 for worker in alive)
     yield GaugeMetricFamily("stone_workers_held_bytes", "Total resident memory of all workers", held)
-    for name, told, free in (
+    for name, help_text, free in (
         (
             "stone_workers_disk_free_bytes",
             "Least free disk of any worker",
@@ -231,16 +231,16 @@ def _workers(seen: Iterable[WorkerPresence], queues: Iterable[str]) -> Iterator[
         (
             "stone_workers_memory_free_bytes",
             "Least free memory of any worker",
-            [one.memory_free_bytes for one in alive],
+            [presence.memory_free_bytes for presence in alive],
         ),
     ):
         known = [size_bytes for size_bytes in free if size_bytes is not None]
         if known:
-            yield GaugeMetricFamily(name, told, min(known))
+            yield GaugeMetricFamily(name, help_text, min(known))
 
 
-def _gauges(name: str, told: str, label: str, values: Mapping[str, float]) -> GaugeMetricFamily:
-    family = GaugeMetricFamily(name, told, labels=(label,))
+def _gauges(name: str, help_text: str, label: str, values: Mapping[str, float]) -> GaugeMetricFamily:
+    family = GaugeMetricFamily(name, help_text, labels=(label,))
     for key, value in values.items():
         family.add_metric((key,), value)
     return family

@@ -85,9 +85,9 @@ def page(
     if query.cursor is not None:
         last = last_of(query.cursor, column.type.python_type)
         statement = statement.where(column < last if is_falling else column > last)
-    found = session.scalars(statement.order_by(None).order_by(order).limit(query.limit + 1)).all()
-    rows = found[: query.limit]
-    is_last = len(found) <= query.limit
+    fetched = session.scalars(statement.order_by(None).order_by(order).limit(query.limit + 1)).all()
+    rows = fetched[: query.limit]
+    is_last = len(fetched) <= query.limit
     return PageRows(rows, None if is_last else cursor_after(getattr(rows[-1], column.key)))
 
 

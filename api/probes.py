@@ -41,9 +41,9 @@ class Probes:
     def ask(self) -> dict[str, PartState]:
         """Return the health of each part, within `PATIENCE_S`."""
         questions = zip(PART_NAMES, (self._database, self._ping, self._store), strict=True)
-        asked = {name: self._ask(name, question) for name, question in questions}
+        futures = {name: self._ask(name, question) for name, question in questions}
         deadline_s = time.monotonic() + PATIENCE_S
-        return {name: _state(name, future, deadline_s) for name, future in asked.items()}
+        return {name: _state(name, future, deadline_s) for name, future in futures.items()}
 
     def _ask(self, name: str, question: Callable[[], object]) -> Future[float]:
         known, since_s = self._asked.get(name, (None, 0.0))

@@ -125,7 +125,7 @@ def install(app: FastAPI, shown: Shown = as_it_is) -> None:
     def answered(request: Request, error: Exception) -> Response:
         if isinstance(error, ObjectDamagedError):
             note_served(request.app.state.platform.database, error.object_keys)
-        response = respond(_told(request, error))
+        response = respond(_hide_from_visitor(request, error))
         if response.status_code == 405:
             response.headers["Allow"] = allowed(request) or response.headers.get("Allow", "")
         return shown(request, response)
@@ -134,7 +134,7 @@ def install(app: FastAPI, shown: Shown = as_it_is) -> None:
         app.add_exception_handler(kind, answered)
 
 
-def _told(request: Request, error: Exception) -> Exception:
+def _hide_from_visitor(request: Request, error: Exception) -> Exception:
     """Return the error for this caller: visitors get 401 instead of 403 or 404."""
     is_visiting = getattr(getattr(request.state, "caller", None), "is_visitor", False)
     return UnauthenticatedError() if is_visiting and isinstance(error, NotFoundError | ForbiddenError) else error
@@ -153,7 +153,7 @@ def _invalid(error: Any) -> JSONResponse:
     if isinstance(error.body, bytes) and error.body:  # without a JSON Content-Type, FastAPI passes the body on as bytes
         return answer_to(no_json())
     raw: Sequence[Any] = error.errors()
-    findings = tuple(field_finding(one) for one in raw[:MOST_FINDINGS])
+    findings = tuple(field_finding(error_record) for error_record in raw[:MOST_FINDINGS])
     return answer_to(invalid_request(findings, len(raw)))
 
 

@@ -15,14 +15,18 @@ from stone_recordings.calibrations.record import calibration_record
 
 def calibration_read(path: Path) -> bytes:
     """Return the calibration at a path as a record. Raises what reading raises."""
-    found = read_calibration_files(path)
-    findings = [finding.as_record() for finding in found.findings]
-    read = {"calibration": calibration_record(found.calibration), "findings": findings, "format": found.format}
+    calibration = read_calibration_files(path)
+    findings = [finding.as_record() for finding in calibration.findings]
+    read = {
+        "calibration": calibration_record(calibration.calibration),
+        "findings": findings,
+        "format": calibration.format,
+    }
     return packed(read)
 
 
 def class_map_read(path: Path) -> bytes:
     """Return the name of a class map and the meanings of its numbers. Raises what reading raises."""
-    found, words = read_class_map(path), {number: word for word, number in MEANINGS.items()}
-    stated = {number: words[meaning] for number, meaning in enumerate(found.meaning.tolist()) if meaning in words}
-    return json.dumps({"name": found.name, "meanings": stated}).encode()
+    class_map, words = read_class_map(path), {number: word for word, number in MEANINGS.items()}
+    stated = {number: words[meaning] for number, meaning in enumerate(class_map.meaning.tolist()) if meaning in words}
+    return json.dumps({"name": class_map.name, "meanings": stated}).encode()

@@ -171,7 +171,7 @@ def frame_of(session: Session, caller: Caller, token: str) -> tuple[LabelledFram
         .limit(1)
         .scalar_subquery()
     )
-    found = (
+    frames = (
         select(LabelledFrameRow, LabelSet)
         .join(LabelSet, LabelSet.id == LabelledFrameRow.label_set_id)
         .join(SequenceRow, SequenceRow.id == LabelSet.sequence_id)
@@ -180,7 +180,7 @@ def frame_of(session: Session, caller: Caller, token: str) -> tuple[LabelledFram
         .limit(1)
     )
     shown = sequences_shown_to(caller).with_only_columns(SequenceRow.id)
-    row = session.execute(found.where(SequenceRow.id.in_(shown))).one_or_none()
+    row = session.execute(frames.where(SequenceRow.id.in_(shown))).one_or_none()
     return _known(row, "frame", token)
 
 
@@ -201,21 +201,21 @@ def benchmark_of(session: Session, caller: Caller, name: str) -> Benchmark:
 
 def phase_at(session: Session, caller: Caller, benchmark: str, phase: str) -> Phase:
     """Return a phase by its names. Raises `NotFoundError`."""
-    found = phase_named(session, benchmark_of(session, caller, benchmark).name, phase)
-    return _known(found, "phase", f"{benchmark}/{phase}")
+    named_phase = phase_named(session, benchmark_of(session, caller, benchmark).name, phase)
+    return _known(named_phase, "phase", f"{benchmark}/{phase}")
 
 
 def phase_id_at(session: Session, caller: Caller, benchmark: str, phase: str) -> str:
     """As `phase_at`, the id alone, by a statement that is kept. Raises `NotFoundError`."""
-    found = _phase_ids(caller.is_visitor).rows(session, {"benchmark": benchmark, "phase": phase})
-    return str(found[0].id) if found else phase_at(session, caller, benchmark, phase).id
+    rows = _phase_ids(caller.is_visitor).rows(session, {"benchmark": benchmark, "phase": phase})
+    return str(rows[0].id) if rows else phase_at(session, caller, benchmark, phase).id
 
 
 @cache
 def _phase_ids(is_visitor: bool) -> KeptSelect:
     named = (Benchmark.name == parameter("benchmark"), Phase.name == parameter("phase"))
-    found = select(Phase.id).join(Benchmark, Benchmark.id == Phase.benchmark_id).where(*named)
-    return KeptSelect(found.where(Benchmark.is_public) if is_visitor else found)
+    phases = select(Phase.id).join(Benchmark, Benchmark.id == Phase.benchmark_id).where(*named)
+    return KeptSelect(phases.where(Benchmark.is_public) if is_visitor else phases)
 
 
 def phase_of(session: Session, phase_id: str) -> Phase:
@@ -243,8 +243,8 @@ def member_team_of(session: Session, caller: Caller, team_id: str) -> Team:
 def submissions_of(caller: Caller) -> Select[SubmissionRow]:
     """Select the submissions of the caller's teams; for administrators all submissions."""
     own = select(TeamMember.team_id).where(TeamMember.user_id == caller.user_id)
-    found = select(SubmissionRow)
-    return found if caller.is_administrator else found.where(SubmissionRow.team_id.in_(own))
+    submissions = select(SubmissionRow)
+    return submissions if caller.is_administrator else submissions.where(SubmissionRow.team_id.in_(own))
 
 
 def submission_of(session: Session, caller: Caller, submission_id: str) -> SubmissionRow:

@@ -7,7 +7,7 @@ that the API's routes answer with. Pages live at the root, the API under `/api/v
 
 from fastapi import APIRouter, FastAPI
 
-from api.main import include, make_api, told
+from api.main import configure_process, include, make_api
 from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import Settings
 from services.runtime.telemetry.log_lines import speak_json
@@ -91,4 +91,4 @@ def make_site(platform: Platform) -> FastAPI:
 def from_environment() -> FastAPI:
     """The site of this process: `uvicorn --factory web.main:from_environment`; `--http`: see `middleware/heads.py`."""
     speak_json()
-    return told(make_site(open_platform(Settings())))
+    return configure_process(make_site(open_platform(Settings())))

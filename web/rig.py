@@ -95,7 +95,7 @@ def rig_of(calibration: Calibration) -> RigDrawing:
 def stored_rig(store: Store, object_key: str, filename: str) -> tuple[RigDrawing | None, str]:
     """The drawing of a kept file, which never changes, or why this version of the platform reads it no longer."""
     try:
-        return rig_of(calibration_reading.stored(store, object_key, filename)), ""
+        return rig_of(calibration_reading.read_stored(store, object_key, filename)), ""
     except CalibrationRefusedError as refused:
         return None, str(refused)
 

@@ -54,8 +54,8 @@ def form_of(query: PageQuery) -> PageForm:
 
 def newest_page(statement: Select[T], ids: InstrumentedAttribute[str], form: PageForm) -> Select[T]:
     """Return the statement of one page plus one row, newest first; `page_values` returns its parameters."""
-    found = statement.where(ids < parameter("last")) if form.goes_on else statement
-    return found.order_by(ids.desc()).limit(literal_column(str(form.limit + 1), Integer))
+    page = statement.where(ids < parameter("last")) if form.goes_on else statement
+    return page.order_by(ids.desc()).limit(literal_column(str(form.limit + 1), Integer))
 
 
 def page_values(query: PageQuery) -> Values:

@@ -132,8 +132,8 @@ def _tell(made: Span, scope: Scope, status: int, request_id: str) -> None:
         return
     method, route = scope["method"], template_of(scope)
     made.update_name(f"{method} {route}")
-    asked = {"http.request.method": method, "http.route": route, "stone.request.id": request_id}
-    made.set_attributes({**asked, "http.response.status_code": status})
+    attributes = {"http.request.method": method, "http.route": route, "stone.request.id": request_id}
+    made.set_attributes({**attributes, "http.response.status_code": status})
     if status >= HTTPStatus.INTERNAL_SERVER_ERROR:
         mark_failed(made, str(status))
 
@@ -144,9 +144,9 @@ def template_of(scope: Scope) -> str:
         return "unmatched"
     path, rest = str(scope["path"]), ""
     for name, value in reversed(scope.get("path_params", {}).items()):
-        found = list(re.finditer(rf"/{re.escape(str(value))}(?=[/.]|$)", path))
-        if found:  # the last replaced the earlier ones
-            path, rest = path[: found[-1].start()], f"/{{{name}}}{path[found[-1].end() :]}{rest}"
+        matches = list(re.finditer(rf"/{re.escape(str(value))}(?=[/.]|$)", path))
+        if matches:  # the last replaced the earlier ones
+            path, rest = path[: matches[-1].start()], f"/{{{name}}}{path[matches[-1].end() :]}{rest}"
     return path + rest
 
 
@@ -162,15 +162,15 @@ class Releases:
         self._app, self._install = app, install
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        said = Headers(scope=scope).get(HEADER, "") if scope["type"] == "http" else ""
-        if is_older(said, OLDEST_CLIENT):
+        release = Headers(scope=scope).get(HEADER, "") if scope["type"] == "http" else ""
+        if is_older(release, OLDEST_CLIENT):
             raise ApiError(
                 "client_too_old",
-                f"this client has release {said[:40]}; this server requires {OLDEST_CLIENT} or newer; "
+                f"this client has release {release[:40]}; this server requires {OLDEST_CLIENT} or newer; "
                 f"update the client: {self._install}",
                 {"Upgrade": f"stone-client/{OLDEST_CLIENT}"},
             )
-        await self._app(scope, receive, _telling(send) if said else send)
+        await self._app(scope, receive, _telling(send) if release else send)
 
 
 def _telling(send: Send) -> Send:

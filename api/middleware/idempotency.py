@@ -172,8 +172,8 @@ class Idempotency:
         body = None if _is_streamed(scope) else await _read(receive)
         lease_ns = STREAM_LEASE_NS if body is None else LEASE_NS
         route = _route_of(scope, caller)
-        asked = IdempotentRequest(caller.user_id, route, key, _fingerprint(scope, body), lease_ns)
-        await self._answer(scope, receive if body is None else _ReplayedBody(receive, body), send, asked)
+        identified = IdempotentRequest(caller.user_id, route, key, _fingerprint(scope, body), lease_ns)
+        await self._answer(scope, receive if body is None else _ReplayedBody(receive, body), send, identified)
 
     async def _answer(self, scope: Scope, receive: Receive, send: Send, asked: IdempotentRequest) -> None:
         database = platform_of(Request(scope)).database
@@ -188,7 +188,7 @@ class Idempotency:
             await self._app(scope, receive, outcome)
         finally:
             working_for.reset(mark)
-            await _note(partial(_ended, database, held, outcome))
+            await _write(partial(_record_end, database, held, outcome))
         await outcome.pass_on()
 
 
@@ -243,7 +243,7 @@ class _ReplayedBody:
         return {"type": "http.request", "body": self.body, "more_body": False}
 
 
-def _ended(database: Database, held: str, outcome: _RecordedReply) -> None:
+def _record_end(database: Database, held: str, outcome: _RecordedReply) -> None:
     """Record how the request ended."""
     if outcome.is_success:
         keep(database, held, outcome.reply())
@@ -253,7 +253,7 @@ def _ended(database: Database, held: str, outcome: _RecordedReply) -> None:
         give_up(database, held)
 
 
-async def _note(write: Callable[[], None]) -> None:
+async def _write(write: Callable[[], None]) -> None:
     """Write with retries while the database restarts; without the write, a repetition would wait for the lease."""
     until_s = monotonic() + OUTAGE_S
     while True:

@@ -60,8 +60,8 @@ AtPhase = Annotated[PhasePath, Depends(at_once(PhasePath))]
 def list_benchmarks(caller: Looker, platform: PlatformDep, query: PageDep) -> Page[BenchmarkItem]:
     """List the benchmarks, newest first."""
     with platform.database.reading() as session:
-        found = page(session, benchmarks_of(caller), Benchmark.id.desc(), query)
-        return Page[BenchmarkItem](items=benchmark_items(session, found.rows), next=found.next)
+        benchmarks = page(session, benchmarks_of(caller), Benchmark.id.desc(), query)
+        return Page[BenchmarkItem](items=benchmark_items(session, benchmarks.rows), next=benchmarks.next)
 
 
 @router.get("/benchmarks/{benchmark_name}", responses=refusals(404))
@@ -113,10 +113,10 @@ def download_phase_manifest(at: AtPhase, platform: PlatformDep, request: Request
 def show_metric(at: AtPhase, metric: MetricName, platform: PlatformDep, form: Form = "json") -> MetricItem | Response:
     """Return the definition of one metric version, and whether the phase is scored by it."""
     with platform.database.reading() as session:
-        found = metric_item(session, at.find(session), metric)
+        shown = metric_item(session, at.find(session), metric)
     if form == "markdown":
-        return Response(found.definition, media_type="text/markdown; charset=utf-8")
-    return found
+        return Response(shown.definition, media_type="text/markdown; charset=utf-8")
+    return shown
 
 
 @router.get(

@@ -54,8 +54,8 @@ def create_dataset_import(
         owner, roots = session.get_one(User, caller.user_id), platform.settings.in_place
         imported, run = start_import(session, owner, body.wished(classes), roots)
         facts = {"upload_id": body.upload_id, "job_id": run.id, "sets_splits": body.sets_splits}
-        if (place := place_of(imported)) is not None:
-            facts["place"] = str(place)
+        if (source := place_of(imported)) is not None:
+            facts["place"] = str(source)
         audit.record(session, caller, "dataset_import.create", imported.id, facts=facts)
         shown = import_detail(session, imported)
     return set_head(response, shown, location=f"/api/v1/dataset-imports/{shown.id}")
@@ -66,8 +66,8 @@ def list_dataset_imports(caller: Reader, platform: PlatformDep, query: PageDep) 
     """List your imports, newest first; administrators see all imports."""
     mine = theirs(select(DatasetImport), caller, DatasetImport.owner_id)
     with platform.database.reading() as session:
-        found = page(session, mine, DatasetImport.id.desc(), query)
-        return Page[DatasetImportItem](items=import_items(session, found.rows), next=found.next)
+        imports = page(session, mine, DatasetImport.id.desc(), query)
+        return Page[DatasetImportItem](items=import_items(session, imports.rows), next=imports.next)
 
 
 @router.get("/{import_id}", responses=refusals(404))
@@ -118,7 +118,7 @@ def delete_dataset_import(import_id: IdPath, caller: Curator, platform: Platform
 def import_shown_to(session: Session, caller: Caller, import_id: str) -> DatasetImport:
     """Raises `NotFoundError`."""
     mine = theirs(select(DatasetImport), caller, DatasetImport.owner_id).where(DatasetImport.id == import_id)
-    found = session.scalars(mine).one_or_none()
-    if found is None:
+    row = session.scalars(mine).one_or_none()
+    if row is None:
         raise NotFoundError("import", import_id)
-    return found
+    return row

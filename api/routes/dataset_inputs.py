@@ -67,9 +67,9 @@ def list_dataset_inputs(
 ) -> Page[DatasetInputItem]:
     with platform.database.reading() as session:
         members = members_of(dataset_of(session, dataset_name).id, OPEN)
-        found = page(session, members, DatasetMember.name, query)
-        items = [_item(one) for one in inputs_of_members(session, found.rows)]
-        return Page[DatasetInputItem](items=items, next=found.next)
+        members_page = page(session, members, DatasetMember.name, query)
+        items = [_item(member_input) for member_input in inputs_of_members(session, members_page.rows)]
+        return Page[DatasetInputItem](items=items, next=members_page.next)
 
 
 @router.get(
@@ -91,10 +91,10 @@ def download_dataset_input(
 ) -> Response:
     """Supports ranges; `sha256sum.txt` in the tar contains the checksums of all other files."""
     with platform.database.reading() as session:
-        found = located_input(session, dataset_of(session, dataset_name), sequence_name)
-        if found is None:
+        row_and_input = located_input(session, dataset_of(session, dataset_name), sequence_name)
+        if row_and_input is None:
             raise NotFoundError("input of this version", sequence_name)
-    row, located = found
+    row, located = row_and_input
     stored = stored_files(platform.store, located)
     return answer_bytes(request, served_archive(platform.store, stored, "tar", (row.name, row.tar_sha256)))
 

@@ -45,10 +45,10 @@ def create_dataset(
     Jobs then make the inputs. The response contains the warnings of the rules, and the audit log their codes. With
     If-Match, the ETag of the splits, the request fails if the splits have changed since.
     """
-    asked = NewDataset(body.name, body.licence, caller.user_id)
+    new_dataset = NewDataset(body.name, body.licence, caller.user_id)
     platform.settings.root.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(dir=platform.settings.root) as folder:
-        prepared = prepare_dataset(platform, asked, FilePath(folder))
+        prepared = prepare_dataset(platform, new_dataset, FilePath(folder))
         if "if-match" in request.headers:
             require_match(request, prepared.revision)
         with platform.database.transaction() as session:
@@ -67,8 +67,8 @@ def create_dataset(
 def list_datasets(_caller: Reader, platform: PlatformDep, query: PageDep, request: Request) -> Response:
     """List the dataset versions, newest first."""
     with platform.database.lookups() as session:
-        found = page(session, select(Dataset), Dataset.id.desc(), query)
-        shown = Page[DatasetItem](items=[dataset_item(session, row) for row in found.rows], next=found.next)
+        datasets = page(session, select(Dataset), Dataset.id.desc(), query)
+        shown = Page[DatasetItem](items=[dataset_item(session, row) for row in datasets.rows], next=datasets.next)
     return model_response(request, shown)
 
 

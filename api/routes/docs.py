@@ -45,14 +45,14 @@ def show_reference(request: Request) -> HTMLResponse:
 
 def _operation(document: dict[str, Any], path: str, method: str, operation: Operation) -> str:
     """Return one operation, folded: permissions, inputs and responses."""
-    asked = " ".join(next(iter(operation.get("security", ANYBODY)[0].values())))
+    permissions = " ".join(next(iter(operation.get("security", ANYBODY)[0].values())))
     parameters = "".join(_parameter(each) for each in operation.get("parameters", ()))
     answers = "".join(
         f"<li><code>{status}</code> {_prose(answer.get('description', ''))}{_example(document, answer)}</li>"
         for status, answer in operation["responses"].items()
     )
     body = _example(document, operation.get("requestBody", {}))
-    inside = f"<p>{_prose(operation.get('description', ''))}</p><p>For: <code>{escape(asked)}</code></p>"
+    inside = f"<p>{_prose(operation.get('description', ''))}</p><p>For: <code>{escape(permissions)}</code></p>"
     inside += f"<ul>{parameters}</ul>{body}<ul>{answers}</ul>"
     head = f"<b>{method}</b> <code>{escape(path)}</code> {_prose(operation['summary'])}"
     return f"<details><summary>{head}</summary>{inside}</details>"
@@ -65,8 +65,8 @@ def _prose(text: str) -> str:
 
 def _parameter(parameter: dict[str, Any]) -> str:
     need = "" if parameter.get("required") else " (optional)"
-    said = _prose(parameter.get("description", ""))
-    return f"<li><code>{escape(parameter['name'])}</code> in {escape(parameter['in'])}{need} {said}</li>"
+    description = _prose(parameter.get("description", ""))
+    return f"<li><code>{escape(parameter['name'])}</code> in {escape(parameter['in'])}{need} {description}</li>"
 
 
 def _example(document: dict[str, Any], holder: dict[str, Any]) -> str:

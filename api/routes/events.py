@@ -145,7 +145,7 @@ async def _streamed(
             subject = find(session, caller)
         return subject, follower.look(subject)
 
-    def is_shown_still() -> bool:
+    def check_shown() -> bool:
         """Raises `UnauthenticatedError`."""
         now = identify_again(request)
         with platform.database.lookups() as session:
@@ -160,17 +160,17 @@ async def _streamed(
     follower.sit(caller.user_id)
     lasting_s = min(LONGEST_S, (caller.expires_ns - now_ns()) / 1e9)
     snapshots = follower.snapshots(subject, seen, min(KEEPALIVE_S, lasting_s))
-    return EventStream(_events(snapshots, is_shown_still, lasting_s), lambda: follower.leave(caller.user_id))
+    return EventStream(_events(snapshots, check_shown, lasting_s), lambda: follower.leave(caller.user_id))
 
 
 async def _events(
-    newer: AsyncGenerator[StreamSnapshot | None], is_shown_still: Callable[[], bool], lasting_s: float
+    newer: AsyncGenerator[StreamSnapshot | None], check_shown: Callable[[], bool], lasting_s: float
 ) -> AsyncGenerator[bytes]:
     until_s = time.monotonic() + lasting_s
     yield format_sse_event(retry=RETRY_MS)
     async with aclosing(newer) as snapshots:
         async for snapshot in snapshots:
-            is_shown = await _asked_again(is_shown_still, until_s)
+            is_shown = await _is_still_shown(check_shown, until_s)
             if snapshot is not None and snapshot.is_over and is_shown is False:
                 snapshot = StreamSnapshot(snapshot.version, "{}", is_over=True)  # deleted, or no longer visible
             elif not is_shown:
@@ -180,14 +180,14 @@ async def _events(
                 return
 
 
-async def _asked_again(is_shown_still: Callable[[], bool], until_s: float) -> bool | None:
+async def _is_still_shown(check_shown: Callable[[], bool], until_s: float) -> bool | None:
     """Return whether the subject is still visible to the caller; None if their credential has ended.
 
     While the database is unavailable, nothing is sent.
     """
     while time.monotonic() < until_s:
         try:
-            return await run_in_threadpool(is_shown_still)
+            return await run_in_threadpool(check_shown)
         except UnauthenticatedError:
             return None
         except SQLAlchemyError:

@@ -37,10 +37,10 @@ def show_liveness() -> Liveness:
 )
 def show_readiness(request: Request, response: Response) -> Readiness:
     probes: Probes = request.app.state.probes
-    found = probes.ask()
-    is_ready = all(one.state == "up" for one in found.values())
+    parts = probes.ask()
+    is_ready = all(part.state == "up" for part in parts.values())
     response.status_code = 200 if is_ready else 503
-    return Readiness(status="ready" if is_ready else "not_ready", parts=found)
+    return Readiness(status="ready" if is_ready else "not_ready", parts=parts)
 
 
 def may_read_metrics(
@@ -49,7 +49,7 @@ def may_read_metrics(
     """Raises `UnauthenticatedError` or `ForbiddenError` for all but the monitoring token and administrators."""
     expected = platform_of(request).settings.api.metrics_token.get_secret_value().split()
     offered = request.headers.get("authorization", "").partition(" ")[2]
-    if any([compare_digest(offered.encode(), one.encode()) for one in expected]):
+    if any([compare_digest(offered.encode(), credential.encode()) for credential in expected]):
         return
     caller = identify(request)
     if caller is None:

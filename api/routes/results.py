@@ -40,8 +40,8 @@ def show_results(
     """Return totals with intervals, supports and extra figures, as far as the caller may see them."""
     with platform.database.reading() as session:
         viewer = viewer_for(session, caller)
-        found = results(session, viewer, known_submission(session, viewer, submission_id), score)
-        return results_answer(session, viewer, found)
+        shown = results(session, viewer, known_submission(session, viewer, submission_id), score)
+        return results_answer(session, viewer, shown)
 
 
 @router.get(

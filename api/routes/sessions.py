@@ -37,7 +37,7 @@ log = structlog.get_logger(__name__)
 def create_session(body: SignInBody, request: Request, response: Response, platform: PlatformDep) -> SessionItem:
     if not platform.settings.api.passwords:
         raise Refused("passwords_off", "password sign-in is disabled (STONE_API__PASSWORDS); sign in with the provider")
-    tried = _counted_try(request, platform, body.name)
+    tried = _count_try(request, platform, body.name)
     with platform.database.reading() as session:
         user = users.find_user(session, body.name)
     is_right = sessions.is_password_of(user, body.password.get_secret_value())
@@ -93,7 +93,7 @@ async def show_caller(caller: Reader) -> MeItem:
 
 @router.put("/me/password", status_code=204, summary="Change your password", responses=refusals(401))
 def change_password(body: PasswordBody, caller: AccountHolder, request: Request, platform: PlatformDep) -> None:
-    tried = _counted_try(request, platform, caller.name)
+    tried = _count_try(request, platform, caller.name)
     with platform.database.reading() as session:
         user = session.get_one(User, caller.user_id)
     if not sessions.is_password_of(user, body.current.get_secret_value()):
@@ -107,7 +107,7 @@ def change_password(body: PasswordBody, caller: AccountHolder, request: Request,
         audit.record(session, caller, "user.password", caller.user_id, facts={"ends_tokens": body.ends_tokens})
 
 
-def _counted_try(request: Request, platform: Platform, name: str) -> SignInTry:
+def _count_try(request: Request, platform: Platform, name: str) -> SignInTry:
     """Count the attempt and return it. Raises `rate_limited`, `guessed_too_often`."""
     with platform.database.reading() as session:
         tried = login_throttle.try_at(session, name, address_of(request))

@@ -52,7 +52,7 @@ def put_splits(
         labelled = labelled_sequences(session)
         findings = judged(split, labelled)
         if errors := errors_of(findings):
-            raise split_refused(errors, {one.entry.id: one.entry.name for one in labelled})
+            raise split_refused(errors, {sequence.entry.id: sequence.entry.name for sequence in labelled})
         replace_splits(session, row, split)
         facts = dict(zip(("train", "val", "test"), split.sizes, strict=True)) | {"revision": row.revision}
         audit.record_admin_act(session, caller, "splits.put", row.name, body.reason, facts)

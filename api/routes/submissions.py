@@ -111,8 +111,8 @@ def list_submissions(
 ) -> Response:
     """List the submissions of your teams, newest first; administrators see all submissions."""
     with platform.database.lookups() as session:
-        found = page(session, filters.narrowed(submissions_of(caller)), SubmissionRow.id.desc(), query)
-        shown = Page[SubmissionItem](items=submission_items(session, found.rows), next=found.next)
+        submission_page = page(session, filters.narrowed(submissions_of(caller)), SubmissionRow.id.desc(), query)
+        shown = Page[SubmissionItem](items=submission_items(session, submission_page.rows), next=submission_page.next)
     return model_response(request, shown)
 
 
@@ -208,8 +208,8 @@ def _announced(
     with platform.database.transaction() as session:
         team = member_team_of(session, caller, body.team_id)
         phase = phase_of(session, phase_id)
-        said = body.model_dump(exclude={"team_id", "kind"})
-        row = submissions.create_draft(session, SubmissionDraft(phase.id, team.id, caller.user_id, kind, **said))
+        declared = body.model_dump(exclude={"team_id", "kind"})
+        row = submissions.create_draft(session, SubmissionDraft(phase.id, team.id, caller.user_id, kind, **declared))
         facts = {"phase_id": phase.id, "team_id": team.id, "kind": kind, "sha256": body.sha256}
         audit.record(session, caller, "submission.announce", row.id, facts=facts)
         shown = submission_detail(session, row)

@@ -119,8 +119,8 @@ def example(**values: Any) -> ConfigDict:
 
 def example_of(model: Any) -> dict[str, Any]:
     """Return the example of the model; empty if it has none."""
-    found: dict[str, Any] = getattr(model, "model_config", {}).get("json_schema_extra", _NO_EXAMPLES)["examples"][0]
-    return found
+    values: dict[str, Any] = getattr(model, "model_config", {}).get("json_schema_extra", _NO_EXAMPLES)["examples"][0]
+    return values
 
 
 _NO_EXAMPLES: dict[str, Any] = {"examples": [{}]}

@@ -69,9 +69,9 @@ class NewDatasetImportBody(Body):
         """Return the import as the domain's value. Raises `bad_grid`."""
         facts = ImportedFacts(self.environment, self.illumination, self.region, self.platform, self.is_public)
         stated = StatedLayout(self.layout, None if self.grid is None else chosen_grid(self.grid))
-        place = None if self.in_place is None else self.in_place.place()
+        source = None if self.in_place is None else self.in_place.place()
         return NewImport(
-            self.upload_id or "", self.name or "", classes, self.existing, self.sets_splits, facts, place, stated
+            self.upload_id or "", self.name or "", classes, self.existing, self.sets_splits, facts, source, stated
         )
 
 

@@ -132,8 +132,8 @@ class PhaseChange(Body):
 
     def columns(self) -> dict[str, Any]:
         """Return the given values of the phase's columns, except for the version, which is a name."""
-        said = {name for name in self.model_fields_set if name in NULLABLE or getattr(self, name) is not None}
-        return rule_columns(self, said - {"dataset", "reason"})
+        given = {name for name in self.model_fields_set if name in NULLABLE or getattr(self, name) is not None}
+        return rule_columns(self, given - {"dataset", "reason"})
 
 
 def rule_columns(body: Body, names: set[str]) -> dict[str, Any]:

@@ -84,10 +84,10 @@ def declared_by(request: Request, length_bytes: int, *, is_part: bool = False) -
 
 def upload_headers(upload: Upload, offset_bytes: int) -> dict[str, str]:
     """Response headers about an upload: its offset, and when it expires."""
-    said = {"Upload-Offset": str(offset_bytes), "Upload-Length": str(upload.length_bytes)}
+    headers = {"Upload-Offset": str(offset_bytes), "Upload-Length": str(upload.length_bytes)}
     if upload.state in ("open", "complete"):
-        said["Upload-Expires"] = formatdate(upload.expires_ns / 1e9, usegmt=True)
-    return said
+        headers["Upload-Expires"] = formatdate(upload.expires_ns / 1e9, usegmt=True)
+    return headers
 
 
 def _checksum(request: Request) -> Checksum | None:

@@ -91,8 +91,8 @@ def late_kinds(session: Session) -> list[str]:
 def job_spans_of(session: Session, job: Job) -> list[JobSpan]:
     """Return the jobs of a run in the order of creation; for a single job, itself."""
     columns = (Job.id, Job.kind, Job.state, Job.attempt, Job.created_ns, Job.started_ns, Job.finished_ns)
-    found = select(*columns).where(Job.root_id == job.id, Job.queue != "").order_by(Job.id).limit(MOST_SPANS)
-    return [JobSpan(*row) for row in session.execute(found)]
+    spans = select(*columns).where(Job.root_id == job.id, Job.queue != "").order_by(Job.id).limit(MOST_SPANS)
+    return [JobSpan(*row) for row in session.execute(spans)]
 
 
 def _names(
@@ -165,7 +165,7 @@ def worker_items(session: Session, settings: Settings) -> list[WorkerItem]:
     """Return the processes with heartbeats, silent ones first, each with its resources."""
     busy = {attempt.worker: (job, attempt) for job, attempt in running_attempts(session, MOST_WORKERS)}
     seen = workers_seen(session, settings.jobs.heartbeat_s, MOST_WORKERS)
-    return [_worker(one, busy.get(one.worker.name)) for one in seen]
+    return [_worker(presence, busy.get(presence.worker.name)) for presence in seen]
 
 
 def running_items(session: Session) -> list[RunningAttempt]:
@@ -191,12 +191,12 @@ def _backlogs(session: Session) -> dict[str, QueueBacklog]:
     is_ready = and_(Job.state == "queued", Job.needs_left == 0)
     blocked = counted(Job.state == "queued", Job.needs_left > 0)
     oldest_ns = func.min(case((is_ready, Job.created_ns)))
-    found = (
+    counts_by_queue = (
         select(Job.queue, counted(is_ready), blocked, counted(Job.state == "running"), oldest_ns)
         .where(Job.queue.in_(QUEUES), Job.state.in_(("queued", "running")))
         .group_by(Job.queue)
     )
-    return {queue: QueueBacklog(*counts) for queue, *counts in session.execute(found)}
+    return {queue: QueueBacklog(*counts) for queue, *counts in session.execute(counts_by_queue)}
 
 
 def _ended_counts(session: Session, at_ns: int) -> dict[str, EndedJobCounts]:
@@ -209,11 +209,11 @@ def _ended_counts(session: Session, at_ns: int) -> dict[str, EndedJobCounts]:
         .subquery()
     )
     minute = ((lately.c.finished_ns - since_ns) // MINUTE_NS).label("minute")
-    found = select(lately.c.queue, lately.c.state, minute, func.count()).group_by(*lately.c[:2], minute)
+    counts_by_minute = select(lately.c.queue, lately.c.state, minute, func.count()).group_by(*lately.c[:2], minute)
     counts: dict[str, dict[str, list[int]]] = {}
-    for queue, state, number, count in session.execute(found):
-        place = min(number or 0, MINUTES - 1)  # a clock of another machine may be ahead
-        counts.setdefault(queue, {}).setdefault(state, [0] * MINUTES)[place] += count
+    for queue, state, number, count in session.execute(counts_by_minute):
+        index = min(number or 0, MINUTES - 1)  # a clock of another machine may be ahead
+        counts.setdefault(queue, {}).setdefault(state, [0] * MINUTES)[index] += count
     return {
         queue: EndedJobCounts(by.get("succeeded", NOTHING), by.get("failed", NOTHING)) for queue, by in counts.items()
     }

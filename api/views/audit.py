@@ -24,8 +24,8 @@ class AuditFilter:
 
 def audit_page(session: Session, query: PageQuery, wanted: AuditFilter) -> Page[AuditLine]:
     """Return the lines that match, newest first."""
-    found = select(AuditEntry).filter_by(**{name: value for name, value in vars(wanted).items() if value})
-    return page(session, found, AuditEntry.number.desc(), query).shown(AuditLine.of)
+    entries = select(AuditEntry).filter_by(**{name: value for name, value in vars(wanted).items() if value})
+    return page(session, entries, AuditEntry.number.desc(), query).shown(AuditLine.of)
 
 
 def acts_known(session: Session) -> list[str]:

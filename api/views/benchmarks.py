@@ -51,7 +51,7 @@ def phases_of(session: Session, benchmark: Benchmark) -> Sequence[Phase]:
 
 def phase_detail(session: Session, phase: Phase) -> PhaseDetail:
     """Return a phase for an administrator."""
-    findings = [PhaseFinding.of(one, severity="warning") for one in findings_of(session, phase)]
+    findings = [PhaseFinding.of(finding, severity="warning") for finding in findings_of(session, phase)]
     return PhaseDetail(**dict(phase_item(session, phase)), findings=findings)
 
 
@@ -73,9 +73,9 @@ def phase_item(session: Session, phase: Phase) -> PhaseItem:
 
 def metric_item(session: Session, phase: Phase, version: str) -> MetricItem:
     """Return a version of the metric, and whether the phase is scored by it. Raises `NotFoundError`."""
-    found, pair = known_metric(version), evaluation_versions.active(session, phase.id)
+    shown, pair = known_metric(version), evaluation_versions.active(session, phase.id)
     is_active = pair is not None and pair.metric == version
-    return MetricItem.of(found, is_active=is_active)
+    return MetricItem.of(shown, is_active=is_active)
 
 
 def known_metric(version: str) -> Metric:

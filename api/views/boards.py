@@ -81,7 +81,7 @@ def history_answer(session: Session, phase: Phase, track: Track) -> HistoryAnswe
         benchmark=session.get_one(Benchmark, phase.benchmark_id).name,
         phase=phase.name,
         track=track,
-        changes=[ChangeItem.of(one, best_miou=one.best) for one in history(session, phase, track)],
+        changes=[ChangeItem.of(change, best_miou=change.best) for change in history(session, phase, track)],
     )
 
 

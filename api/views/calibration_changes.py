@@ -17,17 +17,20 @@ from stone.sensors.calibration_diff import difference
 def changes(platform: Platform, caller: Caller, calibration_id: str, against: str | None) -> CalibrationDiffItem:
     """From `against` to the calibration; without it from the version before, from itself for the first.
 
-    Raises `NotFoundError`, what `calibration_reading.stored` raises.
+    Raises `NotFoundError`, what `calibration_reading.read_stored` raises.
     """
     with platform.database.reading() as session:
         row = calibration_of(session, caller, calibration_id)
         earlier = version_before(session, row) or row if against is None else calibration_of(session, caller, against)
-        files = [(session.get_one(Blob, one.blob_sha256).object_key, one.filename) for one in (earlier, row)]
+        files = [
+            (session.get_one(Blob, calibration.blob_sha256).object_key, calibration.filename)
+            for calibration in (earlier, row)
+        ]
         earlier_id = earlier.id
-    before, after = (calibration_reading.stored(platform.store, key, name) for key, name in files)
-    found = difference(before, after)
+    before, after = (calibration_reading.read_stored(platform.store, key, name) for key, name in files)
+    changed = difference(before, after)
     return CalibrationDiffItem.model_validate(
-        {"id": calibration_id, "against": earlier_id, "is_same": found.is_same, **asdict(found)}
+        {"id": calibration_id, "against": earlier_id, "is_same": changed.is_same, **asdict(changed)}
     )
 
 

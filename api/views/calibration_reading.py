@@ -42,7 +42,7 @@ _turns = BoundedSemaphore(AT_ONCE)
 
 
 @contextmanager
-def received(file: IO[bytes], filename: str) -> Iterator[Path]:
+def receive(file: IO[bytes], filename: str) -> Iterator[Path]:
     """Yield the path of the file under its own name in a temporary folder. Raises `body_too_large`."""
     content = file.read(LARGEST_BYTES + 1)
     if len(content) > LARGEST_BYTES:
@@ -54,15 +54,15 @@ def received(file: IO[bytes], filename: str) -> Iterator[Path]:
 
 
 def read(path: Path) -> ReadCalibration:
-    """Return the calibration in the file; raises as `understood`."""
-    found = understood(path)
-    mounts = found.calibration.mounts
+    """Return the calibration in the file; raises as `read_sandboxed`."""
+    reading = read_sandboxed(path)
+    mounts = reading.calibration.mounts
     sensors = tuple({"name": mount.name, "kind": mount.kind, "frame_id": mount.frame_id} for mount in mounts)
-    findings = tuple(finding.as_record() for finding in found.findings)
-    return ReadCalibration(found.calibration.name, path.name, sensors, findings, found.format)
+    findings = tuple(finding.as_record() for finding in reading.findings)
+    return ReadCalibration(reading.calibration.name, path.name, sensors, findings, reading.format)
 
 
-def understood(path: Path) -> CalibrationRead:
+def read_sandboxed(path: Path) -> CalibrationRead:
     """Return the calibration in a file or a zip.
 
     Raises `CalibrationRefusedError`; `rate_limited` if too many are being read; `ConfinedInterruptedError`.
@@ -70,18 +70,18 @@ def understood(path: Path) -> CalibrationRead:
     if not _turns.acquire(timeout=PATIENCE_S):
         raise rate_limited(PER_MINUTE, int(PATIENCE_S))
     try:
-        found = _believed(path.name, sandboxed(partial(calibration_read, path), replace(LIMITS, reads=(path,))))
-        _check_names(path.name, found.calibration)
+        reading = _unpack(path.name, sandboxed(partial(calibration_read, path), replace(LIMITS, reads=(path,))))
+        _check_names(path.name, reading.calibration)
     except PlatformFaultError:
         raise
     except StoneError as reason:
         raise CalibrationRefusedError(path.name, reason) from reason
     finally:
         _turns.release()
-    return found
+    return reading
 
 
-def _believed(name: str, answer: bytes) -> CalibrationRead:
+def _unpack(name: str, answer: bytes) -> CalibrationRead:
     record = unpacked(answer).record
     try:
         findings = tuple(Finding(**finding) for finding in record["findings"])
@@ -90,22 +90,22 @@ def _believed(name: str, answer: bytes) -> CalibrationRead:
         raise SandboxCrashedError(f"returned something other than the calibration {name}") from error
 
 
-def stored(store: Store, object_key: str, filename: str) -> Calibration:
-    """Return a stored calibration, read again; raises as `understood`, and ObjectMissingError."""
+def read_stored(store: Store, object_key: str, filename: str) -> Calibration:
+    """Return a stored calibration, read again; raises as `read_sandboxed`, and ObjectMissingError."""
     content = b"".join(store.read(object_key))
-    with received(BytesIO(content), filename) as path:
-        return understood(path).calibration
+    with receive(BytesIO(content), filename) as path:
+        return read_sandboxed(path).calibration
 
 
 def validity(valid_from: datetime | None, valid_to: datetime | None) -> Validity:
     """Raises `CalibrationRefusedError` for a time that never is, or that nanoseconds since 1970 do not reach."""
-    found = Validity(*(None if moment is None else _since_1970_ns(moment) for moment in (valid_from, valid_to)))
-    reached = [moment_ns for moment_ns in (found.from_ns, found.to_ns) if moment_ns is not None]
+    interval = Validity(*(None if moment is None else _since_1970_ns(moment) for moment in (valid_from, valid_to)))
+    reached = [moment_ns for moment_ns in (interval.from_ns, interval.to_ns) if moment_ns is not None]
     if any(not 0 <= moment_ns < 2**63 for moment_ns in reached):
         raise CalibrationRefusedError(FORM, validity_refusal(FORM, "its years are not between 1970 and 2262"))
     if len(reached) == len((valid_from, valid_to)) and reached[0] >= reached[1]:
         raise CalibrationRefusedError(FORM, validity_refusal(FORM, "valid_from is not before valid_to"))
-    return found
+    return interval
 
 
 def _since_1970_ns(moment: datetime) -> int:

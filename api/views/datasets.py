@@ -42,7 +42,7 @@ class DatasetPreview:
     members: Mapping[str, tuple[CatalogueEntry, ...]] = field(default_factory=dict)
 
 
-def prospect_of(session: Session, least_recall: float) -> DatasetPreview:
+def preview_of(session: Session, least_recall: float) -> DatasetPreview:
     """Return a preview of the version that `prepare_dataset` would make with that least held-out recall."""
     revision = current_splits(session).revision
     try:
@@ -54,18 +54,18 @@ def prospect_of(session: Session, least_recall: float) -> DatasetPreview:
         return DatasetPreview(revision, str(error))
     size_bytes = sum(file.size_bytes for file in files)
     entries = {part: entries_of(labelled) for part, labelled in members.items()}
-    told = (public_statistics(members), len(files), size_bytes, warnings, public_gap(members))
-    return DatasetPreview(current.revision, "", *told, entries)
+    summary = (public_statistics(members), len(files), size_bytes, warnings, public_gap(members))
+    return DatasetPreview(current.revision, "", *summary, entries)
 
 
 def dataset_detail(session: Session, row: Dataset) -> DatasetDetail:
     entries = dataset_entries(session, row)
     members = [
-        DatasetMemberItem.of(one, split=part, daylight=one.half, **one.quality.as_record())
+        DatasetMemberItem.of(item, split=part, daylight=item.half, **item.quality.as_record())
         for part, of_part in entries.items()
-        for one in of_part
+        for item in of_part
     ]
-    parts = [DatasetPartItem.of(one) for one in open_parts(session, row)]
+    parts = [DatasetPartItem.of(item) for item in open_parts(session, row)]
     return DatasetDetail(**dict(dataset_item(session, row)), sequences=members, parts=parts)
 
 

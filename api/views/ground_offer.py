@@ -11,7 +11,7 @@ from pydantic import TypeAdapter, ValidationError
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from api.views.calibration_reading import stored
+from api.views.calibration_reading import read_stored
 from services.domain.sequences.processing import GIVEN_GROUND, ProcessRequest
 from services.runtime.orm import Blob, CalibrationRow, Recording, SequenceRow
 from services.runtime.platform import Platform
@@ -44,12 +44,12 @@ class GroundOffer:
 def ground_offer_of(platform: Platform, sequence_id: str) -> GroundOffer | None:
     """Return the offered correction; None if the ground lies as expected, or its height is unknown."""
     with platform.database.reading() as session:
-        found = _found(session, session.get_one(SequenceRow, sequence_id))
-    if found is None:
+        seen = _found(session, session.get_one(SequenceRow, sequence_id))
+    if seen is None:
         return None
     try:
-        ego_from_lidar = stored(platform.store, found.object_key, found.filename).ego_from_lidar
-        ground = _FIT.validate_python(found.ground).seen_from(ego_from_lidar)
+        ego_from_lidar = read_stored(platform.store, seen.object_key, seen.filename).ego_from_lidar
+        ground = _FIT.validate_python(seen.ground).seen_from(ego_from_lidar)
     except (StoneError, ValidationError):
         return None
     return GroundOffer(ground, ego_from_lidar) if is_off_ground(ground) else None

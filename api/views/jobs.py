@@ -129,8 +129,8 @@ def _stage(stage: StageProgress) -> StageItem:
 
 
 def _progress(progress: Progress, left_s: int | None) -> dict[str, Any]:
-    told = {"stage": progress.stage, "done": progress.done, "total": progress.total}
-    return {**told, "rate_per_s": progress.rate_per_s, "eta_s": left_s}
+    counts = {"stage": progress.stage, "done": progress.done, "total": progress.total}
+    return {**counts, "rate_per_s": progress.rate_per_s, "eta_s": left_s}
 
 
 def _attempt(row: JobAttempt) -> AttemptItem:
@@ -172,7 +172,7 @@ def log_page(session: Session, job: Job, query: LogQuery, *, is_administrator: b
     """
     mark = _mark(query.after)
     statement = _of_run(job, mark) if not job.queue else _of_job(job, mark)
-    reticent = set() if is_administrator else set(session.scalars(_reticent(job)))
+    reticent = set() if is_administrator else set(session.scalars(_jobs_with_hidden_data(job)))
     lines = [_line(row, row.job_id in reticent) for row in session.scalars(statement.limit(query.limit))]
     return LogPage(items=lines, next=_named(lines[-1]) if lines else query.after)
 
@@ -190,7 +190,7 @@ def _of_run(job: Job, mark: tuple[int, str, int, int] | None) -> Select[JobLine]
     return statement if mark is None else statement.where(tuple_(*order) > tuple_(*mark))
 
 
-def _reticent(job: Job) -> Select[str]:
+def _jobs_with_hidden_data(job: Job) -> Select[str]:
     """Select the jobs of the run that have read hidden data."""
     return select(Job.id).where(Job.root_id == job.root_id, Job.queue.in_(RETICENT))
 
@@ -198,10 +198,10 @@ def _reticent(job: Job) -> Select[str]:
 def _mark(after: str | None) -> tuple[int, str, int, int] | None:
     if after is None:
         return None
-    found = AFTER.fullmatch(after)
-    if found is None:
+    match = AFTER.fullmatch(after)
+    if match is None:
         raise bad_cursor()
-    logged_ns, job_id, attempt, number = found.groups()
+    logged_ns, job_id, attempt, number = match.groups()
     return int(logged_ns), job_id, int(attempt), int(number)
 
 

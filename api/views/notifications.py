@@ -44,8 +44,8 @@ def deliveries_page(session: Session, query: PageQuery, user_id: str) -> Page[De
         query,
     )
     ids = {row.event_id for row in rows.rows}
-    found = select(NotificationEvent.id, NotificationEvent.kind).where(NotificationEvent.id.in_(ids))
-    kinds = {event_id: kind for event_id, kind in session.execute(found)}
+    events = select(NotificationEvent.id, NotificationEvent.kind).where(NotificationEvent.id.in_(ids))
+    kinds = {event_id: kind for event_id, kind in session.execute(events)}
     return rows.shown(
         lambda row: DeliveryItem.of(
             row, kind=kinds[row.event_id], due_at=row.due_ns if row.state == "waiting" else None

@@ -50,12 +50,12 @@ def user_of(session: Session, user_id: str, is_locked: bool = False) -> User:
 
 def users_page(session: Session, query: PageQuery, name: str | None, role: str | None) -> Page[UserItem]:
     """Return users, newest first, filtered by part of the `name` and by `role` if given."""
-    found: Select[User] = select(User)
+    matching: Select[User] = select(User)
     if name:
-        found = found.where(User.name.contains(name.lower(), autoescape=True))
+        matching = matching.where(User.name.contains(name.lower(), autoescape=True))
     if role:
-        found = found.where(User.role == role)
-    return page(session, found, User.id.desc(), query).shown(user_item)
+        matching = matching.where(User.role == role)
+    return page(session, matching, User.id.desc(), query).shown(user_item)
 
 
 def tokens_page(session: Session, query: PageQuery, user_id: str) -> Page[TokenItem]:

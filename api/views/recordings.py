@@ -20,7 +20,7 @@ def recording_detail(session: Session, row: Recording) -> RecordingDetail:
 
 
 def _file_items(row: Recording) -> list[RecordingFileItem]:
-    return [RecordingFileItem.of(one, is_recovered=one.recovered_blob_sha256 is not None) for one in row.files]
+    return [RecordingFileItem.of(file, is_recovered=file.recovered_blob_sha256 is not None) for file in row.files]
 
 
 def _place_item(row: Recording) -> PlaceItem | None:

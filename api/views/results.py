@@ -37,10 +37,10 @@ def viewer_for(session: Session, caller: Caller) -> Viewer:
 
 def known_submission(session: Session, viewer: Viewer, submission_id: str) -> SubmissionRow:
     """Raises `NotFoundError`."""
-    found = submission_seen(session, viewer, submission_id)
-    if found is None:
+    submission = submission_seen(session, viewer, submission_id)
+    if submission is None:
         raise NotFoundError("submission", submission_id)
-    return found
+    return submission
 
 
 def known_score(session: Session, caller: Caller, submission_id: str, score_id: str | None) -> ScoreView:

@@ -94,8 +94,8 @@ def labels_file(session: Session, caller: Caller, token: str, version: str | Non
     frame, labels = frame_of(session, caller, token)
     pack = session.get_one(Artefact, frame.pack_id)
     object_key = session.get_one(Blob, pack.blob_sha256).object_key
-    place = (object_key, frame.length_bytes, frame.sha256, NPZ, f"{token}-labels.npz", frame.offset_bytes)
-    return StoredFile(*place, is_lasting=version == labels.id, grid=recorded_grid(labels.grid))
+    location = (object_key, frame.length_bytes, frame.sha256, NPZ, f"{token}-labels.npz", frame.offset_bytes)
+    return StoredFile(*location, is_lasting=version == labels.id, grid=recorded_grid(labels.grid))
 
 
 def frame_voxels(store: Store, labels: StoredFile) -> bytes:

@@ -52,10 +52,12 @@ def with_glances(page: Select[SequenceRow], owner: str | BindParameter[str] | No
     counting = chosen.order_by(LabelSet.chosen_ns.desc(), LabelSet.id.desc()).limit(1)
     is_told = true() if owner is None else shown.c.owner_id == owner
     split = select(SplitMember.part).where(SplitMember.sequence_id == shown.c.id, is_told)
-    glances = [one.scalar_subquery().label(f"glance_{place}") for place, one in enumerate((recordings, *runs, split))]
+    glances = [
+        glance.scalar_subquery().label(f"glance_{index}") for index, glance in enumerate((recordings, *runs, split))
+    ]
     labels = counting.scalar_subquery().label("labels_id")
-    said = [shown.c[name] for name in SAID]
-    return select(*said, *glances, labels, shown.c.revision, shown.c.created_ns).order_by(shown.c.id.desc())
+    columns = [shown.c[name] for name in SAID]
+    return select(*columns, *glances, labels, shown.c.revision, shown.c.created_ns).order_by(shown.c.id.desc())
 
 
 def sequence_facts(session: Session, rows: Sequence[Row[Any]]) -> list[dict[str, Any]]:
@@ -95,8 +97,8 @@ def sequence_items(session: Session, sequences: Iterable[SequenceRow], caller: C
     rows = _of_ids(caller.is_administrator, places_for(len(ids))).rows(
         session, {**numbered(ids), "caller": caller.user_id}
     )
-    found = {facts["id"]: SequenceItem(**facts) for facts in sequence_facts(session, rows)}
-    return [found[one] for one in ids]
+    items = {facts["id"]: SequenceItem(**facts) for facts in sequence_facts(session, rows)}
+    return [items[sequence_id] for sequence_id in ids]
 
 
 @cache

@@ -29,7 +29,7 @@ def splits_answer(
 
 def proposal_answer(proposal: "Proposal", seen: tuple[CatalogueEntry, ...]) -> ProposalAnswer:
     """Return a proposal with its sequences in full."""
-    train, val, test = (_shares(one) for one in proposal.shares)
+    train, val, test = (_shares(share) for share in proposal.shares)
     return ProposalAnswer.of(
         proposal,
         **_assigned(proposal.split, seen),
@@ -39,7 +39,7 @@ def proposal_answer(proposal: "Proposal", seen: tuple[CatalogueEntry, ...]) -> P
 
 
 def rule_items(findings: Iterable[RuleFinding]) -> list[RuleItem]:
-    return [RuleItem.of(one) for one in findings]
+    return [RuleItem.of(finding) for finding in findings]
 
 
 def gap_item(split: Split, seen: tuple[CatalogueEntry, ...]) -> GapItem | None:
@@ -57,7 +57,7 @@ def _assigned(split: Split, seen: tuple[CatalogueEntry, ...]) -> dict[str, list[
 
 
 def _ids(split: Split) -> set[str]:
-    return {one for ids in split.parts.values() for one in ids}
+    return {sequence_id for ids in split.parts.values() for sequence_id in ids}
 
 
 def _shares(shares: "PartShares") -> SharesItem:

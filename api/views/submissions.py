@@ -62,7 +62,7 @@ def validation_report(row: SubmissionRow) -> ValidationReport:
         submission_id=row.id,
         state=state,
         ok=not problems.get("errors_total", 0) if is_checked else None,
-        errors=[FileProblem.model_validate(one) for one in problems.get("errors", ())[:SHOWN]],
+        errors=[FileProblem.model_validate(problem) for problem in problems.get("errors", ())[:SHOWN]],
         errors_total=problems.get("errors_total", 0),
         failure=coded_failure(row),
     )

@@ -154,7 +154,7 @@ def test_a_process_that_answers_keeps_what_it_has_loaded_which_is_neither_solver
     asked = (
         "from types import SimpleNamespace as N; import gc, sys, api.main as m; m.setup_tracing = lambda *_: None;"
         "m.use_fork_server = lambda *_: N(ensure_running=lambda: None);"
-        "m.told(N(state=N(meters=N(keep_writing=lambda: None))));"
+        "m.configure_process(N(state=N(meters=N(keep_writing=lambda: None))));"
         "print(gc.get_freeze_count(), *{'scipy', 'matplotlib', 'numba', 'open3d'} & {*sys.modules})"
     )
     count, *loaded = subprocess.run([sys.executable, "-c", asked], check=True, capture_output=True).stdout.split()

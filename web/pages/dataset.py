@@ -18,7 +18,7 @@ from api.deps import Administrator, PlatformDep, Reader
 from api.paging import PageQuery
 from api.paging import page as rows_of
 from api.schemas.datasets import VERSION_PATTERN, DatasetItem
-from api.views.datasets import dataset_detail, dataset_item, prospect_of
+from api.views.datasets import dataset_detail, dataset_item, preview_of
 from api.views.statistics import composition_record
 from api.visible import dataset_of
 from services.domain.datasets.statistics import CLASSES, Record
@@ -64,7 +64,7 @@ def dataset(
 def new_version(request: Request, caller: Administrator, platform: PlatformDep) -> HTMLResponse:
     least_recall = platform.settings.publishing.least_held_out_recall
     with platform.database.reading() as session:
-        prospect = prospect_of(session, least_recall)
+        prospect = preview_of(session, least_recall)
         versions, _ = _versions(session, None)
     record = prospect.statistics
     return page(

@@ -127,7 +127,7 @@ def _phases(session: Session, benchmark: Benchmark, body: NewBenchmarkBody) -> l
     if body.phases is not None:
         return [_phase(session, benchmark, phase, phase.dataset or body.dataset) for phase in body.phases]
     dataset = dataset_of(session, body.dataset)
-    return [create_phase(session, benchmark, dataset, asked) for asked in default_phases(session, dataset)]
+    return [create_phase(session, benchmark, dataset, new_phase) for new_phase in default_phases(session, dataset)]
 
 
 def _phase(session: Session, benchmark: Benchmark, body: NewPhaseBody, dataset: str) -> Phase:

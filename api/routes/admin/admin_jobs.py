@@ -93,8 +93,8 @@ def list_all_jobs(
 ) -> Page[AdminJobItem]:
     """List all users' jobs, newest first."""
     with platform.database.reading() as session:
-        found = page(session, filters.narrowed(select(Job)), Job.id.desc(), query)
-        return Page[AdminJobItem](items=admin_job_items(session, found.rows), next=found.next)
+        jobs = page(session, filters.narrowed(select(Job)), Job.id.desc(), query)
+        return Page[AdminJobItem](items=admin_job_items(session, jobs.rows), next=jobs.next)
 
 
 @router.get("/jobs/counts", summary="Count the jobs in each state", responses=refusals(403))

@@ -41,8 +41,8 @@ def create_rescore(
     """
     with platform.database.transaction() as session:
         phase = phase_of(session, phase_id)
-        asked = NewRescore(_asked(session, phase, body), caller.user_id, body.reason)
-        rescore, _run = start_rescore(session, phase, asked)
+        new_rescore = NewRescore(_requested_pair(session, phase, body), caller.user_id, body.reason)
+        rescore, _run = start_rescore(session, phase, new_rescore)
         facts = {"rescore_id": rescore.id, "truth_id": rescore.truth_id, "metric": rescore.metric}
         audit.record_admin_act(session, caller, "phase.rescore", phase.id, body.reason, facts)
         shown = rescore_item(session, rescore)
@@ -123,7 +123,7 @@ def abandon_rescore(
         return rescore_item(session, rescore)
 
 
-def _asked(session: Session, phase: Phase, body: NewRescoreBody) -> EvaluationVersion:
+def _requested_pair(session: Session, phase: Phase, body: NewRescoreBody) -> EvaluationVersion:
     """Return the requested pair; missing parts equal those of the board."""
     current = active(session, phase.id)
     if current is None:
@@ -132,10 +132,10 @@ def _asked(session: Session, phase: Phase, body: NewRescoreBody) -> EvaluationVe
 
 
 def rescore_of(session: Session, phase_id: str, rescore_id: str) -> Rescore:
-    found = session.get(Rescore, rescore_id)
-    if found is None or found.phase_id != phase_id:
+    rescore = session.get(Rescore, rescore_id)
+    if rescore is None or rescore.phase_id != phase_id:
         raise NotFoundError("re-score", rescore_id)
-    return found
+    return rescore
 
 
 def board_revision(session: Session, phase_id: str) -> str:

@@ -41,13 +41,13 @@ async def refuse_other_types(request: Request) -> None:
         raise unsupported_media_type(given, FORM)
 
 
-async def asked_validity(valid_from: Moment = None, valid_to: Moment = None) -> Validity:
+async def requested_validity(valid_from: Moment = None, valid_to: Moment = None) -> Validity:
     """Raises `CalibrationRefusedError` for a time that never is."""
     return calibration_reading.validity(valid_from, valid_to)
 
 
 FormOnly = Annotated[None, Depends(refuse_other_types)]
-ValidityDep = Annotated[Validity, Depends(asked_validity)]
+ValidityDep = Annotated[Validity, Depends(requested_validity)]
 
 
 @router.post(
@@ -65,7 +65,7 @@ def create_calibration(
     validity: ValidityDep,
 ) -> CalibrationItem:
     """201 for a new version of its name, 200 if the same content already exists with these times."""
-    with calibration_reading.received(file.file, file.filename or "") as path:
+    with calibration_reading.receive(file.file, file.filename or "") as path:
         read = replace(calibration_reading.read(path), validity=validity)
         prepared = blobs.prepare(platform.store, platform.database, path)
         with platform.database.transaction() as session:

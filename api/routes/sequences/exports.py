@@ -77,8 +77,8 @@ def list_exports(
 ) -> Response:
     """List the exports of a sequence, newest first; includes stale exports."""
     with platform.database.lookups() as session:
-        found = page(session, exports_shown_to(session, caller, sequence_id), Export.id.desc(), query)
-        shown = Page[ExportItem](items=export_items(session, sequence_id, found.rows), next=found.next)
+        exports = page(session, exports_shown_to(session, caller, sequence_id), Export.id.desc(), query)
+        shown = Page[ExportItem](items=export_items(session, sequence_id, exports.rows), next=exports.next)
     return model_response(request, shown)
 
 

@@ -66,8 +66,8 @@ def list_label_sets(sequence_id: IdPath, caller: Reader, platform: PlatformDep, 
     with platform.database.reading() as session:
         sequence = sequence_of(session, caller, sequence_id)
         of_sequence = select(LabelSet).where(LabelSet.sequence_id == sequence.id)
-        found = page(session, of_sequence, LabelSet.id.desc(), query)
-        return Page[LabelSetItem](items=label_set_items(session, sequence.id, found.rows), next=found.next)
+        label_sets = page(session, of_sequence, LabelSet.id.desc(), query)
+        return Page[LabelSetItem](items=label_set_items(session, sequence.id, label_sets.rows), next=label_sets.next)
 
 
 @router.post("/label-sets/{label_set_id}/activate", responses=refusals(403, 404))
@@ -140,8 +140,8 @@ def list_label_comparisons(
     with platform.database.reading() as session:
         sequence = sequence_of(session, caller, sequence_id)
         of_sequence = select(LabelComparison).where(LabelComparison.sequence_id == sequence.id)
-        found = page(session, of_sequence, LabelComparison.id.desc(), query)
-        return Page[LabelComparisonItem](items=comparison_items(session, found.rows), next=found.next)
+        comparisons = page(session, of_sequence, LabelComparison.id.desc(), query)
+        return Page[LabelComparisonItem](items=comparison_items(session, comparisons.rows), next=comparisons.next)
 
 
 @router.get("/label-comparisons/{comparison_id}", summary="Show a comparison", responses=refusals(404))

@@ -38,13 +38,13 @@ def process_sequence(
     If the recording shows the ground far off the ego origin of the calibration, the request is refused unless `ground`
     is `auto`.
     """
-    asked = body.chosen()
+    run_request = body.chosen()
     with platform.database.reading() as session:
         sequence_of(session, caller, sequence_id)
-    require_ground(platform, sequence_id, asked)
+    require_ground(platform, sequence_id, run_request)
     with platform.database.transaction() as session:
         sequence = sequence_of(session, caller, sequence_id)
-        job = start_processing(session, sequence, asked)
+        job = start_processing(session, sequence, run_request)
         audit.record(session, caller, "sequence.process", sequence.id, facts={"job_id": job.id})
         return set_head(response, job_detail(session, job), location=f"/api/v1/jobs/{job.id}")
 

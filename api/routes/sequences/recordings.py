@@ -52,9 +52,9 @@ def create_recording(
     with platform.database.transaction() as session:
         sequence, facts = sequence_of(session, caller, sequence_id), {"sequence_id": sequence_id}
         if body.in_place is not None:
-            place = body.in_place.place()
-            recording, job = add_in_place(session, platform.settings.in_place, sequence, place)
-            facts |= {"place": str(place)}
+            source = body.in_place.place()
+            recording, job = add_in_place(session, platform.settings.in_place, sequence, source)
+            facts |= {"place": str(source)}
         else:
             recording, job = add_recording(session, sequence, body.received(), caller.user_id)
         audit.record(session, caller, "recording.add", recording.id, facts=facts)

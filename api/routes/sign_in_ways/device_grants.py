@@ -28,9 +28,9 @@ def create_device_grant(
 ) -> DeviceCodesItem:
     """Create two codes: a person types `user_code` at `url`; `device_code` is the program's secret."""
     request.app.state.limits.admit_from(request, "device grant")
-    asked = DeviceRequest(body.name, address_of(request).removeprefix("address "), tuple(body.scopes))
+    device_request = DeviceRequest(body.name, address_of(request).removeprefix("address "), tuple(body.scopes))
     with platform.database.transaction() as session:
-        codes = device_grants.begin_grant(session, asked)
+        codes = device_grants.begin_grant(session, device_request)
     response.headers["Cache-Control"] = "no-store"
     url = f"{platform.settings.api.url.rstrip('/')}/device"
     with_code = f"{url}?code={codes.user_code}"
@@ -68,29 +68,29 @@ def take_device_token(body: DeviceTokenBody, response: Response, platform: Platf
     returned once.
     """
     with platform.database.transaction() as session:
-        told = device_grants.poll(session, body.device_code.get_secret_value(), platform.settings.api.token_s)
-        if told.token is not None:
-            facts = {"scopes": told.token.scopes, "name": told.token.name}
-            owner = session.get_one(User, told.token.user_id)
-            audit.record(session, _as_holder(owner), "token.issue", told.token.id, facts=facts)
+        polled = device_grants.poll(session, body.device_code.get_secret_value(), platform.settings.api.token_s)
+        if polled.token is not None:
+            facts = {"scopes": polled.token.scopes, "name": polled.token.name}
+            owner = session.get_one(User, polled.token.user_id)
+            audit.record(session, _as_holder(owner), "token.issue", polled.token.id, facts=facts)
     response.headers["Cache-Control"] = "no-store"
-    return _issued(told)
+    return _issued(polled)
 
 
-def _issued(told: DevicePoll) -> IssuedToken:
+def _issued(polled: DevicePoll) -> IssuedToken:
     """Raises `authorization_pending`, `slow_down`, `access_denied`, `expired_token`."""
-    if told.state == "slow_down":
+    if polled.state == "slow_down":
         wait_s = device_grants.INTERVAL_S
         sentence = f"this program polled less than {wait_s} s ago; poll again in {wait_s} s"
         raise ApiError("slow_down", sentence, {"Retry-After": str(wait_s)})
-    if told.state == "pending":
+    if polled.state == "pending":
         raise ApiError("authorization_pending", "this program has not been approved yet; poll again after interval_s")
-    if told.state == "denied":
+    if polled.state == "denied":
         raise ApiError("access_denied", "this program was denied; to approve it, start the login again")
-    if told.token is None:
+    if polled.token is None:
         sentence = "this device code is unknown, expired (after 10 minutes) or already used; start the login again"
         raise ApiError("expired_token", sentence)
-    return IssuedToken.of(told.token, secret=told.secret)
+    return IssuedToken.of(polled.token, secret=polled.secret)
 
 
 def _as_holder(user: User) -> Caller:

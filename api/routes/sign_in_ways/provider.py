@@ -69,7 +69,7 @@ def finish_oidc(
 ) -> RedirectResponse:
     """Create the account at the first sign-in. The role follows the groups that the provider sends."""
     request.app.state.limits.admit_from(request, "answer of a provider")
-    begun, back = _begun(request.cookies.get(COOKIE, ""))
+    begun, back = _read_cookie(request.cookies.get(COOKIE, ""))
     identity = _provider(request).finish(begun, CodeAnswer(code, state, iss, error))
     with platform.database.transaction() as session:
         admitted = admit(session, identity, platform.settings.oidc)
@@ -86,7 +86,7 @@ def _provider(request: Request) -> Provider:
     return provider
 
 
-def _begun(kept: str) -> tuple[CodeRequest | None, str]:
+def _read_cookie(kept: str) -> tuple[CodeRequest | None, str]:
     """Return the sign-in that this browser started, and the page to return to."""
     secret, _, page = kept.partition(".")
     if not secret or len(kept) > LONGEST_COOKIE:
