@@ -134,4 +134,4 @@ def _style_sheet() -> bytes:
 
 
 def pages_not_built(missing: Path) -> Refused:
-    return Refused("pages_not_built", f"{missing} is not there: the pages' modules were not built; run `make install`")
+    return Refused("pages_not_built", f"{missing} is missing: the pages' modules are not built; run `make install`")

@@ -17,7 +17,7 @@ from web.rendering import caller_of, page
 
 NEXT = {
     400: "Start again.",
-    403: "Ask an administrator for the role, or sign in as somebody who has it.",
+    403: "Ask an administrator for the role, or sign in as a user who has it.",
     404: "It may have been deleted, or you may not have access. The menu above lists what you can open.",
     409: "It changed in the meantime. Go back, reload the page and try again.",
     422: "Go back and correct the address or the form.",

@@ -71,7 +71,7 @@ def _curator(session: Session, caller: Caller) -> Iterator[FirstStep]:
     has_calibration = _is_any(session, own.where(SequenceRow.calibration_id.is_not(None)))
     newest = session.scalars(own.limit(1)).first()
     at = f"/sequences/{newest.id}" if newest else "/sequences"
-    text = "It says where the robot's sensors are mounted, and the cameras' intrinsics."
+    text = "It contains the mounts of the robot's sensors and the intrinsics of its cameras."
     yield FirstStep("Assign a calibration", at, text, has_calibration)
     is_labelled = _is_any(session, own.join(LabelSet, LabelSet.sequence_id == SequenceRow.id))
     at = f"{at}/processing" if newest else "/sequences"
@@ -86,9 +86,9 @@ def _administrator(session: Session, caller: Caller) -> Iterator[FirstStep]:
     yield FirstStep("Label sequences", "/sequences/new", text, _is_any(session, select(LabelSet.id)))
     text = "Assign each labelled sequence to train, val or test."
     yield FirstStep("Assign splits", "/dataset/splits", text, _is_any(session, select(SplitMember.sequence_id)))
-    text = "A version never changes: benchmarks are made of one."
+    text = "A version never changes; each benchmark uses one."
     yield FirstStep("Publish a dataset version", "/dataset/new", text, _is_any(session, select(Dataset.id)))
-    text = "Create it, then its ground truth; from then on teams can submit."
+    text = "Create it and its ground truth; teams can then submit."
     yield FirstStep("Create a benchmark", "/admin/benchmarks", text, _is_any(session, select(Activation.id)))
 
 

@@ -141,8 +141,8 @@ FEW = {"silences": {"these_places": "few_frames", "new_place": "few_sequences"}}
     [
         (BEHIND | HERE, "Bee is better than Ant", "+1.00 to +3.00 (95 % interval, p < 0.001)"),
         (BEHIND | {"these_places": UNSURE}, "No significant difference between Ant and Bee", "−0.20 to +3.00"),
-        (BEHIND | HERE | {"new_place": UNSURE}, "Bee is better than Ant", "is open"),
-        (BEHIND | FEW, "Whether Bee is better than Ant is not known", "too few independent frames"),
+        (BEHIND | HERE | {"new_place": UNSURE}, "Bee is better than Ant", "may not hold"),
+        (BEHIND | FEW, "Bee is ahead of Ant; significance unknown", "too few independent frames"),
         ({"a": 0.4, "b": 0.4, "difference": 0.0} | FEW, "Ant and Bee have the same mIoU", ""),
         ({"a": 0.4}, "The two entries cannot be ordered", ""),
     ],
@@ -157,7 +157,7 @@ def test_the_verdict_says_who_is_better_by_how_much_and_how_surely(
 
 def test_a_withheld_comparison_claims_no_more_than_the_rounded_totals() -> None:
     found = compared(comparison(BEHIND, is_withheld=True), NAMES)
-    assert found.verdict.headline == "Whether Bee is better than Ant is not known"
+    assert found.verdict.headline == "Bee is ahead of Ant; significance unknown"
     assert all(one.these_places is None and one.new_place is None for one in found.rows)
 
 

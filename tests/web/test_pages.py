@@ -361,8 +361,8 @@ def test_a_curator_reads_of_their_own_sequences_in_which_parts_they_are(
     own = driven(platform, other, 0)
     put(platform, Split(train=(own.id, sequences[0].id, sequences[1].id), val=(sequences[2].id,), test=()))
     said = reading.text("/dataset/splits", other)
-    assert "1 is in train, 0 in val, 0 in test" in said
-    assert "3 sequences in train, 1 in val, 0 in test" in said
+    assert "Your sequences: 1 in train, 0 in val, 0 in test." in said
+    assert "All sequences: 3 in train, 1 in val, 0 in test." in said
     page = reading.html("/dataset/splits", other)
     assert own.id in page
     assert sequences[0].id not in page

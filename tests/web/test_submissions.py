@@ -131,8 +131,8 @@ def test_a_zip_that_lacks_frames_is_refused_before_a_byte_is_sent(site: Site, wo
         assert serious_findings(page) == []
         for name, said in (
             ("no", "This cannot be read as a submission."),
-            ("floats", f"{FRAMES} frames of another type"),
-            ("turned", f"{FRAMES} frames of another shape"),
+            ("floats", f"{FRAMES} frames of wrong type"),
+            ("turned", f"{FRAMES} frames of wrong shape"),
             ("mixed", "1 frame with values beyond 3"),
             ("half", "The zip was cut short or damaged"),
         ):

@@ -385,7 +385,7 @@ def test_an_address_that_is_copied_shows_the_same_frame_layers_colours_and_view(
     page.get_by_label("Point cloud").check()
     page.get_by_label("Track").uncheck()
     page.get_by_label("Points by").select_option("height")
-    fill(page, "Heights shown, metres above the robot's wheels, to", "1.5")
+    fill(page, "Heights shown, metres above the ground under the robot, to", "1.5")
     fill(page, "Colours of points, from", "-0.5")
     page.get_by_label("Point size").fill("2.5")
     canvas(page).focus()

@@ -162,14 +162,14 @@ def verdict(answer: ComparisonAnswer, names: Names) -> ComparisonVerdict:
     found = answer.ratios["miou"]
     if found.difference is None:
         return ComparisonVerdict(
-            "The two entries cannot be ordered", ("One of them has no mIoU: a class is undefined.",)
+            "The two entries cannot be ordered", ("One of the entries has no mIoU: a class is undefined.",)
         )
     better, worse = (names.a, names.b) if found.difference >= 0 else (names.b, names.a)
     margin = f"{better} is ahead by {abs(100 * found.difference):.2f} points of mIoU."
     if found.difference == 0:
         return ComparisonVerdict(f"{names.a} and {names.b} have the same mIoU", (_uncertain(answer, found),))
     if answer.is_withheld or found.these_places is None:
-        headline = f"Whether {better} is better than {worse} is not known"
+        headline = f"{better} is ahead of {worse}; significance unknown"
         scored = f"{better} scored {abs(100 * found.difference):.2f} points of mIoU more."
         return ComparisonVerdict(headline, (scored, _uncertain(answer, found)))
     grounds = (margin, _here(answer, found.difference, found.these_places), *_elsewhere(answer, found))
@@ -202,15 +202,15 @@ def _here(answer: ComparisonAnswer, difference: float, told: DifferenceItem) -> 
 def _elsewhere(answer: ComparisonAnswer, found: RatioDifferenceItem) -> tuple[str, ...]:
     told = found.new_place
     if told is None:
-        return (f"No statement about new places: {_silence(found, 'new_place')}.",)
+        return (f"No interval for unseen places: {_silence(found, 'new_place')}.",)
     if told.p <= 1 - answer.interval_level:
-        return (f"It also holds across whole sequences, so it is likely to hold in new places ({_p(told.p)}).",)
-    return (f"Whether it holds in new places is open: across whole sequences {_p(told.p)}.",)
+        return (f"It is also significant across whole sequences and thus likely in unseen places ({_p(told.p)}).",)
+    return (f"It is not significant across whole sequences and may not hold in unseen places ({_p(told.p)}).",)
 
 
 def _silence(found: RatioDifferenceItem, scope: Scope) -> str:
     code = (found.silences or {}).get(scope)
-    return "it is not known" if code is None else SILENCES[code]
+    return "the reason is unknown" if code is None else SILENCES[code]
 
 
 def _p(value: float) -> str:

@@ -19,7 +19,7 @@ from web.boards.rows import Sort, shown_board, timeline
 from web.rendering import page
 
 router = APIRouter()
-SortQuery = Annotated[Sort, Query(description="the column by which rows stand; ranks stay as they are")]
+SortQuery = Annotated[Sort, Query(description="column to sort by; ranks do not change")]
 
 
 class BoardPageSelection:

@@ -26,7 +26,7 @@ from web.boards.rows import ShownBoard, shown_board
 from web.rendering import page
 
 router = APIRouter()
-FrameQuery = Annotated[str | None, Query(pattern=ID_PATTERN, description="the token of the frame to look at")]
+FrameQuery = Annotated[str | None, Query(pattern=ID_PATTERN, description="token of the frame to show")]
 
 
 @router.get("/entries/{submission_id}")

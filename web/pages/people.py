@@ -26,8 +26,8 @@ LINES = PageQuery(None, 20)
 DELIVERIES = 10
 MAY = {
     "participant": "Downloads the dataset, submits to benchmarks.",
-    "curator": "Also uploads, processes and exports sequences.",
-    "administrator": "Also manages jobs, splits, benchmarks and users.",
+    "curator": "Uploads, processes and exports sequences.",
+    "administrator": "Manages jobs, splits, benchmarks and users.",
 }
 ALLOWS = {
     "read": "view and download",

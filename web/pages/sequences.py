@@ -33,8 +33,8 @@ MOVING = ("queued", "processing", "reading")
 MOST_CALIBRATIONS = 200
 MOST_REMEMBERED = 1000
 Cursor = Annotated[str | None, Query(max_length=512)]
-Contains = Annotated[str | None, Query(pattern=PLAIN, max_length=100, description="what the name contains")]
-Whose = Annotated[Literal["", "mine"], Query(description="everybody's that one may see, or one's own")]
+Contains = Annotated[str | None, Query(pattern=PLAIN, max_length=100, description="part of the name")]
+Whose = Annotated[Literal["", "mine"], Query(description="all visible sequences, or your own")]
 
 
 @dataclass(frozen=True)

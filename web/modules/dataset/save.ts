@@ -52,7 +52,7 @@ export class Saving {
     const { changes } = this.state;
     const items = changes.slice(0, NAMED).map((move) => make("li", { textContent: this.sentence(move) }));
     if (changes.length > NAMED) items.push(make("li", { textContent: `and ${changes.length - NAMED} more` }));
-    if (this.state.gone) items.push(make("li", { textContent: `${this.state.gone} deleted, taken out` }));
+    if (this.state.gone) items.push(make("li", { textContent: `${this.state.gone} deleted and removed` }));
     this.dialog.querySelector("[data-moves]")?.replaceChildren(...items);
     this.dialog.querySelector(".said")?.replaceChildren();
     this.dialog.showModal();
@@ -112,7 +112,7 @@ export class Saving {
       place.replaceChildren();
     };
     place.replaceChildren(
-      make("h2", { textContent: `${who?.actor ?? "Somebody else"} saved the splits while you worked on them` }),
+      make("h2", { textContent: `${who?.actor ?? "Another user"} saved the splits while you worked on them` }),
       make("p", {
         textContent: `${who?.reason ? `Revision ${theirs.revision}: “${who.reason}”. ` : `They are at revision ${theirs.revision}. `}${
           apart.length ? `They differ from yours in ${named.join(", ")}${more}.` : "They equal yours."

@@ -69,7 +69,7 @@ export class Verdicts {
     this.isEmpty = Object.values(listsOf(this.state.current)).every((ids) => !ids.length);
     if (broken) this.say("error", broken === 1 ? "One rule is violated" : `${broken} rules are violated`);
     else if (this.isEmpty) this.say("warning", "No sequence is in a split yet");
-    else if (answer.findings.length) this.say("warning", "Satisfied as far as the data allow");
+    else if (answer.findings.length) this.say("warning", `All rules met where the data permit (${answer.findings.length} ${answer.findings.length === 1 ? "warning" : "warnings"})`);
     else this.say("good", "All rules satisfied");
     for (const rule of this.root.querySelectorAll<HTMLElement>("[data-rule]")) this.showRule(rule);
     this.showGap(answer.gap?.message ?? "");

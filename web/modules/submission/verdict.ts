@@ -11,16 +11,16 @@ const SVG = "http://www.w3.org/2000/svg";
 const CUT_SHORT = "The zip was cut short or damaged: its directory, which is written last, is missing or incomplete. Zip it again, or copy it again.";
 const SAID: Record<string, [string, string]> = {
   missing_frame: ["missing frame", "missing frames"],
-  unexpected_file: ["file that does not belong", "files that do not belong"],
-  other_layout: ["layout that is no submission's", "layouts that are no submission's"],
+  unexpected_file: ["unexpected file", "unexpected files"],
+  other_layout: ["unknown layout", "unknown layouts"],
   duplicate_frame: ["frame twice", "frames twice"],
   too_large: ["file too large", "files too large"],
-  bad_shape: ["frame of another shape", "frames of another shape"],
-  bad_dtype: ["frame of another type", "frames of another type"],
+  bad_shape: ["frame of wrong shape", "frames of wrong shape"],
+  bad_dtype: ["frame of wrong type", "frames of wrong type"],
   label_out_of_range: ["frame with values beyond 3", "frames with values beyond 3"],
   missing_array: ["frame without its array", "frames without their array"],
-  extra_array: ["frame with further arrays", "frames with further arrays"],
-  not_npz: ["file that is no npz", "files that are no npz"],
+  extra_array: ["frame with extra arrays", "frames with extra arrays"],
+  not_npz: ["file that is not npz", "files that are not npz"],
 };
 
 /** Show the verdict in `place`, in the place of what it showed; `arrays` once they are checked. */
@@ -56,7 +56,7 @@ function sentence(manifest: Manifest, verdict: Verdict, arrays?: ArrayCheck): st
     return verdict.problems[0]?.code === "truncated" ? CUT_SHORT : "This cannot be read as a submission.";
   }
   const codes = new Set(verdict.problems.map(({ code }) => code));
-  if (codes.has("other_layout")) return "The files are in another layout; the command stone validate has the line that makes a submission of them.";
+  if (codes.has("other_layout")) return "The files have another layout; the command stone validate prints the line that converts them to a submission.";
   const absent = verdict.problems.filter(({ code }) => code === "missing_frame").length;
   if (absent) return `${count(all - absent)} of ${count(all)} frames are present.`;
   if (verdict.problems.length) return `All ${count(all)} frames are present, but not all files are as required.`;

@@ -49,10 +49,10 @@ export function troubleOf(names: readonly string[]): string {
 function severalTrouble(names: readonly string[]): string {
   if (names.length > MOST_FILES) return `These are ${names.length} files; a bag has at most ${MOST_FILES}.`;
   const folded = new Set(names.map((name) => name.toLowerCase()));
-  if (folded.size < names.length) return `${names.length} files have only ${folded.size} names on a disk that does not tell cases apart.`;
+  if (folded.size < names.length) return `${names.length} files have only ${folded.size} different names if upper and lower case are equal.`;
   const storages = new Set(names.flatMap((name) => BAG_FILE.exec(name)?.[1]?.toLowerCase() ?? []));
-  if (!storages.size) return "There is no .mcap, no .db3 and no .bag file among them.";
-  if (storages.size > 1) return `Files of several kinds are among them (${[...storages].sort().join(", ")}); a bag has one kind.`;
+  if (!storages.size) return "None of the files is a .mcap, .db3 or .bag file.";
+  if (storages.size > 1) return `The files are of several kinds (${[...storages].sort().join(", ")}); a bag has one kind.`;
   const orphan = names.find((name) => folded.size && JOURNAL.test(name) && !folded.has(JOURNAL.exec(name)?.[1]?.toLowerCase() ?? ""));
   return orphan ? `${orphan} has no ${JOURNAL.exec(orphan)?.[1]} beside it.` : "";
 }
@@ -70,7 +70,7 @@ export function sorted(found: readonly Found[]): Sorted {
   }
   const bags = [...folders].flatMap(([folder, files]) => bagsOf(folder, files));
   const alone = bags.filter((bag) => !bag.files.some((file) => BAG_FILE.test(file.name)));
-  for (const bag of alone) left.push({ name: bag.name, why: "It has no .mcap, no .db3 and no .bag file beside it." });
+  for (const bag of alone) left.push({ name: bag.name, why: "There is no .mcap, .db3 or .bag file beside it." });
   return { bags: bags.filter((bag) => !alone.includes(bag)).sort((a, b) => a.name.localeCompare(b.name)), left };
 }
 
@@ -106,7 +106,7 @@ export async function lookedInto(bag: Bag): Promise<Bag> {
 }
 
 function whyLeft(name: string): string {
-  if (/\.(ya?ml|json|zip)$/i.test(name)) return "Not part of a bag, and no calibration: a calibration has 1 byte to 1 MiB.";
+  if (/\.(ya?ml|json|zip)$/i.test(name)) return "Not part of a bag, and not a calibration: a calibration has 1 byte to 1 MiB.";
   return "Not part of a bag.";
 }
 

@@ -9,7 +9,7 @@ import type { Found } from "./bags.js";
 type Left = { name: string; why: string };
 
 const MOST = 20;
-const TOO_MANY = `It was not read as a calibration, since there are more than ${MOST} such files. Drop the calibration alone.`;
+const TOO_MANY = `Not read as a calibration, because more than ${MOST} such files were dropped. Drop the calibration alone.`;
 const UNASSIGNED = "Not assigned: choose it under Calibration. ";
 
 /** Where they go: the panel of one sequence, or the form with the metadata of all that are uploaded. */

@@ -158,7 +158,7 @@ function lineOf(transfer: Transfer): string {
     case "paused":
       return "Paused. Uploaded data is kept; resume at any time.";
     case "reading":
-      return step.total ? `The platform reads it: step ${Math.min(step.total, step.done + 1)} of ${step.total}` : "The platform reads it";
+      return step.total ? `Reading the recording: step ${Math.min(step.total, step.done + 1)} of ${step.total}` : "Reading the recording";
     case "registered":
       return transfer.findings.length ? "Registered with findings:" : "Registered. No findings.";
     case "refused":

@@ -40,7 +40,7 @@ export class CameraFrames {
     try {
       const content = await bytes(`/api/v1/sequences/${sequence_id}/scene/cameras?v=${playback.export_id}`);
       const known = await this.asking.ask({ kind: "cameras", content });
-      if (known.frames !== frames.tokens.length) return "These pictures were made of other frames, so labels are not drawn in them.";
+      if (known.frames !== frames.tokens.length) return "These pictures were made from other frames, so labels are not drawn in them.";
       this.hasPicture = (camera, index) => known.hasPicture[camera * known.frames + index] === 1;
       this.hasRays = true;
       return null;

@@ -48,7 +48,7 @@ const MODES: [Mode, string][] = [
 ];
 const DIFFERENCE: [Mode, string] = ["difference", "Difference of A and B"];
 const UNSEEN: [Unseen, string][] = [["fade", "Faded"], ["show", "Same as observed"], ["hide", "Hidden"]];
-const POINTS: [PointColour, string][] = [["intensity", "Intensity"], ["height", "Height above the robot's wheels"], ["time", "Age, sweeps of the last second"]];
+const POINTS: [PointColour, string][] = [["intensity", "Intensity"], ["height", "Height above the ground under the robot"], ["time", "Age, sweeps of the last second"]];
 /** The smallest, the largest, and the step between them, times the usual one. */
 export const POINT_SIZES = [0.5, 4, 0.5] as const;
 const CAMERAS: [CameraChoice, string][] = [["labels", "Shown with labels"], ["plain", "Shown without labels"], ["off", "Hidden"]];
@@ -62,7 +62,7 @@ export function missing(layer: LayerName, scene: SceneFacts): string | undefined
   const isThere: Partial<Record<LayerName, boolean>> = { points: has_clouds, radar: has_radars, sensors: has_rays || sensors.length > 0 };
   if (isThere[layer] ?? true) return undefined;
   if (layer === "radar") return "No radar detections were prepared for this sequence.";
-  if (layer === "sensors") return "The places of the sensors were not prepared for this sequence.";
+  if (layer === "sensors") return "The sensor poses were not prepared for this sequence.";
   return state === "making" ? "The point clouds are being prepared." : "Point clouds were not prepared for this sequence.";
 }
 
@@ -104,10 +104,10 @@ export function choicesPanel(scene: SceneFacts, choices: Choices, changed: () =>
     group("Layers", layer("labels", "Labels"), layer("mesh", "Surface"), layer("points", "Point cloud"),
       layer("radar", "Radar"), layer("sensors", "Sensors and camera views"), layer("track", "Track"),
       layer("robot", "Robot"), layer("grid", "Ground grid"),
-      span("Heights shown, metres above the robot's wheels", look.heights_m ?? [null, null], "all", (value) => ((look.heights_m = value), changed())),
+      span("Heights shown, metres above the ground under the robot", look.heights_m ?? [null, null], "all", (value) => ((look.heights_m = value), changed())),
       ...pointFields(scene, choices, dressed),
       pick("Cameras", CAMERAS, choices.cameras, (value) => ((choices.cameras = value), changed()), scene.playback.cameras.length > 0, "cameras"),
-      ...(scene.playback.cameras.length ? [make("p", { class: "hint" }, `Labels reach ${Math.floor(Math.max(...reachOf(scene.grid)))} m from the robot; what is farther stays as it was photographed.`)] : []),
+      ...(scene.playback.cameras.length ? [make("p", { class: "hint" }, `Labels are drawn up to ${Math.floor(Math.max(...reachOf(scene.grid)))} m from the robot; beyond, the image is unchanged.`)] : []),
       ...notes.map((note) => make("p", { class: "hint" }, note)),
       ...(hasValues ? [] : [make("p", { class: "hint" }, "Labelled by an earlier release without terrain values: process the sequence again for D² and slope.")]),
       ...(isImported(scene) ? [make("p", { class: "hint" }, "Imported labels have no features: D², confidence, slope and roughness are not available.")] : [])),

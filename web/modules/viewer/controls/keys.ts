@@ -8,7 +8,7 @@ import { make } from "./elements.js";
 const KEYS: [string[], string][] = [
   [["Space"], "play, pause"],
   [[",", "."], "previous, next frame"],
-  [["<", ">"], "ten frames back, on"],
+  [["<", ">"], "ten frames back, forward"],
   [["Home", "End"], "first, last frame"],
   [["←", "→", "↑", "↓"], "turn"],
   [["W", "A", "S", "D"], "move"],

@@ -65,15 +65,15 @@ class Reader {
   private at = 4;
   constructor(private readonly content: Uint8Array, magic: string) {
     const found = String.fromCharCode(...content.subarray(0, 4));
-    if (found !== magic) throw new FormatError(`The data begins with “${found}”, not with “${magic}”.`);
+    if (found !== magic) throw new FormatError(`The data starts with “${found}”, not with “${magic}”.`);
   }
   count(): number {
     const [value = 0] = new Uint32Array(this.take(4));
-    if (value > MOST) throw new FormatError(`The data says that it holds ${value} things; ${MOST} are the most.`);
+    if (value > MOST) throw new FormatError(`The header declares ${value} items; at most ${MOST} are allowed.`);
     return value;
   }
   take(bytes: number): ArrayBuffer {
-    if (this.at + bytes > this.content.length) throw new FormatError("The data ends before what its head says.");
+    if (this.at + bytes > this.content.length) throw new FormatError("The data is shorter than its header declares.");
     const part = this.content.slice(this.at, this.at + bytes).buffer;
     this.at += bytes;
     return part;
@@ -83,7 +83,7 @@ class Reader {
     return this.at === this.content.length ? new Uint8Array(bytes) : new Uint8Array(this.take(bytes));
   }
   end(): void {
-    if (this.at !== this.content.length) throw new FormatError("The data goes on after what its head says.");
+    if (this.at !== this.content.length) throw new FormatError("The data is longer than its header declares.");
   }
 }
 
@@ -124,7 +124,7 @@ export function surfaceOf(content: Uint8Array): Surface {
     triangles: new Uint32Array(reader.take(12 * triangles)),
   };
   reader.end();
-  if (surface.triangles.some((vertex) => vertex >= vertices)) throw new FormatError("A triangle names no vertex.");
+  if (surface.triangles.some((vertex) => vertex >= vertices)) throw new FormatError("A triangle refers to a missing vertex.");
   return surface;
 }
 

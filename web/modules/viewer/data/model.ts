@@ -94,7 +94,7 @@ export class Model {
   /** A tile with voxels of 2^level lattice steps, each of the class that most of its own have. */
   drawTile(name: string, look: Look, level: number): Drawn {
     const tile = this.tiles.of(name);
-    if (!tile?.i.length) throw new Error(`The tile ${name} holds nothing.`);
+    if (!tile?.i.length) throw new Error(`The tile ${name} is empty.`);
     const voxel = 2 ** level;
     const { low, size } = extent(tile, voxel);
     const solid = new Solid(size);
@@ -124,7 +124,7 @@ export class Model {
   /** What each camera sees of the frame: every labelled voxel hides what is behind it, also one that is not shown. */
   cameraViews(token: string, look: Look, sizes: readonly ViewSize[]): CameraView[] {
     const { cameras } = this;
-    if (!cameras) throw new Error("There are no cameras here.");
+    if (!cameras) throw new Error("The scene has no cameras.");
     const planes = this.planes(token, look.mode);
     const columns = columnsOf(planes, look.mode === "difference");
     const frame = this.scene.frames.tokens.indexOf(token);
@@ -233,7 +233,7 @@ export class Model {
 
   private planes(token: string, mode: Mode): Planes {
     const planes = this.frames.get(keyOf(token, mode));
-    if (!planes) throw new Error(`The frame ${token} is not here.`);
+    if (!planes) throw new Error(`The frame ${token} is not loaded.`);
     this.keepFrame(token, mode, planes); // used last, forgotten last
     return planes;
   }
