@@ -32,9 +32,9 @@ LIBRARIES = {
     "tus-js-client": "tus-js-client/dist/tus.min.js",
     "hash-wasm/sha256": "hash-wasm/dist/sha256.umd.min.js",
 }
-"""What a module imports by this name, and the file of a package it is."""
+"""Files of packages by the names that modules import them with."""
 BUNDLED = ("three",)
-"""Libraries of which `libraries/<name>.js` names what is used: 134 kB of three.js on the wire instead of 419."""
+"""Libraries bundled from `libraries/<name>.js`, which exports the used parts: 134 kB of three.js instead of 419 kB."""
 MEDIA_TYPES = {
     ".css": "text/css; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
@@ -70,7 +70,7 @@ class Assets:
         return hashed.hexdigest()[:16]
 
     def url(self, path: str) -> str:
-        """The URL of the file. Raises KeyError for one that is not there: a fault of ours."""
+        """Return the URL of the file. Raises KeyError if it is missing, which is a fault of the platform."""
         if path not in self.files:
             raise KeyError(path)
         return f"/assets/{self.digest}/{path}"
@@ -90,7 +90,7 @@ class Assets:
 
 @router.get("/assets/{digest}/{path:path}")
 def send(digest: str, path: str, request: Request) -> Response:
-    """A file, compressed where the browser takes that. Raises `NotFoundError`."""
+    """Return a file, compressed if the browser accepts that. Raises `NotFoundError`."""
     assets: Assets = request.app.state.pages.assets
     asset = assets.files.get(path) if digest == assets.digest else None
     if asset is None:
@@ -102,7 +102,7 @@ def send(digest: str, path: str, request: Request) -> Response:
 
 
 def built_assets() -> Assets:
-    """The files of this checkout. Raises `pages_not_built`."""
+    """Return the files of this checkout. Raises `pages_not_built`."""
     return Assets(dict(_files()))
 
 

@@ -1,7 +1,7 @@
-"""Entries of the audit log as sentences: who did what to which thing, with the thing's name and page.
+"""Entries of the audit log as sentences: actor, act and object, with the object's name and page.
 
-**Conventions.** An act is `noun.verb`. A thing that was deleted has its name from the entry's facts, if they hold
-one, else the end of its id. What the table of verbs lacks is written as it stands in the log.
+**Conventions.** An act is `noun.verb`. The name of a deleted object comes from the entry's facts, else it is the end of
+its id. An act missing in the table of verbs is shown as its code.
 """
 
 from collections import defaultdict
@@ -146,7 +146,7 @@ THINGS: Mapping[str, tuple[Any, Found]] = {
 
 
 def told(session: Session, lines: Iterable[AuditLine]) -> list[Told]:
-    """The entries as sentences; one statement a kind of thing."""
+    """Return the entries as sentences, with one statement per kind of object."""
     kept = list(lines)
     wanted = defaultdict[str, set[str]](set)
     for line in kept:

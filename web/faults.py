@@ -1,8 +1,8 @@
-"""Error pages: refusals of the API in words, with what to do next.
+"""Error pages: refusals of the API in words, with the next step.
 
-**Conventions.** The same table decides (`api/problems.py`): status, code and sentence are the problem's own. Somebody
-who is not signed in and is not shown a thing is asked to sign in, and comes back to it. Below `/api/` nothing changes,
-but where a browser itself goes to sign in with a provider; nor does it for whoever asks for JSON.
+**Conventions.** Status, code and sentence come from the problem (`api/problems.py`). A visitor without access is sent
+to the sign-in page and back. Below `/api/` the response stays JSON, except for the provider's sign-in, which a browser
+opens itself; so does any request that accepts JSON only.
 """
 
 import json
@@ -30,7 +30,7 @@ NEXT = {
 
 
 def shown(request: Request, answer: Response) -> Response:
-    """The answer to a refusal or fault, as a page for whoever reads pages."""
+    """Return the response to a refusal or fault, as a page for browsers."""
     if not _is_page(request.url.path) or not _reads_pages(request):
         return answer
     problem = json.loads(bytes(answer.body))

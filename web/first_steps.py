@@ -1,7 +1,7 @@
-"""The first steps of each role, on the home page and in Help: what to do first on a new platform, and what is done.
+"""The first steps of each role, on the home page and in Help, and which of them are done.
 
-**Conventions.** A step is done when its result exists, whoever looks; nothing is stored about the list itself. Its
-path answers its role. Each question is one row at most.
+**Conventions.** A step is done when its result exists, for any viewer; the list itself is not stored. Its role can open
+its path. Each check reads one row at most.
 """
 
 from collections.abc import Iterator
@@ -33,7 +33,7 @@ from services.runtime.orm import (
 
 @dataclass(frozen=True)
 class FirstStep:
-    """A step: where it is done, and what it is in a sentence."""
+    """A step: its page, and its sentence."""
 
     title: str
     path: str
@@ -42,7 +42,7 @@ class FirstStep:
 
 
 def steps_for(session: Session, caller: Caller) -> tuple[FirstStep, ...]:
-    """The steps of the caller's role, in their order; none for visitors."""
+    """Return the steps of the caller's role, in order; none for visitors."""
     of_roles = {"participant": _participant, "curator": _curator, "administrator": _administrator}
     return tuple(of_roles[caller.role](session, caller)) if caller.role in of_roles else ()
 
@@ -96,10 +96,10 @@ def _is_any(session: Session, found: Select[str] | Select[SequenceRow] | Select[
     return session.execute(found.limit(1)).first() is not None
 
 
-# Where the first administrator's password is, for whoever signs in on the machine that serves the platform.
+# The place of the first administrator's password, for users who sign in on the platform's own machine.
 #
-# **Conventions.** Only the path is told, never the password: a page is read by every process and tunnel of the
-# machine, the file by its owner only.
+# **Conventions.** Only the path is shown, never the password: all processes and tunnels of the machine can read a page,
+# but only its owner can read the file.
 
 
 LOCAL_NAME = "localhost"
@@ -114,7 +114,7 @@ class FirstPassword:
 
 
 def first_password_of(request: Request) -> FirstPassword | None:
-    """None unless the file exists and the platform, the address asked for and the reader are all on loopback."""
+    """Return the place; None unless the file exists and platform, address and reader are all on loopback."""
     settings = platform_of(request).settings
     file = first_password_file(settings)
     reader = request.client.host if request.client else ""

@@ -1,8 +1,8 @@
 """The site: the API, and pages for people on top of it.
 
-**Conventions.** The API works without the pages; a page changes nothing but through the API's own routes, so that there
-is one way to do a thing, one check of who may, and one line in the audit log. What pages show comes from the functions
-that the API's routes answer with. Pages live at the root, the API under `/api/v1`, what browsers load under `/assets`.
+**Conventions.** The API works without the pages. Pages change data only through the API's own routes, so that each
+action has one implementation, one access check and one audit line. Pages read data through the functions of the API's
+routes. Pages live at the root, the API under `/api/v1`, static files under `/assets`.
 """
 
 from fastapi import APIRouter, FastAPI
@@ -80,7 +80,7 @@ ROUTERS: tuple[APIRouter, ...] = (
 
 
 def make_site(platform: Platform) -> FastAPI:
-    """The API of this platform with its pages. Raises `pages_not_built`."""
+    """Return the API of this platform with its pages. Raises `pages_not_built`."""
     site = make_api(platform, faults.shown)
     site.state.pages = PageTemplates(assets.built_assets())
     for router in ROUTERS:
@@ -89,6 +89,8 @@ def make_site(platform: Platform) -> FastAPI:
 
 
 def from_environment() -> FastAPI:
-    """The site of this process: `uvicorn --factory web.main:from_environment`; `--http`: see `middleware/heads.py`."""
+    """Return the site of this process: `uvicorn --factory web.main:from_environment`; `--http`: see
+    `middleware/heads.py`.
+    """
     speak_json()
     return configure_process(make_site(open_platform(Settings())))

@@ -15,7 +15,7 @@ from markupsafe import Markup
 
 
 def _formula(_: RendererHTML, tokens: Sequence[Token], place: int, *__: Any) -> str:
-    """A block that is wider than the page scrolls by keyboard too."""
+    """Return a formula as a focusable block, so that a wide block can be scrolled by keyboard."""
     return f'<pre tabindex="0" role="region" aria-label="Formula">{escapeHtml(tokens[place].content)}</pre>\n'
 
 
@@ -25,7 +25,7 @@ _MARKDOWN.add_render_rule("fence", _formula)
 
 
 def html_of(text: str) -> Markup:
-    """The HTML below the title."""
+    """Return the HTML below the title."""
     tokens = _MARKDOWN.parse(text)
     has_title = bool(tokens) and tokens[0].tag == "h1"
     said: str = _MARKDOWN.renderer.render(tokens[3:] if has_title else tokens, _MARKDOWN.options, {})

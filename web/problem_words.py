@@ -1,7 +1,7 @@
 """Problems of a submission's files, grouped and explained for participants.
 
-**Conventions.** Words are by code, for every code that reading a submission refuses with (a test holds the two
-together); one that is not known is said as it is.
+**Conventions.** Every code of a refused submission has a text (a test compares both lists); an unknown code is shown
+unchanged.
 """
 
 from collections.abc import Iterable, Sequence
@@ -43,7 +43,7 @@ class ProblemGroup:
 
 
 def grouped(problems: Iterable[FileProblem]) -> list[ProblemGroup]:
-    """The most frequent code first; equally frequent ones as they were found."""
+    """Group problems by code, the most frequent first, and equally frequent ones in the order of occurrence."""
     by_code: dict[str, list[FileProblem]] = {}
     for problem in problems:
         by_code.setdefault(problem.code, []).append(problem)

@@ -1,9 +1,8 @@
 """Renders a page from a template, with its caller, its content and its content security policy.
 
-**Conventions.** Templates escape everything; of all strings only the import map, which is ours, is marked safe. A page
-says nothing in `style` attributes (the policy forbids them): lengths that come from data are attributes of SVG. Times
-are written in the reader's zone, which `modules/times.ts` tells by the cookie of `web/zones.py`; without it in UTC,
-and the module rewrites them.
+**Conventions.** Templates escape all strings except our own import map. Pages contain no `style` attributes, which the
+policy forbids: lengths from data are SVG attributes. Times are written in the reader's zone from the cookie of
+`web/zones.py`, which `modules/times.ts` sets; without it in UTC, and the module rewrites them.
 """
 
 from dataclasses import dataclass
@@ -92,7 +91,7 @@ class PageTemplates:
 def page(
     request: Request, caller: Caller, template: str, *, status: int = 200, needs_wasm: bool = False, **values: Any
 ) -> HTMLResponse:
-    """The template as an answer; besides `values`: `me`, `path`, `query`, `zone`, `colours`, `ways`, `navigation`."""
+    """Return the rendered template, with `values` and `me`, `path`, `query`, `zone`, `colours`, `ways`, `navigation`."""
     pages: PageTemplates = request.app.state.pages
     known = {
         "me": caller,
@@ -110,6 +109,6 @@ def page(
 
 
 def caller_of(request: Request) -> Caller:
-    """The caller of a page that anybody may see, as far as it was found out."""
+    """Return the caller of a public page, if already identified."""
     caller: Caller | None = getattr(request.state, "caller", None)
     return caller or VISITOR

@@ -22,21 +22,22 @@ HELD = 64
 MARGIN_CM = (62.0, 20.0)
 """Room beside and above what is drawn, for names."""
 LETTER_CM, LINE_CM = 6.0, 11.0
-"""How much of the drawing a letter and a line of a name take."""
+"""Size of a letter and of a line of a name in the drawing."""
 IN_PLANE = 0.6
-"""What looks less than this along a view is drawn without a wedge there."""
+"""A direction with a smaller component in the plane of a view is drawn without a wedge."""
 REACH_CM = 55.0
-"""How far a field of view is drawn."""
+"""Drawn length of a field of view."""
 OTHER_FOV_RAD = math.radians(110.0)
 FARTHEST_M = 30.0
-"""A sensor that is said to be farther away is left out of the drawing, not of the table."""
+"""Sensors farther away are left out of the drawing, not of the table."""
 
 
 @dataclass(frozen=True)
 class Mark:
-    """A sensor in a view: where it is, the wedge of what it sees (an SVG path, empty if all around), and its label.
+    """A sensor in a view: its position, the wedge of its field of view (an SVG path, empty if all around), and its
+    label.
 
-    The label is empty where it would stand upon another.
+    The label is empty if it would overlap another.
     """
 
     name: str
@@ -80,7 +81,7 @@ class _PlacedMount:
 
 
 def rig_of(calibration: Calibration) -> RigDrawing:
-    """The drawing. The LiDAR is the sensor that all the others are placed by."""
+    """Return the drawing. The LiDAR is the sensor that all the others are placed by."""
     sensors = placed_sensors(calibration)
     placed = [_placed(sensor) for sensor in sensors]
     near = [one for one in placed if max(map(abs, one.at_m)) <= FARTHEST_M]
@@ -93,7 +94,7 @@ def rig_of(calibration: Calibration) -> RigDrawing:
 
 @lru_cache(HELD)
 def stored_rig(store: Store, object_key: str, filename: str) -> tuple[RigDrawing | None, str]:
-    """The drawing of a kept file, which never changes, or why this version of the platform reads it no longer."""
+    """Return the drawing of a stored file, or the reason why this release cannot read it."""
     try:
         return rig_of(calibration_reading.read_stored(store, object_key, filename)), ""
     except CalibrationRefusedError as refused:
@@ -107,7 +108,7 @@ def _placed(sensor: PlacedSensor) -> _PlacedMount:
 
 
 def _view(title: str, placed: list[_PlacedMount], flat: Flat, half_m: tuple[float, float]) -> RigView:
-    """The drawing's lengths follow from what is to be drawn."""
+    """Return a view sized to fit its marks."""
     marks = _uncluttered([_mark(one, flat(one.at_m), flat(one.looks)) for one in placed])
     body_height = 2 * half_m[1] * CM
     body = (-half_m[0] * CM, -half_m[1] * CM if body_height else -35.0, 2 * half_m[0] * CM, body_height or 35.0)
@@ -138,7 +139,7 @@ def _mark(one: _PlacedMount, at: tuple[float, float], looks: tuple[float, float]
 
 
 def _uncluttered(marks: list[Mark]) -> tuple[Mark, ...]:
-    """The labels without those that would overlap an earlier one."""
+    """Return the marks without labels that would overlap an earlier one."""
     taken: list[tuple[float, float, float]] = []
     shown: list[Mark] = []
     for mark in marks:
@@ -155,7 +156,7 @@ def _uncluttered(marks: list[Mark]) -> tuple[Mark, ...]:
 
 
 def _fov_rad(mount: Mount) -> float:
-    """The horizontal field of view of a camera; of a radar what most of them have."""
+    """Return the horizontal field of view of a camera; for a radar a typical one."""
     lens = mount.intrinsics
     return OTHER_FOV_RAD if lens is None else math.radians(fields_of_view_deg(lens)[0])
 

@@ -1,8 +1,8 @@
 """Gantt chart of a run: one row per stage, one bar per job.
 
-**Conventions.** Rows stand in the order in which their stages began, those that have not begun last. Lengths are units
-of an SVG of `WIDTH`; time runs from the run's making to its end, or to now. What never started has no bar. A row has at
-most `MOST_LANES` lanes; more at once share the last one.
+**Conventions.** Rows are in the order of their stages' starts, unstarted stages last. Lengths are units of an SVG of
+`WIDTH`; time runs from the run's creation to its end, or to now. An unstarted job has no bar. A row has at most
+`MOST_LANES` lanes; additional jobs share the last one.
 """
 
 from collections.abc import Sequence
@@ -57,7 +57,7 @@ class StagePicture:
 
 
 def stage_picture(spans: Sequence[JobSpan], at_ns: int) -> StagePicture | None:
-    """The picture of these jobs; None where there are none."""
+    """Return the picture of these jobs, or None without jobs."""
     if not spans:
         return None
     begin_ns = min(span.created_ns for span in spans)
@@ -75,7 +75,7 @@ def stage_picture(spans: Sequence[JobSpan], at_ns: int) -> StagePicture | None:
 
 
 def _kinds_in_order(spans: Sequence[JobSpan]) -> list[str]:
-    """The kinds by the beginning of their first job; those of which none has begun as they were made."""
+    """Return the kinds by the start of their first job; unstarted kinds by creation."""
     began_ns = dict[str, float]()
     for span in spans:
         at_ns = float("inf") if span.started_ns is None else span.started_ns
@@ -119,7 +119,7 @@ def _row(kind: str, spans: Sequence[JobSpan], axis: _Axis, y: float) -> StageRow
 
 
 def _lane(free_from: list[float], begin: float, end: float) -> int:
-    """The first lane that is free; a new one while there may be more, else the last."""
+    """Return the first free lane; a new one while there may be more, else the last."""
     for lane, free in enumerate(free_from):
         if free <= begin:
             free_from[lane] = end

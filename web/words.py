@@ -1,7 +1,7 @@
 """Template filters and tests: values formatted for people.
 
-**Conventions.** Nothing is null to a reader: what is not known is a dash. Ratios are written in percent, bytes in
-powers of 1000 as disks are sold, durations in the two largest units.
+**Conventions.** Unknown values are shown as a dash. Ratios are written in per cent, bytes in powers of 1000 as disks
+are sold, durations in the two largest units.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -88,7 +88,7 @@ STATE_WORDS: Mapping[str, str] = {
 
 
 def state_word(state: str) -> str:
-    """The word of the state."""
+    """Return the word of the state."""
     return STATE_WORDS.get(state, state.replace("_", " "))
 
 
@@ -102,13 +102,13 @@ COOKIE = "stone_colours"
 
 
 def colours_of(request: Request) -> ColourName:
-    """The palette that class colours are shown in."""
+    """Return the palette of class colours."""
     asked = request.cookies.get(COOKIE, "")
     return next((name for name in PALETTES if name == asked), "default")
 
 
 def coloured(url: str, colours: ColourName) -> str:
-    """The address of a picture of labels in this palette."""
+    """Return the URL of a picture of labels in this palette."""
     if colours == "default":
         return url
     return f"{url}{'&' if '?' in url else '?'}colours={colours}"
@@ -147,7 +147,7 @@ def span(seconds: float | None) -> str:
 
 
 def about(seconds: float | None) -> str:
-    """An estimate that was rounded where it was made: `about 40 s`, `about 2 min`."""
+    """Return a rounded estimate as `about 40 s`, `about 2 min`."""
     return "not known yet" if seconds is None else f"about {span(seconds).replace('.0 s', ' s')}"
 
 
@@ -171,22 +171,22 @@ def number(value: float | None) -> str:
 
 
 def moment(value: datetime | None, zone: tzinfo, is_exact: bool = False) -> str:
-    """The time in the reader's zone."""
+    """Return the time in the reader's zone."""
     return DASH if value is None else written(value, zone, is_exact=is_exact)
 
 
 def iso(value: datetime) -> str:
-    """The time as `datetime` of a `<time>`."""
+    """Return the time as `datetime` of a `<time>`."""
     return value.isoformat().replace("+00:00", "Z")
 
 
 def spoken(code: str) -> str:
-    """A code as words: `worker_lost` → `worker lost`."""
+    """Return a code as words: `worker_lost` → `worker lost`."""
     return code.replace("_", " ")
 
 
 def short(identity: str | None) -> str:
-    """The end of an id, which differs between things made one after the other."""
+    """Return the end of an id, which differs between objects created in sequence."""
     return DASH if not identity else identity[-8:]
 
 
@@ -201,7 +201,7 @@ def by_harm(findings: Iterable[Any]) -> list[Any]:
 
 
 def said_of(finding: Any) -> str:
-    """The sentence of a finding, a mapping or a value, with its topic before it unless the sentence names that."""
+    """Return the sentence of a finding, a mapping or a value, after its topic unless the sentence contains it."""
     named = finding if isinstance(finding, Mapping) else {"topic": finding.topic, "message": finding.message}
     topic, message = str(named.get("topic") or ""), str(named["message"])
     return f"{topic}: {message}" if topic and topic not in message else message

@@ -18,12 +18,12 @@ def _names() -> frozenset[str]:
 
 
 def zone_of(request: Request) -> tzinfo:
-    """The zone that times are written in; UTC where none was told."""
+    """Return the reader's time zone, or UTC if unknown."""
     name = request.cookies.get(COOKIE, "")
     return ZoneInfo(name) if name in _names() else UTC
 
 
 def written(moment: datetime, zone: tzinfo, *, is_exact: bool = False) -> str:
-    """`2026-11-21 20:10` in this zone; in UTC with its name, since the reader did not tell theirs."""
+    """Return `2026-11-21 20:10` in this zone; in UTC with its name, because the reader's zone is unknown."""
     said = moment.astimezone(zone).strftime("%Y-%m-%d %H:%M:%S" if is_exact else "%Y-%m-%d %H:%M")
     return f"{said} UTC" if zone is UTC else said

@@ -1,8 +1,8 @@
 """Comparison of two leaderboard entries, as figures and in words.
 
-**Conventions.** Differences are points of per cent, a − b; words always speak of the better one. "Surely" means that
-the two-sided p, about these places, is at most 1 − the level of the intervals. Whole sequences answer another question,
-whether it would hold in a new place, and are told apart from it. Where nothing can be said, the reason is.
+**Conventions.** Differences are percentage points, a − b; the words describe the better entry. A difference is
+significant if the two-sided p for these sequences is at most 1 − the level of the intervals. The test over whole
+sequences, which covers unseen places, is shown separately. If a test is impossible, the page shows the reason.
 """
 
 from collections.abc import Iterable
@@ -42,7 +42,7 @@ class Axis:
     step: float
 
     def place(self, value: float) -> float:
-        """The position of the value, in per cent of the width; what is outside lies at the end."""
+        """Return the position of the value, in per cent of the width; values outside are placed at the end."""
         inside = min(max(value, self.low), self.high)
         return MARGIN + (100 - 2 * MARGIN) * (inside - self.low) / (self.high - self.low)
 
@@ -50,7 +50,7 @@ class Axis:
         return f"{self.place(value):.2f}%"
 
     def width(self, value: float, base: float | None = None) -> str:
-        """The length of the bar from `base` (the lower end where none is given) to the value."""
+        """Return the length of the bar from `base` (default: the lower end) to the value."""
         return f"{abs(self.place(value) - self.place(self.low if base is None else base)):.2f}%"
 
     @property
@@ -61,7 +61,7 @@ class Axis:
 
 
 def axis_over(values: Iterable[float | None]) -> Axis:
-    """An axis of ratios in [0, 1] that shows all of these closely; from 0 to 1 where there is none."""
+    """Return an axis that shows these ratios in [0, 1] closely; from 0 to 1 without values."""
     known = [value for value in values if value is not None]
     if not known:
         return Axis(0.0, 1.0, 0.2)
@@ -71,12 +71,12 @@ def axis_over(values: Iterable[float | None]) -> Axis:
 
 
 def axis_from_zero(values: Iterable[float | None]) -> Axis:
-    """An axis of ratios from 0 to a round value that none of these passes, for bars."""
+    """Return an axis of ratios from 0 to a round value above all of them, for bars."""
     return axis_over([0.0, *values])
 
 
 def axis_around_zero(values: Iterable[float | None]) -> Axis:
-    """An axis as far to the left of 0 as to the right, for differences."""
+    """Return an axis symmetric around 0, for differences."""
     furthest = max((abs(value) for value in values if value is not None), default=0.0)
     step = _round_step(max(furthest, LEAST_REACH), 2)
     reach = step * ceil(max(furthest, step) / step - 1e-9)
@@ -89,7 +89,7 @@ def _rounded(low: float, high: float) -> Axis:
 
 
 def _round_step(span: float, steps: int) -> float:
-    """The least round number of which `steps` reach over the span."""
+    """Return the smallest round step that covers the span in at most `steps` steps."""
     rough = span / steps
     power = 10.0 ** floor(log10(rough))
     return float(next(factor * power for factor in ROUND if factor * power >= rough * (1 - 1e-9)))
@@ -158,7 +158,7 @@ def compared(answer: ComparisonAnswer, names: Names) -> ComparisonFigures:
 
 
 def verdict(answer: ComparisonAnswer, names: Names) -> ComparisonVerdict:
-    """The verdict in words: the better in mIoU, by how much, how surely."""
+    """Return the verdict in words: the better entry by mIoU, the margin, and its significance."""
     found = answer.ratios["miou"]
     if found.difference is None:
         return ComparisonVerdict(
@@ -193,7 +193,7 @@ def _uncertain(answer: ComparisonAnswer, found: RatioDifferenceItem) -> str:
 
 
 def _here(answer: ComparisonAnswer, difference: float, told: DifferenceItem) -> str:
-    """The interval of the better one's margin."""
+    """Return the interval of the better entry's margin."""
     low, high = told.interval if difference >= 0 else (-told.interval[1], -told.interval[0])
     level = round(100 * answer.interval_level)
     return f"On these sequences the margin is {signed(low)} to {signed(high)} ({level} % interval, {_p(told.p)})."

@@ -1,7 +1,7 @@
-"""Frames of an open phase on pages: an example of labels, and the frame of a method that is looked at.
+"""Frames of an open phase on pages: an example of labels, and a frame of a method.
 
-**Conventions.** Which frames may be shown is decided by `services/domain/benchmarks/phases/open_frames.py`, as the
-routes of the pictures do; where there is none, a page has no picture.
+**Conventions.** `services/domain/benchmarks/phases/open_frames.py` decides which frames may be shown, as for the
+pictures' routes. Without such a frame, a page has no picture.
 """
 
 from dataclasses import dataclass
@@ -25,9 +25,10 @@ class ChosenFrame:
 
 
 def chosen_frame(platform: Platform, found: OpenTruth | None, token: str | None = None) -> ChosenFrame | None:
-    """The frame of this token, else the one in the middle; None where no frame may be shown.
+    """Return the frame of this token, else the one in the middle; None if no frame may be shown.
 
-    Reads the store, so not within a transaction. The neighbours are as far as some `STOPS` of them span all frames.
+    Reads the store, so it must not run within a transaction. The neighbours are chosen so that `STOPS` of them span all
+    frames.
     """
     shown = open_frames(platform.store, found).sequences if found else {}
     if not shown:

@@ -1,7 +1,7 @@
-"""What can be downloaded for a phase: inputs, the parts of its dataset version, baselines.
+"""The downloads of a phase: inputs, the parts of its dataset version, baselines.
 
-**Conventions.** Of a hidden part it holds names, conditions and numbers of frames, which everybody may know, and
-nothing that was learnt from labels. Whether somebody may fetch the bytes is decided by the routes.
+**Conventions.** For a hidden part they contain names, conditions and numbers of frames, which are public, and nothing
+derived from labels. The routes decide who may download the bytes.
 """
 
 from collections.abc import Sequence
@@ -95,7 +95,7 @@ def _input(member: DatasetMember, made: PhaseInput | DatasetInput | None, at: st
 
 
 def _baselines(session: Session, phase: Phase) -> tuple[BaselineZip, ...]:
-    """Of a phase that hides its ground truth none is given out."""
+    """Return the baselines; none for a phase with hidden ground truth."""
     if secrecy_of(phase, now_ns()) != "open":
         return ()
     kept = select(SubmissionRow, Blob).join(Blob, Blob.sha256 == SubmissionRow.blob_sha256)

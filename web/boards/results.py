@@ -25,8 +25,9 @@ STRONG = 0.55
 
 @dataclass(frozen=True)
 class TotalBar:
-    """A total from zero; `low` and `length` are of its interval, `silence` says why it has none, `within` is
-    of the ratio within occupied truth."""
+    """A total from zero; `low` and `length` belong to its interval, `silence` is the reason if it has none, `within` is
+    the ratio within occupied truth.
+    """
 
     name: str
     title: str
@@ -103,7 +104,7 @@ def totals(answer: ResultsAnswer) -> Totals:
 
 
 def breakdowns(answers: Iterable[BreakdownAnswer]) -> tuple[Breakdown, ...]:
-    """One figure each of those that have more than one part, all on the same axis."""
+    """Return one figure for each breakdown with more than one part, all on the same axis."""
     told = sorted((one for one in answers if len(one.parts) > 1), key=lambda one: list(BY_TITLES).index(one.by))
     axis = axis_over(getattr(part.ratios, name) for answer in told for part in answer.parts for name in DOTS)
     return tuple(
@@ -113,7 +114,7 @@ def breakdowns(answers: Iterable[BreakdownAnswer]) -> tuple[Breakdown, ...]:
 
 
 def matrix(confusion: Sequence[Sequence[int]] | None) -> tuple[MatrixCell, ...]:
-    """The sixteen fields; none where the confusion is not shown."""
+    """Return the sixteen cells; none if the confusion is not shown."""
     return tuple(
         MatrixCell(row, column, voxels, voxels / sum(counts) if sum(counts) else None)
         for row, counts in enumerate(confusion or ())

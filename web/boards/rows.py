@@ -45,9 +45,10 @@ class BoardWhisker:
 
 @dataclass(frozen=True)
 class ShownRow:
-    """`tied` is how many rows the bracket that begins here spans, 0 where it began above; `best` names the columns.
+    """A row of the board with its figures.
 
-    `note_number` is that of its note among those of the group, from 1; 0 where it has none.
+    `tied` is the number of rows that a bracket starting here spans, 0 within a bracket; `best` names columns.
+    `note_number` is the number of its note in the group, counted from 1; 0 without a note.
     """
 
     row: BoardRow
@@ -105,12 +106,12 @@ class ShownBoard:
         return {name: value for name, value in said.items() if value != usual[name]} | when
 
     def link(self, **changed: str | None) -> str:
-        """The page of this board with these changes of its query; None leaves one out."""
+        """Return the URL of this board with these changes of its query; None removes a parameter."""
         query = {name: value for name, value in (self.asked | changed).items() if value is not None}
         return f"{self.path}?{urlencode(query)}" if query else self.path
 
     def file(self, form: str) -> str:
-        """The API's URL of this board in this form."""
+        """Return the API's URL of this board in this form."""
         at = f"/api/v1/benchmarks/{self.answer.benchmark}/phases/{self.answer.phase}/leaderboard"
         query = {name: value for name, value in self.asked.items() if name != "sort"} | {"format": form}
         return f"{at}?{urlencode(query)}"
@@ -128,12 +129,12 @@ class _BoardScale:
 def shown_board(
     platform: Platform, phase_id: str, viewer: Viewer, query: BoardQuery | None = None, sort: Sort = "rank"
 ) -> ShownBoard:
-    """The board of a phase as the viewer may see it. Raises `store_unavailable`."""
+    """Return the board of a phase as the viewer may see it. Raises `store_unavailable`."""
     return board_with_figures(board_answer(board(platform, phase_id, query or BoardQuery(), viewer), viewer), sort)
 
 
 def board_with_figures(answer: LeaderboardAnswer, sort: Sort = "rank") -> ShownBoard:
-    """The board with its figures; rows are in the order that is asked for, within their standing."""
+    """Return the board with its figures; rows are in the requested order within their standing."""
     scale = _BoardScale(
         axis_over(value for row in answer.rows for value in (row.ratios.miou, *(_interval(row) or ()))),
         _bests([row for row in answer.rows if row.standing == "ranked"]),
@@ -144,7 +145,7 @@ def board_with_figures(answer: LeaderboardAnswer, sort: Sort = "rank") -> ShownB
 
 
 def shortened(whole: ShownBoard, most: int = FEW) -> ShownBoard:
-    """The best `most` ranked rows with their axis, beside them the best ceiling, baseline and reported row."""
+    """Return the best `most` ranked rows with their axis, and the best ceiling, baseline and reported row."""
     shown: dict[EntryStatus, int] = {"ceiling": 1, "ranked": most, "baseline": 1, "reported": 1}
     rows: list[BoardRow] = []
     for row in (one.row for group in whole.groups for one in group.rows):
@@ -159,7 +160,7 @@ def _ranked(rows: Iterable[BoardRow]) -> int:
 
 
 def _by_group(rows: Iterable[BoardRow]) -> list[tuple[EntryStatus, list[BoardRow]]]:
-    """The rows by standing; baselines stand among the ranked entries, if there are any."""
+    """Group the rows by standing; baselines are placed among the ranked entries, if there are any."""
     found: dict[EntryStatus, list[BoardRow]] = {standing: [] for standing in TITLES}
     for row in rows:
         found[row.standing].append(row)
@@ -169,7 +170,7 @@ def _by_group(rows: Iterable[BoardRow]) -> list[tuple[EntryStatus, list[BoardRow
 
 
 def _with_baselines(ranked: list[BoardRow], baselines: Iterable[BoardRow]) -> list[BoardRow]:
-    """Each baseline below the entries that score more, without a rank; below a tie group if it scores within it."""
+    """Insert each baseline below the entries that score more, without a rank, and never within a tie group."""
     placed = list(ranked)
     for row in baselines:
         score = row.ratios.miou if row.ratios.miou is not None else -1.0

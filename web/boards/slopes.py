@@ -46,7 +46,7 @@ class SlopePicture:
 
 
 def slope_picture(rows: Sequence[MovedItem]) -> SlopePicture | None:
-    """The figure of these rows; None where nothing is ranked."""
+    """Return the figure of these rows, or None if no row is ranked."""
     old = _column([(row.old_rank, row) for row in rows if row.old_rank is not None])
     new = _column([(row.new_rank, row) for row in rows if row.new_rank is not None])
     if not old and not new:
@@ -90,7 +90,7 @@ class SparkBar:
 
 
 def bars(counts: Sequence[int], width: float, height: float, gap: float = 1.0) -> list[SparkBar]:
-    """A bar per count over `width` × `height`; the highest fills the height, none is a hair high."""
+    """Return a bar per count over `width` × `height`; the highest fills the height, a zero is minimally high."""
     most, step = max([1, *counts]), width / max(1, len(counts))
     heights = [max(1.0, height * count / most) for count in counts]
     return [

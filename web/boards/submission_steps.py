@@ -34,7 +34,7 @@ class StepsPlace:
 
 
 def predict_line(benchmark: str, phase: str) -> str:
-    """The line that runs the starter code on the manifest, both as they were downloaded."""
+    """Return the command that runs the starter code on the manifest, by their file names."""
     return join(("python", FILENAME, manifest_filename(benchmark, phase), ZIP))
 
 

@@ -1,4 +1,4 @@
-"""The audit log: who did what to what and why, and whether the log is whole."""
+"""The audit log: actors, acts, objects and reasons, and whether the log is intact."""
 
 from typing import Annotated
 

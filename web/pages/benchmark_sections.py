@@ -1,6 +1,6 @@
 """The pages of a phase beside its board: its data and its rules.
 
-**Conventions.** Whoever may look at the benchmark sees them; bytes are for whoever is signed in.
+**Conventions.** They are visible to all viewers of the benchmark; downloads require an account.
 """
 
 from typing import Annotated, Any
@@ -23,7 +23,7 @@ AtPhase = Annotated[PhasePath, Depends(PhasePath)]
 
 @router.get("/data")
 def show_data(request: Request, caller: Looker, platform: PlatformDep, at: AtPhase) -> HTMLResponse:
-    """What to download: manifest, inputs, labels to train on, starter code, baselines."""
+    """Show the downloads: manifest, inputs, training labels, starter code, baselines."""
     with platform.database.reading() as session:
         phase = at.find(session)
         known = _head(session, phase) | {"data": phase_downloads(session, phase)}
@@ -40,6 +40,6 @@ def show_rules(request: Request, caller: Looker, platform: PlatformDep, at: AtPh
 
 
 def _head(session: Session, phase: Phase) -> dict[str, Any]:
-    """What both pages begin with: the benchmark, its phases, and this one."""
+    """Return the common values of both pages: the benchmark, its phases, and this phase."""
     row = session.get_one(Benchmark, phase.benchmark_id)
     return {"benchmark": row, "phases": phases_of(session, row), "phase": phase_item(session, phase)}

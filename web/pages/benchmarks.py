@@ -31,12 +31,12 @@ from web.rendering import page
 router = APIRouter()
 AtPhase = Annotated[PhasePath, Depends(PhasePath)]
 FIRST = 3
-"""Leaders are shown of the first so many benchmarks of a list, each of which costs a board."""
+"""Number of benchmarks of a list that show leaders, because each requires its board."""
 
 
 @dataclass(frozen=True)
 class ShownPhase:
-    """A phase with the head of its board; `passed` is how much of its time is over, null where it has no two ends."""
+    """A phase with the head of its board; `passed` is the elapsed share of its time, None without both ends."""
 
     item: PhaseItem
     board: ShownBoard
@@ -97,7 +97,7 @@ def _phases(session: Session, row: Benchmark) -> list[PhaseItem]:
 
 
 def _leaders(platform: Platform, phases: Iterable[PhaseItem], viewer: Viewer) -> ShownBoard | None:
-    """The head of the board of the phase that runs, else of the first; None without a phase."""
+    """Return the head of the board of the running phase, else of the first; None without a phase."""
     found = sorted(phases, key=lambda one: one.standing != "open")
     return shortened(shown_board(platform, found[0].id, viewer), FIRST) if found else None
 

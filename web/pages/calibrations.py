@@ -1,7 +1,6 @@
-"""The pages of calibrations: the list with uploads, and one drawn, with its findings and what changed.
+"""The pages of calibrations: the list with uploads, and one drawn, with its findings and changes.
 
-**Conventions.** Calibrations are their owner's; an administrator sees everybody's. The drawing is of the file as it was
-kept, read again.
+**Conventions.** Users see their own calibrations, administrators all. The drawing is made from the stored file.
 """
 
 from typing import Annotated
@@ -32,7 +31,9 @@ Cursor = Annotated[str | None, Query(max_length=512)]
 def list_calibrations(
     request: Request, caller: Reader, platform: PlatformDep, name: NameQuery = None, cursor: Cursor = None
 ) -> HTMLResponse:
-    """The newest first, each with how many sequences pin it; those whose name contains `name`, where it is given."""
+    """List the calibrations, newest first, each with the number of sequences that use it; `name` filters by part of a
+    name.
+    """
     mine = theirs(select(CalibrationRow), caller, CalibrationRow.owner_id)
     narrowed = mine.where(CalibrationRow.name.icontains(name, autoescape=True)) if name else mine
     with platform.database.reading() as session:
@@ -49,7 +50,7 @@ def list_calibrations(
 def show_calibration(
     request: Request, calibration_id: IdPath, caller: Reader, platform: PlatformDep, against: AgainstQuery = None
 ) -> HTMLResponse:
-    """The robot from above and from the side, what was noticed, what changed from the version before or another."""
+    """Show the robot from above and the side, the findings, and the changes from the previous or another version."""
     with platform.database.reading() as session:
         row = calibration_of(session, caller, calibration_id)
         item = CalibrationItem.of(row)

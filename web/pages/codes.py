@@ -1,4 +1,4 @@
-"""Pages about codes: all of them, and for each what it means, whether it harms labels and what to do; for everybody."""
+"""Public pages of codes: the list, and for each code its meaning, its effect on labels and the remedy."""
 
 from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse
@@ -15,13 +15,13 @@ router = APIRouter(prefix="/codes")
 
 @router.get("")
 def list_codes(request: Request, caller: Looker) -> HTMLResponse:
-    """All codes, by family."""
+    """List all codes, by family."""
     return page(request, caller, "codes/list.html", families=by_family())
 
 
 @router.get("/{code}")
 def show_code(code: str, request: Request, caller: Looker) -> HTMLResponse:
-    """One code. Raises `NotFoundError`."""
+    """Show one code. Raises `NotFoundError`."""
     meaning = CATALOGUE.get(RENAMED.get(code, code))
     if meaning is None:
         raise NotFoundError("code", code)

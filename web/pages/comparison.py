@@ -69,7 +69,7 @@ def compare_entries(
 
 
 def _names(a: SubmissionRow, b: SubmissionRow) -> Names:
-    """The methods; with the end of their ids where they are called the same."""
+    """Return the names of the methods; equal names get the end of their ids."""
     if a.method != b.method:
         return Names(a.method, b.method)
     return Names(f"{a.method} ({a.id[-4:]})", f"{b.method} ({b.id[-4:]})")

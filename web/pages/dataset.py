@@ -1,7 +1,7 @@
 """The pages of the dataset: its composition, its versions with their downloads, and publishing a new one.
 
-**Conventions.** Without a version in the query the newest is shown; `version=` (empty) shows the labelled sequences of
-one's own, as the splits stand. Of test's labels no page tells anything.
+**Conventions.** Without a version in the query the newest is shown; `version=` (empty) shows the viewer's own labelled
+sequences with the draft splits. No page shows data from the labels of test.
 """
 
 from collections.abc import Mapping
@@ -100,10 +100,8 @@ def _counts(row: Record) -> tuple[int, ...]:
 
 
 # The composition as a picture: environments by illuminations, squares whose areas are frames, striped by class.
-#
-# **Conventions.** Only geometry is counted here, in px of an SVG that is shown at its own size; what is drawn and said
-# is in `templates/parts/composition.html`. The picture has a place for every environment, since what is missing is
-# what one wants to know.
+# **Conventions.** This code computes geometry only, in px of an SVG at its own size; `templates/parts/composition.html`
+# draws it. Every environment has a row, so that readers see missing ones.
 
 
 LEFT_PX, TOP_PX, CELL_PX, ROW_PX, BAR_PX, END_PX = 128, 58, 84, 88, 150, 86
@@ -164,7 +162,7 @@ class CompositionFigure:
 
 
 def figure_of(record: Record) -> CompositionFigure:
-    """The picture of a record of `statistics_record`. Without sequences it has environments and no light."""
+    """Return the picture of a record of `statistics_record`; without sequences it has environments and no light."""
     cells = {(cell["environment"], cell["illumination"]): cell for cell in record["cells"]}
     words = _in_order({light for _, light in cells}, ILLUMINATIONS)
     places = _in_order({place for place, _ in cells} | {*ENVIRONMENTS}, ENVIRONMENTS)
@@ -237,6 +235,6 @@ def _halves(words: list[str]) -> tuple[Heading, ...]:
 
 
 def _in_order(words: set[str], order: tuple[str, ...]) -> list[str]:
-    """Words in their order, then others, what was not said last."""
+    """Return the words in this order, then others, and unspecified last."""
     others = sorted(words - {*order, ""})
     return [*(word for word in order if word in words), *others, *([""] if "" in words else [])]

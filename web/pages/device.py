@@ -1,7 +1,7 @@
 """The page on which a user approves a program that signs in by a browser (`stone auth login --browser`).
 
-**Conventions.** A code in the address fills the field and no more: who asks and for what is shown, and nothing is
-approved without a press of the button (RFC 8628, 5.4).
+**Conventions.** A code in the URL only fills the field. The page shows the program, its address and scopes, and
+approval requires a press of the button (RFC 8628, 5.4).
 """
 
 from typing import Annotated
@@ -24,7 +24,7 @@ Code = Annotated[str, Query(max_length=32)]
 def device(
     request: Request, caller: AccountHolder, platform: PlatformDep, code: Code = "", done: Code = ""
 ) -> HTMLResponse:
-    """Asks for the code that a program shows, then who asks and for what; `done` says how somebody decided."""
+    """Show the field for a program's code, then the program and its scopes; `done` is the user's decision."""
     grant = None
     if code:
         request.app.state.limits.admit_guess(caller.user_id)

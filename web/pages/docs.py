@@ -1,7 +1,7 @@
-"""The manual: the docs site as `make docs` builds it, served from its folder to everybody.
+"""The manual: the docs site as `make docs` builds it, served from its folder to all visitors.
 
-**Conventions.** Its pages bring inline scripts of the theme's; each page's policy names the hashes of its own. Styles
-of theirs are inline, too. Nothing outside the folder is sent, by whatever name or link.
+**Conventions.** Its pages contain inline scripts and styles of the theme; each page's policy names the hashes of its
+own scripts. Only files inside the folder are sent, by any name or link.
 """
 
 import re
@@ -37,7 +37,7 @@ def add_slash() -> Response:
 
 @router.get("/docs/{path:path}")
 async def show_docs(path: str, request: Request, caller: Looker) -> Response:
-    """A file of the manual; where there is no manual, a page that says how to build it. Raises `NotFoundError`."""
+    """Return a file of the manual; without a manual, a page with the build instructions. Raises `NotFoundError`."""
     if not (MANUAL / INDEX).is_file():
         return RedirectResponse("/docs/", 307) if path else page(request, caller, "docs_missing.html")
     name = f"{path}{INDEX}" if path.endswith("/") or not path else path
@@ -53,7 +53,7 @@ async def show_docs(path: str, request: Request, caller: Looker) -> Response:
 
 @lru_cache(512)
 def _policy(file: Path, changed_ns: int) -> str:
-    """The policy of the page as it was at that change."""
+    """Return the policy of the page as of that modification time."""
     scripts = INLINE.findall(file.read_text("utf-8"))
     hashes = sorted({b64encode(sha256(script.encode()).digest()).decode() for script in scripts})
     return POLICY.format(hashes="".join(f" 'sha256-{digest}'" for digest in hashes))

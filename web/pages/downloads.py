@@ -1,4 +1,4 @@
-"""The page with the line that installs the client, the wheel itself and the starter code; for everybody."""
+"""The public page with the client's install command, the wheel and the starter code."""
 
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import HTMLResponse
@@ -23,13 +23,13 @@ def show_downloads(request: Request, caller: Looker, platform: PlatformDep) -> H
 
 @router.get(f"/downloads/{FILENAME}")
 def send_starter(request: Request) -> Response:
-    """The starter code of participants, without sign-in."""
+    """Return the starter code of participants, without sign-in."""
     return answer_made(request, starter_code(), GeneratedFile("text/x-python", FILENAME))
 
 
 @router.get("/downloads/{filename}")
 def send_wheel(filename: str, request: Request) -> Response:
-    """The wheel, without sign-in: pip brings no token. Raises `NotFoundError`, `range_not_satisfiable`."""
+    """Return the wheel without sign-in, as pip sends no token. Raises `NotFoundError`, `range_not_satisfiable`."""
     wheel: ClientWheel | None = request.app.state.client_wheel
     if wheel is None or filename != wheel.filename:
         raise NotFoundError("download", filename)

@@ -1,4 +1,4 @@
-"""The help page: first steps of the reader's role, guides, keyboard shortcuts and the release; for everybody."""
+"""The public help page: first steps of the reader's role, guides, keyboard shortcuts and the release."""
 
 from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse

@@ -23,9 +23,9 @@ router = APIRouter()
 
 @dataclass(frozen=True)
 class HomeContent:
-    """The content of the first page; None where there is nothing of the kind that the caller may see.
+    """The content of the first page; None for parts without visible data.
 
-    `steps` are the caller's first ones, none once all are done.
+    `steps` are the caller's first steps, empty once all are done.
     """
 
     sequence: SequenceItem | None
@@ -51,14 +51,14 @@ def home(request: Request, caller: Looker, platform: PlatformDep) -> HTMLRespons
 
 
 def _newest_labelled(session: Session, caller: Caller) -> SequenceItem | None:
-    """The sequence that was labelled last."""
+    """Return the sequence that was labelled last."""
     labelled = sequences_shown_to(caller).join(LabelSet, LabelSet.sequence_id == SequenceRow.id)
     row = session.scalars(labelled.order_by(LabelSet.chosen_ns.desc(), LabelSet.id.desc()).limit(1)).first()
     return sequence_items(session, [row])[0] if row else None
 
 
 def _newest_board(session: Session, caller: Caller) -> str | None:
-    """The id of the phase whose ground truth was put in force last."""
+    """Return the id of the phase whose ground truth was activated last."""
     shown = benchmarks_of(caller).with_only_columns(Benchmark.id)
     phases = select(Phase.id).join(Activation, Activation.phase_id == Phase.id).where(Phase.benchmark_id.in_(shown))
     return session.scalar(phases.order_by(Activation.activated_ns.desc(), Activation.id.desc()).limit(1))

@@ -30,7 +30,7 @@ Cursor = Annotated[str | None, Query(max_length=512)]
 
 @router.get("")
 def list_imports(request: Request, caller: Curator, platform: PlatformDep, cursor: Cursor = None) -> HTMLResponse:
-    """The form, and the caller's imports, newest first."""
+    """Show the form, and the caller's imports, newest first."""
     mine = theirs(select(DatasetImport), caller, DatasetImport.owner_id)
     with platform.database.reading() as session:
         found = paged(session, mine, DatasetImport.id.desc(), PageQuery(cursor, SHOWN))
@@ -56,7 +56,7 @@ def list_imports(request: Request, caller: Curator, platform: PlatformDep, curso
 
 @router.get("/{import_id}")
 def show_import(import_id: IdPath, request: Request, caller: Curator, platform: PlatformDep) -> HTMLResponse:
-    """One import with its scenes; it says by itself how it goes on."""
+    """Show one import with its scenes; the page updates its progress automatically."""
     with platform.database.reading() as session:
         item = import_detail(session, import_shown_to(session, caller, import_id))
     return page(request, caller, "imports/one.html", item=item, is_moving=item.state not in TERMINAL)

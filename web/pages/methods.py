@@ -1,4 +1,4 @@
-"""The page of a method: what an entry scored, where it is strong and what that was computed from."""
+"""The page of a method: the scores of an entry, its strengths and their sources."""
 
 from typing import Annotated
 
@@ -72,7 +72,7 @@ def show_method(
 
 
 def _breakdowns(seen: ScoreView) -> list[BreakdownAnswer]:
-    """None where the viewer may not see them."""
+    """Return the breakdowns; none if the viewer may not see them."""
     if not seen.policy.shows("breakdowns"):
         return []
     return [breakdown_answer(seen, by, breakdown(seen, by)) for by in BY]
@@ -88,12 +88,12 @@ def _stands(seen: ScoreView) -> bool:
 
 
 def _row(board: ShownBoard, submission_id: str) -> BoardRow | None:
-    """The entry's line of the board of now, where it is the best of its team."""
+    """Return the entry's row of the current board, if it is the best of its team."""
     rows = (one.row for group in board.groups for one in group.rows)
     return next((row for row in rows if row.submission_id == submission_id), None)
 
 
 def _rivals(board: ShownBoard, submission_id: str) -> list[BoardRow]:
-    """The other scored rows of the board, with which it can be compared."""
+    """Return the other scored rows of the board, for comparisons."""
     rows = (one.row for group in board.groups for one in group.rows)
     return [row for row in rows if row.submission_id not in (None, submission_id)]

@@ -1,8 +1,7 @@
 """The page of a sequence: its labels frame by frame, its track, its calibration, its exports.
 
-**Conventions.** One address per section, so that each can be linked to and opens quickly. These sections are shown to
-whoever is shown the sequence; its owner's alone are in `web/pages/sequence_own.py`. View models are worked out in
-`web/sequence`.
+**Conventions.** One URL per section, so that each can be linked and opens quickly. These sections are visible to all
+viewers of the sequence; `web/pages/sequence_own.py` has the owner's sections. `web/sequence` computes the view models.
 """
 
 from typing import Annotated
@@ -50,7 +49,7 @@ DOWNLOADS = {
 
 @router.get("")
 def overview(at: AtSequence, caller: Looker) -> HTMLResponse:
-    """What came of it, or what is to be done next."""
+    """Show the results of the sequence, or its next step."""
     with at.platform.database.reading() as session:
         status = sequence_status_of(session, caller, at.sequence_id)
         row = shown_sequence(session, caller, at.sequence_id)
@@ -80,7 +79,7 @@ def overview(at: AtSequence, caller: Looker) -> HTMLResponse:
 
 @router.get("/frames")
 def frames(at: AtSequence, caller: Looker, frame: FrameQuery = None) -> HTMLResponse:
-    """One frame at a time: its pictures and its labels from above, with a timeline to move along."""
+    """Show one frame at a time: its pictures and its labels from above, with a timeline."""
     status, table = _with_table(at, caller)
     labels, playback = status.sequence.labels, Playback(None, "none")
     with at.platform.database.reading() as session:
@@ -100,7 +99,7 @@ def frames(at: AtSequence, caller: Looker, frame: FrameQuery = None) -> HTMLResp
 
 @router.get("/track")
 def track(at: AtSequence, caller: Looker) -> HTMLResponse:
-    """Where the robot drove, how fast and how high, and how well it knew."""
+    """Show the track: position, speed, elevation and the quality of the poses."""
     status, table = _with_table(at, caller)
     drawn = track_of(table) if table is not None else None
     return shown_section(at, (caller, status), "track", table=table, track=drawn)
@@ -133,7 +132,7 @@ def calibration(at: AtSequence, caller: Looker) -> HTMLResponse:
 
 @router.get("/exports")
 def exports(at: AtSequence, caller: Looker) -> HTMLResponse:
-    """The labels in formats that others open; those of a public sequence for every reader."""
+    """Show the labels in exported formats; those of a public sequence for every reader."""
     with at.platform.database.reading() as session:
         status = sequence_status_of(session, caller, at.sequence_id)
         asked_for = exports_shown_to(session, caller, at.sequence_id).where(Export.format != PLAYBACK)

@@ -1,6 +1,6 @@
 """Sections of a sequence's page for its owner and administrators: recordings, runs, label sets.
 
-**Conventions.** Somebody else is answered as if the sequence were not there, be it public.
+**Conventions.** For other users the sections do not exist, even if the sequence is public.
 """
 
 from fastapi import APIRouter
@@ -30,7 +30,7 @@ MOST_SHOWN = 50
 
 @router.get("/recordings")
 def recordings(at: AtSequence, caller: Reader) -> HTMLResponse:
-    """What came off the robot: uploads, how their clocks were joined, and for each its clocks and how good it is."""
+    """Show the recordings: uploads, the join of their clocks, and for each its clocks and quality."""
     with at.platform.database.reading() as session:
         status = _own(session, caller, at.sequence_id)
         of_sequence = select(Recording).where(Recording.sequence_id == at.sequence_id).order_by(Recording.id)
@@ -47,7 +47,9 @@ def recordings(at: AtSequence, caller: Reader) -> HTMLResponse:
 
 @router.get("/processing")
 def processing(at: AtSequence, caller: Reader, profile: LabelProfile | None = None) -> HTMLResponse:
-    """How far the platform is, and what it did before; with `profile` to process again as before, but for that."""
+    """Show the running and earlier runs; with `profile`, a form to process again with the last settings and this
+    profile.
+    """
     with at.platform.database.reading() as session:
         status = _own(session, caller, at.sequence_id)
         labels = labels_of(session, at.sequence_id)
@@ -60,7 +62,7 @@ def processing(at: AtSequence, caller: Reader, profile: LabelProfile | None = No
 
 @router.get("/label-sets")
 def label_sets(at: AtSequence, caller: Reader) -> HTMLResponse:
-    """What was labelled, now and before, and how alike two of these are."""
+    """Show all label sets, and the agreement of pairs."""
     of_sequence, compared = LabelSet.sequence_id == at.sequence_id, LabelComparison.sequence_id == at.sequence_id
     with at.platform.database.reading() as session:
         status = _own(session, caller, at.sequence_id)
@@ -81,6 +83,6 @@ def label_sets(at: AtSequence, caller: Reader) -> HTMLResponse:
 
 
 def _own(session: Session, caller: Caller, sequence_id: str) -> SequenceStatus:
-    """Raises `NotFoundError` for what is somebody else's."""
+    """Return the status of an own sequence. Raises `NotFoundError` for other users' sequences."""
     sequence_of(session, caller, sequence_id)
     return sequence_status_of(session, caller, sequence_id)

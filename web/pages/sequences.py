@@ -1,6 +1,6 @@
 """The list of sequences, with picture, status and content each, and the page that creates new ones.
 
-**Conventions.** An empty field of the filters is none. A visitor and everybody else see what the API's list shows them.
+**Conventions.** An empty filter field is ignored. The list contains the sequences of the API's list.
 """
 
 from collections.abc import Sequence
@@ -69,7 +69,7 @@ def list_sequences(
     asked: Annotated[SequenceFilterForm, Depends()],
     cursor: Cursor = None,
 ) -> HTMLResponse:
-    """The newest first; while something of a page is being made, the page says how it goes on."""
+    """List the sequences, newest first; the page updates running work automatically."""
     narrowed = asked.narrowed(sequences_shown_to(caller), caller)
     with platform.database.reading() as session:
         found = paged(session, narrowed, SequenceRow.id.desc(), PageQuery(cursor or None, SHOWN))
@@ -96,7 +96,7 @@ def list_sequences(
 
 @router.get("/new")
 def new_sequences(request: Request, caller: Curator, platform: PlatformDep) -> HTMLResponse:
-    """Where bags are dropped; each becomes a sequence of its own."""
+    """Show the page for dropping bags; each bag becomes a sequence."""
     newest = theirs(select(CalibrationRow), caller, CalibrationRow.owner_id).order_by(CalibrationRow.id.desc())
     with platform.database.reading() as session:
         calibrations = [CalibrationItem.of(row) for row in session.scalars(newest.limit(MOST_CALIBRATIONS))]
@@ -115,7 +115,7 @@ def new_sequences(request: Request, caller: Curator, platform: PlatformDep) -> H
 
 
 def uploads_begun(session: Session, sequence_ids: Sequence[str]) -> Sequence[Upload]:
-    """The uploads of recordings to these sequences that are not whole, oldest first."""
+    """Return the unfinished uploads of recordings to these sequences, oldest first."""
     begun = select(Upload).where(Upload.target_id.in_(sequence_ids), Upload.purpose == "recording")
     return session.scalars(begun.where(Upload.state == "open").order_by(Upload.id)).all()
 
@@ -126,7 +126,7 @@ def is_rerun_failed(item: SequenceItem, runs: SequenceRuns) -> bool:
 
 
 def calibrations_by_robot(session: Session, owner_id: str) -> dict[str, str]:
-    """The id of the calibration that an owner last used, by the robot of the sequence; newest robot first."""
+    """Return the id of the owner's last calibration for each robot; newest robot first."""
     columns = select(SequenceRow.platform, SequenceRow.calibration_id)
     own = columns.where(SequenceRow.owner_id == owner_id, SequenceRow.deleted_ns.is_(None))
     used = own.where(SequenceRow.platform != "", SequenceRow.calibration_id.is_not(None))

@@ -1,7 +1,7 @@
-"""The splits: a board of sequences in train, val, test and none, edited by administrators, seen by curators.
+"""The splits: a board of sequences in train, val, test and none, edited by administrators, viewed by curators.
 
-**Conventions.** The page shows the splits as the API tells them; what moves on it is sent to the API's own routes by
-`modules/dataset/`. Curators see where their own sequences are.
+**Conventions.** The page shows the splits of the API; `modules/dataset/` sends changes to the API's own routes.
+Curators see the splits of their own sequences.
 """
 
 from dataclasses import dataclass

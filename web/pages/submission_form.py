@@ -30,7 +30,7 @@ AtPhase = Annotated[PhasePath, Depends(PhasePath)]
 
 @router.get("/benchmarks/{benchmark_name}/{phase_name}/submit")
 def show_form(request: Request, caller: Looker, platform: PlatformDep, at: AtPhase) -> HTMLResponse:
-    """To a visitor the steps alone; whoever is signed in needs the scope to submit, as the routes do."""
+    """Show only the steps to a visitor; signed-in users need the scope to submit, as for the routes."""
     with platform.database.reading() as session:
         row = at.find(session)
         owner = session.get_one(Benchmark, row.benchmark_id)
@@ -62,7 +62,7 @@ def _steps_of(request: Request, platform: Platform, at: PhasePath, teams: Sequen
 
 
 def own_teams(session: Session, phase: Phase, caller: Caller) -> list[Team]:
-    """The teams in whose name the caller may submit to the phase: the one that binds them, else all of theirs."""
+    """Return the teams that the caller may submit for: their team in this phase, else all their teams."""
     mine = select(Team).join(TeamMember, TeamMember.team_id == Team.id).where(TeamMember.user_id == caller.user_id)
     bound = session.get(PhaseTeam, (phase.id, caller.user_id))
     if bound is not None:
@@ -78,6 +78,6 @@ def _drafts(session: Session, phase: Phase, caller: Caller) -> list[SubmissionDe
 
 
 def _upload(session: Session, draft: SubmissionDetail, caller: Caller) -> Upload | None:
-    """The caller's own upload for the draft, if one is on its way."""
+    """Return the caller's own unfinished upload for the draft, if there is one."""
     own = select(Upload).where(Upload.id == draft.upload_id, Upload.owner_id == caller.user_id)
     return session.scalars(own).one_or_none()

@@ -53,7 +53,7 @@ def list_submissions(
 def show_submission(
     submission_id: IdPath, request: Request, caller: Reader, platform: PlatformDep, known: bool = False
 ) -> HTMLResponse:
-    """`known` is said by the form, where this very file had been sent before."""
+    """Show a submission; the form sets `known` if this very file was submitted before."""
     with platform.database.reading() as session:
         row = submission_of(session, caller, submission_id)
         shown, report = submission_detail(session, row), validation_report(row)
@@ -69,7 +69,7 @@ def show_submission(
 
 
 def _total(session: Session, caller: Caller, row: SubmissionRow) -> RatiosItem | None:
-    """What it scored by the version in force, as far as the caller may see it; None while it has no such score."""
+    """Return its ratios by the active version, as far as the caller may see them; None without such a score."""
     if row.state != "scored":
         return None
     try:

@@ -1,10 +1,10 @@
 """The 3D viewer of a sequence, a page around `modules/viewer/mount.js`: `/sequences/{id}/view?frame=…&compare=…`.
 
-**Conventions.** The page decides who may look and what is said while there is nothing to see; what is seen comes from
-the API's routes of the scene. `frame` names where the timeline begins; the module keeps it in the address. `compare`
-names a comparison of two label sets whose differences are shown first; without it the newest one with the label set
-that counts is offered as a colour, to those who may look at comparisons. The module keeps more in the address (layers,
-colour, camera), which the server does not read.
+**Conventions.** The page checks access and shows a message if there are no labels; the API's routes of the scene
+provide the data. `frame` is the first frame of the timeline; the module keeps it in the URL. `compare` names a
+comparison of two label sets to show first. Without it the newest comparison with the active label set is offered as a
+colour, to viewers with access to comparisons. The module keeps more values in the URL (layers, colour, camera), which
+the server ignores.
 """
 
 from typing import Annotated, Any
@@ -62,7 +62,7 @@ def _label_sets(session: Session, sequence_id: str) -> int:
 
 
 def _newest_comparison(session: Session, sequence_id: str) -> str | None:
-    """The newest comparison with the label set that counts; frames are compared as they are asked for."""
+    """Return the newest comparison with the active label set; frames are compared on demand."""
     labels = labels_of(session, sequence_id)
     if labels is None:
         return None

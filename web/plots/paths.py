@@ -1,4 +1,4 @@
-"""Points as path data: lines that break where nothing is known, dots, filled bands.
+"""Points as path data: lines with gaps at unknown values, dots, filled bands.
 
 **Conventions.** x ascends. NaN in y breaks a line. Coordinates are written to a tenth of a unit.
 """
@@ -18,12 +18,12 @@ def line(x: Floats, y: Floats) -> str:
 
 
 def dots(x: Floats, y: Floats) -> str:
-    """A stroke without length at each known point: with round caps a dot, whatever the plot is stretched to."""
+    """Return a stroke without length at each known point: with round caps a dot, however the plot is stretched."""
     return " ".join(f"M{_said(a)} {_said(b)}h0" for a, b in zip(x, y, strict=True) if not np.isnan(b))
 
 
 def band(x: Floats, lower: Floats, upper: Floats) -> str:
-    """The closed area between two lines over the same x; nothing below two points."""
+    """Return the closed area between two lines over the same x; empty for fewer than two points."""
     if len(x) < 2:
         return ""
     there = [f"{_said(a)} {_said(b)}" for a, b in zip(x, upper, strict=True)]
@@ -39,9 +39,9 @@ def known_runs(y: Floats) -> list[tuple[int, int]]:
 
 
 def thinned(x: Floats, y: Floats, columns: int = MOST_COLUMNS) -> tuple[Floats, Floats]:
-    """The first, lowest, highest and last point of each of `columns` even columns, in order: the line looks the same.
+    """Return the first, lowest, highest and last point of each of `columns` even columns: the line looks the same.
 
-    As M4 (Jugel et al., VLDB 2014). Few points are returned as they are.
+    As M4 (Jugel et al., VLDB 2014). Few points are returned unchanged.
     """
     if len(x) <= 4 * columns:
         return x, y

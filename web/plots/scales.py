@@ -1,8 +1,8 @@
-"""Scales and their ticks: where a value stands on an axis, and which values are written beside it.
+"""Scales and their ticks: positions of values on an axis, and its labelled values.
 
 **Conventions.** A scale maps [low, high] to [start, end]; for y, which grows down in SVG, start is the larger. Values
-beyond the ends stand at the end. Ticks are 1, 2 or 5 times a power of ten (Heckbert, "Nice numbers for graph labels",
-Graphics Gems 1990); on a signed logarithmic scale powers of ten of either sign, and zero.
+beyond the ends are placed at the end. Ticks are 1, 2 or 5 times a power of ten (Heckbert, "Nice numbers for graph
+labels", Graphics Gems 1990). On a signed logarithmic scale they are powers of ten of either sign, and zero.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ class Scale:
     linear_below: float = 0.0
 
     def at(self, values: Floats) -> Floats:
-        """The positions of the values; NaN stays NaN. Of an axis without length: in its middle."""
+        """Return the positions of the values; NaN stays NaN. An axis without length places all in its middle."""
         low, high = self._bent(np.array([self.low, self.high]))
         if high <= low:
             return np.where(np.isnan(values), np.nan, (self.start + self.end) / 2)
@@ -34,7 +34,7 @@ class Scale:
         return np.asarray(self.start + share * (self.end - self.start))
 
     def one(self, value: float) -> float:
-        """The position of one value."""
+        """Return the position of one value."""
         return float(self.at(np.array([value]))[0])
 
     def _bent(self, values: Floats) -> Floats:
@@ -42,7 +42,7 @@ class Scale:
 
 
 def nice_step(span: float, most: int) -> float:
-    """The smallest 1, 2 or 5 × 10ⁿ that divides a span into at most `most` steps; 1 for no span."""
+    """Return the smallest 1, 2 or 5 × 10ⁿ that divides a span into at most `most` steps; 1 for no span."""
     least = span / most
     if not isfinite(least) or least < TINIEST:
         return 1.0
@@ -51,7 +51,7 @@ def nice_step(span: float, most: int) -> float:
 
 
 def nice_ends(low: float, high: float, most: int = 5) -> tuple[float, float]:
-    """The ticks around [low, high]; a span that nobody could tell from nothing is widened about its place."""
+    """Return the ticks around [low, high]; a span indistinguishable from zero is widened."""
     if high - low <= LEAST_SPAN * max(1.0, abs(low), abs(high)):
         width = max(abs(low) * 0.1, 1e-3)
         low, high = low - width, high + width
@@ -60,14 +60,14 @@ def nice_ends(low: float, high: float, most: int = 5) -> tuple[float, float]:
 
 
 def ticks(low: float, high: float, most: int = 5) -> list[float]:
-    """The nice values within [low, high], ascending, at most `most` + 1."""
+    """Return the nice values within [low, high], ascending, at most `most` + 1."""
     step = nice_step(high - low, most)
     first, last = ceil(low / step - 1e-9), floor(high / step + 1e-9)
     return [count * step for count in range(first, last + 1)]
 
 
 def signed_log_ticks(low: float, high: float, linear_below: float) -> list[float]:
-    """… −10, −1, 0, 1, 10 … in multiples of `linear_below`, within [low, high]; every second where there are many."""
+    """Return … −10, −1, 0, 1, 10 … in multiples of `linear_below` within [low, high], or every second of many."""
     decades = max(1, ceil(log10(max(abs(low), abs(high), linear_below) / linear_below) + 1e-9))
     each = max(1, ceil(decades / 4))
     sizes = [linear_below * 10.0**power for power in range(decades, -1, -each)]
@@ -76,7 +76,7 @@ def signed_log_ticks(low: float, high: float, linear_below: float) -> list[float
 
 
 def tick_text(value: float, step: float) -> str:
-    """The value with as many decimals as its step has, with a real minus sign; thousands apart."""
+    """Return the value with as many decimals as its step, a real minus sign and thousands separators."""
     decimals = max(0, -floor(log10(step) + 1e-9)) if step > 0 else 0
     said = f"{abs(value):,.{decimals}f}"
     return f"−{said}" if value < 0 and float(said.replace(",", "")) else said

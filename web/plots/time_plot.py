@@ -62,7 +62,7 @@ class Plot:
 
 @dataclass(frozen=True, eq=False)
 class PlotSeries:
-    """(N,) times and values of one curve; NaN where nothing is known. `is_dots`: points that are not connected."""
+    """(N,) times and values of one curve; NaN for unknown values. `is_dots`: points that are not connected."""
 
     times_s: Floats
     values: Floats
@@ -84,7 +84,7 @@ class PlotDescription:
 def time_plot(
     about: PlotDescription, span_s: float, series: Sequence[PlotSeries], spans: Sequence[PlotSpan] = ()
 ) -> Plot:
-    """Series over [0, `span_s`]. Without a known value the axis is that of 0 to 1, and `said` says so."""
+    """Plot series over [0, `span_s`]. Without a known value the axis is 0 to 1, and `said` states it."""
     known = np.concatenate([one.values[np.isfinite(one.values)] for one in series] or [np.empty(0)])
     low, high = _ends(about, known)
     x, y = Scale(0.0, span_s, 0.0, WIDTH), Scale(low, high, HEIGHT_PX - EDGE_PX, EDGE_PX)
@@ -114,13 +114,13 @@ def stacked_shares(times_s: Floats, counts: Floats, styles: Sequence[str]) -> tu
 
 
 def time_ticks(span_s: float) -> tuple[PlotTick, ...]:
-    """Seconds, or minutes and seconds where it is long; the last tick stays clear of the edge."""
+    """Return ticks in seconds, or in minutes and seconds for a long span; the last tick stays clear of the edge."""
     step = nice_step(span_s, MOST_X_TICKS)
     return tuple(PlotTick(100 * at / span_s, _clock(at, step)) for at in ticks(0.0, span_s, MOST_X_TICKS) if span_s > 0)
 
 
 def marked(start_s: float, end_s: float, span_s: float, style: str) -> PlotSpan:
-    """A part of [0, `span_s`], at least 2 units wide so that it is seen."""
+    """Return a part of [0, `span_s`], at least 2 units wide so that it is visible."""
     x = Scale(0.0, span_s, 0.0, WIDTH)
     left, right = x.one(start_s), x.one(end_s)
     return PlotSpan(round(min(left, WIDTH - 2), 1), round(max(right - left, 2.0), 1), style)

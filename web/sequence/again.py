@@ -1,7 +1,7 @@
-"""What the run that made the labels was asked for, to ask for the same with another profile.
+"""The request of the run that made the labels, to repeat it with another profile.
 
-**Conventions.** Only the profile is another one; topics, parameters, grid, ground, chosen recordings and clock offsets
-stay. The calibration is the one that is assigned to the sequence now.
+**Conventions.** Only the profile changes; topics, parameters, grid, ground, chosen recordings and clock offsets stay.
+The calibration is the one assigned to the sequence.
 """
 
 from collections.abc import Mapping

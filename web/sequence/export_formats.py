@@ -8,7 +8,7 @@ from api.schemas.sequences.exports import ExportItem
 
 @dataclass(frozen=True)
 class Offer:
-    """One format: what it is called, and what it is for."""
+    """One format: its name and purpose."""
 
     format: str
     title: str
@@ -28,6 +28,6 @@ TITLES = {offer.format: offer.title for offer in OFFERS}
 
 
 def offers_beside(exports: Iterable[ExportItem]) -> tuple[Offer, ...]:
-    """The formats that the labels that count are not written in, nor being written."""
+    """Return the formats that the active labels are neither exported to nor being exported to."""
     standing = {one.format for one in exports if not one.is_stale and one.state not in ("failed", "cancelled")}
     return tuple(offer for offer in OFFERS if offer.format not in standing)

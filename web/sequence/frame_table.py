@@ -1,7 +1,7 @@
-"""The frame table of a label set (`frames.parquet`) as arrays: poses, how good they are, voxels by class.
+"""The frame table of a label set (`frames.parquet`) as arrays: poses, their quality, voxels by class.
 
-**Conventions.** Rows are the usable frames in the order of time; what was excluded stands apart. Positions are in the
-map frame. What a table does not say is NaN or ''. A table is immutable and addressed by content, so it is read once.
+**Conventions.** Rows are the usable frames in the order of time; excluded frames are separate. Positions are in the map
+frame. Missing values are NaN or ''. A table is immutable and content-addressed, so it is cached.
 """
 
 import json
@@ -65,7 +65,7 @@ class FrameTable:
 
 
 def frame_table(store: Store, key: str) -> FrameTable:
-    """The table at this key of the store. Raises `ObjectMissingError`."""
+    """Return the table at this key of the store. Raises `ObjectMissingError`."""
     return _read(str(store.local(key)))
 
 
@@ -82,7 +82,7 @@ def _read(path: str) -> FrameTable:
 
 
 def table_of(columns: dict[str, list[Any]], about: dict[str, Any]) -> FrameTable:
-    """The table of these columns, rows in stamp order; excluded rows have no token."""
+    """Return the table of these columns, rows in stamp order; excluded rows have no token."""
     rows = [row for row, token in enumerate(columns["frame_token"]) if token is not None]
     out = [row for row, token in enumerate(columns["frame_token"]) if token is None]
 

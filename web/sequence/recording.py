@@ -1,9 +1,8 @@
-"""Figures of a recording's inspection and quality report: when sensors delivered, how often, how well.
+"""Figures of a recording's inspection and quality report: delivery times, rates and quality of sensors.
 
-**Conventions.** Read from the records that ingest wrote (`stone_recordings/report/inspection.py`,
-`quality/report.py`);
-what an older record does not say is left out. Sensors come first, in the order of the report; topics that nobody keeps
-time by (tf, camera_info, other) come apart. A spark is `SPARK` units in size, from the lowest to the highest value.
+**Conventions.** Read from the records that ingest wrote (`stone_recordings/report/inspection.py`, `quality/report.py`);
+values missing in an older record are left out. Sensors come first, in the order of the report. Topics without clock
+data (tf, camera_info, other) are separate. A spark is `SPARK` units in size, from the lowest to the highest value.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,11 +17,10 @@ from web.plots.scales import Scale, duration_text, nice_ends, signed_log_ticks, 
 from web.plots.time_plot import WIDTH, Plot, PlotDescription, PlotSeries, PlotSpan, PlotTick, marked, time_plot
 
 # The clock report of a recording as rows of dots with whiskers: offset, jitter and drift of every topic.
-#
-# **Conventions.** Rows share one axis each: offsets are drawn on a signed logarithmic scale, since a clock that is
-# whole seconds off and one that is a millisecond late are both worth a look; drifts linearly. Offsets are record time
-# − stamp, whiskers ± 3 jitters and ± 5 standard errors. Read from the record that ingest wrote
-# (`stone_recordings/clocks/report.py`); what it does not say is None.
+# **Conventions.** Rows share one axis each. Offsets use a signed logarithmic scale, so that whole seconds and single
+# milliseconds are both visible; drifts a linear one. Offsets are record time − stamp, whiskers ± 3 jitters and ± 5
+# standard errors. Read from the record that ingest wrote (`stone_recordings/clocks/report.py`); missing values are
+# None.
 
 
 LINEAR_BELOW_NS = 1e6
@@ -61,7 +59,7 @@ class ClockRow:
 
 @dataclass(frozen=True)
 class Clocks:
-    """`zero_*` is where nothing is off; `steady` the part of the drift's axis that no finding is about."""
+    """The clocks; `zero_*` are the positions of zero; `steady` is the part of the drift's axis without findings."""
 
     rows: tuple[ClockRow, ...]
     offset_ticks: tuple[PlotTick, ...]
@@ -73,7 +71,7 @@ class Clocks:
 
 
 def clocks_of(report: Mapping[str, Any]) -> Clocks | None:
-    """None where no topic has a clock."""
+    """Return the clocks, or None if no topic has a clock."""
     topics = [topic for topic in report.get("topics") or () if topic["role"] not in UNCLOCKED]
     if not topics:
         return None
@@ -142,7 +140,7 @@ def _plural(word: str) -> str:
 
 
 def _apart(marks: Iterable[PlotTick]) -> tuple[PlotTick, ...]:
-    """Those that can be read beside each other; zero always."""
+    """Return the ticks that do not overlap, always including zero."""
     found = list(marks)
     zero = next((tick for tick in found if tick.text == "0"), None)
     kept = [zero] if zero else []
@@ -201,7 +199,7 @@ class Spark:
 
 @dataclass(frozen=True)
 class TopicCoverage:
-    """One topic: when it spoke (`bars`), where it was silent (`gaps`), how often (`rate`)."""
+    """One topic: the times of its messages (`bars`), its gaps (`gaps`) and its rate (`rate`)."""
 
     topic: str
     channel: str
@@ -250,7 +248,7 @@ class RecordingView:
 
 
 def recording_view(inspection: Mapping[str, Any], quality: Mapping[str, Any] | None) -> RecordingView:
-    """The view; without a quality report, what the inspection alone says."""
+    """Return the view; without a quality report, only from the inspection."""
     said = quality or {}
     span_s = float(inspection.get("duration_ns") or 0) / NS_PER_S
     channels = {topic: channel for channel, topic in (inspection.get("channels") or {}).items()}
@@ -270,13 +268,13 @@ def recording_view(inspection: Mapping[str, Any], quality: Mapping[str, Any] | N
 
 
 def rig_place(channel: str) -> tuple[int, str]:
-    """The place of a camera among six: the front row from left to right, then the back; others after, by name."""
+    """Return the place of a camera among six: front row from left to right, then the back; others after, by name."""
     place = channel.removeprefix("CAM_")
     return (RIG.index(place) if place in RIG else len(RIG), channel)
 
 
 def spark_of(values: Sequence[float], base: float | None = None) -> Spark | None:
-    """None of nothing. The line begins at `base` where one is given, so that what is even looks even."""
+    """Return None without values. The line starts at `base` if given, so that even values look even."""
     if not values:
         return None
     numbers = np.array(values, np.float64)

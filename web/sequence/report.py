@@ -1,6 +1,6 @@
 """A label set's `report.json`, prepared for its page.
 
-**Conventions.** An older report may lack what a newer one says: that is None or empty. Numbers are as written there.
+**Conventions.** Values missing in an older report are None or empty. Numbers are unchanged.
 """
 
 import json
@@ -19,7 +19,7 @@ CLASS_KEYS = ("traversable", "potentially_traversable", "non_traversable")
 
 @dataclass(frozen=True)
 class ClockShift:
-    """What was added to the times of a recording, its standard error, and how that is known."""
+    """The seconds added to the times of a recording, their standard error, and their source."""
 
     name: str
     added_s: float
@@ -65,14 +65,14 @@ class Report:
 
 
 def read_report(store: Store, file: StoredFile | None) -> Report | None:
-    """None where the labels have no report, or one of an impossible size. Raises `ObjectMissingError`."""
+    """Return None if the labels have no report, or one of an impossible size. Raises `ObjectMissingError`."""
     if file is None or file.size_bytes > MOST_BYTES:
         return None
     return report_of(json.loads(read_whole(store, file)))
 
 
 def report_of(record: Mapping[str, Any]) -> Report:
-    """The report, with None for what it does not say."""
+    """Return the report, with None for missing values."""
     parameters, shares = record.get("parameters") or {}, record.get("class_share_of_occupied")
     mapped, observed = record.get("map") or {}, record.get("observed_ratio") or {}
     return Report(

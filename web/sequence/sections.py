@@ -38,7 +38,7 @@ AtSequence = Annotated[Visit, Depends(Visit)]
 def shown_section(
     at: Visit, looking: tuple[Caller, SequenceStatus], name: str, *, needs_wasm: bool = False, **values: Any
 ) -> HTMLResponse:
-    """The section called `name` for who looks at a sequence that stands so; `needs_wasm` where bags are uploaded."""
+    """Return the section called `name` for a caller and a status; `needs_wasm` if bags are uploaded there."""
     caller, standing = looking
     shown = standing.sequence
     head: dict[str, Any] = {
@@ -59,18 +59,17 @@ def shown_section(
 
 
 def choosable(session: Session, caller: Caller, standing: SequenceStatus) -> list[CalibrationItem]:
-    """The calibrations that whoever may change the sequence can pin, newest first; nothing for others."""
+    """Return the calibrations that a caller who may change the sequence can assign, newest first; none for others."""
     if not standing.may_change:
         return []
     mine = theirs(select(CalibrationRow), caller, CalibrationRow.owner_id).order_by(CalibrationRow.id.desc())
     return [CalibrationItem.of(row) for row in session.scalars(mine.limit(MOST_CALIBRATIONS))]
 
 
-# Progress of a sequence's runs: each stage with its share done and how long it took.
+# Progress of a sequence's runs: each stage with its share done and its duration.
 #
-# **Conventions.** A run grows while it goes: stages that it will have are shown before they stand in the queue, as far
-# as the order of stages is known here. A stage of a run that has ended does not run: what was not done of it was
-# stopped.
+# **Conventions.** A run gets stages while it runs: later stages are shown before they are queued, as far as their order
+# is known here. In an ended run, unfinished stages were stopped.
 
 
 OTHERS = ("labeler.export", "labeler.import", "labeler.inputs")
@@ -96,7 +95,7 @@ class RunStep:
 
 
 def steps_of(run: JobDetail) -> tuple[RunStep, ...]:
-    """The stages of a run as they stand, and those that are to come while it may still reach them."""
+    """Return the stages of a run, including later ones that a live run may still reach."""
     if run.queue:
         return (RunStep(run.kind, title_of(run.kind), _own_state(run.state), run.progress.done, run.progress.total),)
     is_over = run.state in ENDED

@@ -1,9 +1,9 @@
 """The state of a sequence, the same on its page and in the list, and the trouble of its last labelling.
 
 **Conventions.** States: `empty` without a recording, `reading` while one is being read, `recorded` without labels;
-`queued` and `processing` while a labelling is alive; `labelled` with labels; `failed` and `cancelled` where the last
-labelling ended so and there are no labels. Runs are for the owner and administrators: to others a sequence has labels
-or has none. Exports, comparisons and readings are no labellings: their ends are no states of the sequence.
+`queued` and `processing` while a labelling is alive; `labelled` with labels. `failed` and `cancelled` mean that the
+last labelling ended so and there are no labels. Only the owner and administrators see runs; for others a sequence has
+labels or none. Exports, comparisons and readings do not change the state of the sequence.
 """
 
 from collections import defaultdict
@@ -51,7 +51,7 @@ class RunTrouble:
 
 
 def runs_of(session: Session, sequence_ids: Iterable[str]) -> Mapping[str, SequenceRuns]:
-    """The runs that tell the state of each of these sequences, in one statement."""
+    """Return the runs that decide the state of each of these sequences, by one statement."""
     of_sequences = (Job.sequence_id.in_(list(sequence_ids)), Job.id == Job.root_id, Job.kind.in_((PROCESS, REGISTER)))
     newest = select(func.max(Job.id)).where(*of_sequences).group_by(Job.sequence_id, Job.kind)
     told = or_(Job.id.in_(newest), Job.state.in_(("queued", "running")))
@@ -69,7 +69,7 @@ def _runs(newest_first: list[Job]) -> SequenceRuns:
 
 
 def state_of(sequence: SequenceItem, runs: SequenceRuns) -> str:
-    """The state, as in the head of this module."""
+    """Return the state, as in the head of this module."""
     if runs.labelling is not None and runs.is_processing:
         return "queued" if runs.labelling.state == "queued" else "processing"
     if runs.is_reading:
@@ -90,7 +90,7 @@ def is_troubled(sequence: SequenceItem, runs: SequenceRuns) -> bool:
 
 
 def trouble_of(session: Session, sequence: SequenceItem, runs: SequenceRuns) -> RunTrouble | None:
-    """What the page says of it on each of its parts; None where there is none."""
+    """Return the trouble that each section of the page shows, or None."""
     run = runs.labelling
     if run is None or not is_troubled(sequence, runs):
         return None
@@ -101,7 +101,7 @@ def trouble_of(session: Session, sequence: SequenceItem, runs: SequenceRuns) -> 
 
 
 def is_stopped_by_another(session: Session, run: Job) -> bool:
-    """Whether somebody other than its owner asked the run to stop, which administrators may."""
+    """Return whether an administrator, not its owner, stopped the run."""
     stops = select(AuditEntry.actor_id).where(AuditEntry.subject_id == run.id, AuditEntry.act.in_(STOPS))
     actor_id = session.scalar(stops.order_by(AuditEntry.number.desc()).limit(1))
     return actor_id is not None and actor_id != run.owner_id

@@ -1,7 +1,7 @@
 """The status of a sequence and its next step, shown at the top of every section of its page.
 
-**Conventions.** `state` is one of `web/sequence/sequence_states.py`. Followed is the labelling; exports, comparisons
-and readings beside it are said in a line of their own.
+**Conventions.** `state` is one of `web/sequence/sequence_states.py`. It follows the labelling; exports, comparisons and
+readings have their own line.
 """
 
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ class LabelOrigin:
 
 
 def origin_of(labels: LabelSet | None) -> LabelOrigin | None:
-    """None where there are no labels, or they were made of a recording."""
+    """Return the origin; None without labels, or if they were made from a recording."""
     said = {} if labels is None else labels.parameters
     if not said.get("dataset") or not said.get("sha256"):
         return None
@@ -88,7 +88,7 @@ class SequenceStatus:
 
     @property
     def may_process(self) -> bool:
-        """Whether there is, or may be, something to process: what was imported brought no recording."""
+        """Return whether there can be something to process: imported labels come without a recording."""
         return self.may_change and (self.origin is None or self.sequence.recordings > 0)
 
     @property

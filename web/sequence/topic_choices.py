@@ -1,7 +1,7 @@
-"""The topics that a sequence may be processed with: those of its recordings that can be the odometry, or the LiDAR.
+"""The topics to choose from for processing: those of a sequence's recordings that can be the odometry, or the LiDAR.
 
-**Conventions.** Read from the inspections of registered recordings; a topic of several recordings is one, its messages
-added. What is offered is what processing takes (`stone_recordings/topics/sources.py`) and its API accepts as a name.
+**Conventions.** Read from the inspections of registered recordings; a topic in several recordings is one choice with
+added messages. A choice is a topic that processing accepts (`stone_recordings/topics/sources.py`) and the API allows.
 """
 
 import re
@@ -32,9 +32,9 @@ class TopicChoice:
 
 @dataclass(frozen=True)
 class TopicChoices:
-    """What there is to choose from; `automatic_…` is the topic that is taken unless another is chosen, "" if unknown.
+    """The choices; `automatic_…` is the default topic, "" if unknown.
 
-    `is_read` says whether there is a recording that was read.
+    `is_read` is whether a recording has been read.
     """
 
     is_read: bool = False
@@ -45,7 +45,7 @@ class TopicChoices:
 
 
 def topic_choices_of(session: Session, sequence_id: str) -> TopicChoices:
-    """The choices for a sequence."""
+    """Return the choices for a sequence."""
     registered = select(Recording.inspection).where(
         Recording.sequence_id == sequence_id, Recording.state == "registered"
     )
@@ -53,7 +53,7 @@ def topic_choices_of(session: Session, sequence_id: str) -> TopicChoices:
 
 
 def choices_in(inspections: Iterable[dict[str, Any] | None]) -> TopicChoices:
-    """The choices in the records of inspections; None is a recording without one."""
+    """Return the choices in the records of inspections; None is a recording without one."""
     read = list(inspections)
     records = [record for record in read if record]
     topics = [topic for record in records for topic in record.get("topics", [])]

@@ -1,8 +1,8 @@
-"""Plots of a label set's track: where the robot drove, how fast, how high, and the quality of its poses.
+"""Plots of a label set's track: position, speed, elevation, and the quality of its poses.
 
-**Conventions.** The map is drawn x to the right and y up; y is north where the poses have an origin on the globe. Times
-are seconds since the first frame. A speed is that between the frames before and after. Where frames are `PAUSE_S` apart
-lines break. A pose is sure where RTK was fixed, or where the source never speaks of RTK.
+**Conventions.** The map is drawn x to the right and y up; y is north if the poses have an origin on the globe. Times
+are seconds since the first frame. A speed is that between the previous and the next frame. Lines break at gaps of
+`PAUSE_S`. A pose is sure if RTK was fixed, or if the source has no RTK status.
 """
 
 from collections.abc import Mapping
@@ -55,7 +55,7 @@ class TrackView:
 
 
 def track_of(table: FrameTable) -> TrackView | None:
-    """None without frames."""
+    """Return the view, or None without frames."""
     if not len(table):
         return None
     speeds = speeds_m_s(table)
@@ -96,7 +96,7 @@ def is_sure(table: FrameTable) -> NDArray[np.bool_]:
 
 
 def ground_of(table: FrameTable) -> TrackMap:
-    """The track from above with a margin, never thinner than `LEAST_RATIO` of its length."""
+    """Return the track from above with a margin, never thinner than `LEAST_RATIO` of its length."""
     points_m = table.positions_map_m[:, :2] * (1.0, -1.0)
     low, high = points_m.min(axis=0), points_m.max(axis=0)
     longest = float(max(high - low))
@@ -119,7 +119,7 @@ def ground_of(table: FrameTable) -> TrackMap:
 
 
 def plots_of(table: FrameTable, speeds: Floats) -> tuple[Plot, ...]:
-    """Speed, elevation, and, where the source says it, how well the position was known; exclusions are marked."""
+    """Return plots of speed, elevation and, if the source has it, position accuracy; exclusions are marked."""
     times_s, span_s = table.times_s, float(table.times_s[-1])
     out = excluded_spans(table)
     plots = [
@@ -154,7 +154,7 @@ def _series(times_s: Floats, values: Floats, style: str = "curve", name: str = "
 
 
 def _paths(points_m: Floats, times_s: Floats, wanted: NDArray[np.bool_]) -> str:
-    """The pieces between two frames of which the later is wanted, without those over a pause."""
+    """Return the segments that end in a wanted frame, without those over a pause."""
     legs = np.concatenate([[0], np.cumsum(np.diff(times_s) > PAUSE_S)])
     rows = np.unique([*range(0, len(points_m), max(1, len(points_m) // MOST_POINTS)), len(points_m) - 1]).tolist()
     said, drawn_to = list[str](), -1

@@ -43,7 +43,7 @@ def benchmark(
 
 
 def versions(session: Session) -> list[str]:
-    """The names of the versions of the dataset, the newest first."""
+    """Return the names of the versions of the dataset, the newest first."""
     return list(session.scalars(select(Dataset.name).order_by(Dataset.id.desc()).limit(SHOWN)))
 
 

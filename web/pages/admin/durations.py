@@ -47,7 +47,7 @@ def durations(
     platform: PlatformDep,
     days: Annotated[int, Query(ge=1, le=90)] = 7,
 ) -> HTMLResponse:
-    """The newest `MOST_READ` jobs that ended in these days, runs and the jobs within them."""
+    """Show the newest `MOST_READ` jobs that ended in these days, runs and the jobs within them."""
     ended = select(Job.kind, Job.state, Job.started_ns, Job.finished_ns)
     ended = ended.where(Job.finished_ns >= now_ns() - days * DAY_NS, Job.state.in_(ENDS), Job.started_ns.is_not(None))
     with platform.database.reading() as session:

@@ -1,4 +1,4 @@
-"""The administrator's view of the work: queues, workers and everybody's jobs, at `/admin/jobs`."""
+"""The administrator's view of the work: queues, workers and all users' jobs, at `/admin/jobs`."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -72,7 +72,7 @@ class JobSearch:
     cursor: Annotated[str, Query(max_length=LONGEST_CURSOR)] = ""
 
     def filters(self) -> AdminFilters:
-        """The same as the API's filters."""
+        """Return the search as the API's filters."""
         said: dict[str, Any] = {key: value for key, value in asdict(self).items() if value and key not in OF_THE_PAGE}
         state = {"dead": {"dead": True}, "": {}}.get(self.list, {"state": self.list})
         return AdminFilters(**said, **state)
@@ -131,7 +131,7 @@ def jobs(
 
 
 def _found(session: Session, statement: Select[Job], search: JobSearch) -> PageRows[Job]:
-    """A page in the order of the search; of the longest there is one page only."""
+    """Return a page in the order of the search; the longest jobs have one page only."""
     if search.order == "longest":
         lasted = Job.finished_ns - Job.started_ns
         ended = statement.where(lasted.is_not(None)).order_by(lasted.desc(), Job.id.desc()).limit(SHOWN)
@@ -141,7 +141,7 @@ def _found(session: Session, statement: Select[Job], search: JobSearch) -> PageR
 
 
 def _invalid_submissions(session: Session, job_ids: Sequence[str]) -> frozenset[str]:
-    """Those of the jobs that succeeded in finding a submission invalid."""
+    """Return the succeeded jobs that found a submission invalid."""
     found = select(SubmissionRow.job_id).where(SubmissionRow.job_id.in_(job_ids), SubmissionRow.state == "invalid")
     return frozenset(one for one in session.scalars(found) if one)
 
