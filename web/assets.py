@@ -78,7 +78,7 @@ class Assets:
     @cached_property
     def import_map(self) -> str:
         """The import map for bare names in modules, as JSON for the page's head."""
-        imports = {name: self.url(f"libraries/{place}") for name, place in LIBRARIES.items()}
+        imports = {name: self.url(f"libraries/{path}") for name, path in LIBRARIES.items()}
         imports |= {name: self.url(f"modules/libraries/{name}.js") for name in BUNDLED}
         return json.dumps({"imports": imports}, separators=(",", ":"))
 
@@ -112,8 +112,8 @@ def _files() -> Iterator[tuple[str, Asset]]:
         for path in sorted(folder.rglob("*")):
             if path.suffix in MEDIA_TYPES:
                 yield f"{prefix}/{path.relative_to(folder).as_posix()}", _asset(path)
-    for place in LIBRARIES.values():
-        yield f"libraries/{place}", _asset(PACKAGES / place)
+    for file in LIBRARIES.values():
+        yield f"libraries/{file}", _asset(PACKAGES / file)
     if not (BUILT / "app.js").exists():
         raise pages_not_built(BUILT / "app.js")
 

@@ -112,7 +112,7 @@ class Thing:
 
 
 @dataclass(frozen=True)
-class Told:
+class DescribedLine:
     """An entry with its sentence: the actor, then `verb`, then the thing."""
 
     line: AuditLine
@@ -145,19 +145,19 @@ THINGS: Mapping[str, tuple[Any, Found]] = {
 }
 
 
-def told(session: Session, lines: Iterable[AuditLine]) -> list[Told]:
+def describe(session: Session, lines: Iterable[AuditLine]) -> list[DescribedLine]:
     """Return the entries as sentences, with one statement per kind of object."""
     kept = list(lines)
     wanted = defaultdict[str, set[str]](set)
     for line in kept:
         wanted[_noun(line)].add(line.subject_id)
-    found = {
-        (noun, one.id): as_thing(one)
+    objects = {
+        (noun, row_found.id): as_thing(row_found)
         for noun, (row, as_thing) in THINGS.items()
-        for one in _rows(session, row, wanted[noun])
+        for row_found in _rows(session, row, wanted[noun])
     }
     return [
-        Told(line, VERBS.get(line.act, line.act), found.get((_noun(line), line.subject_id)) or _gone(line))
+        DescribedLine(line, VERBS.get(line.act, line.act), objects.get((_noun(line), line.subject_id)) or _gone(line))
         for line in kept
     ]
 

@@ -28,5 +28,5 @@ def html_of(text: str) -> Markup:
     """Return the HTML below the title."""
     tokens = _MARKDOWN.parse(text)
     has_title = bool(tokens) and tokens[0].tag == "h1"
-    said: str = _MARKDOWN.renderer.render(tokens[3:] if has_title else tokens, _MARKDOWN.options, {})
-    return Markup(said)
+    rendered: str = _MARKDOWN.renderer.render(tokens[3:] if has_title else tokens, _MARKDOWN.options, {})
+    return Markup(rendered)

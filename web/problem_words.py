@@ -47,7 +47,10 @@ def grouped(problems: Iterable[FileProblem]) -> list[ProblemGroup]:
     by_code: dict[str, list[FileProblem]] = {}
     for problem in problems:
         by_code.setdefault(problem.code, []).append(problem)
-    groups = [ProblemGroup(code, _advice(code, found), tuple(found)) for code, found in by_code.items()]
+    groups = [
+        ProblemGroup(code, _advice(code, problems_of_code), tuple(problems_of_code))
+        for code, problems_of_code in by_code.items()
+    ]
     return sorted(groups, key=lambda group: -len(group.problems))
 
 

@@ -91,7 +91,7 @@ class PageTemplates:
 def page(
     request: Request, caller: Caller, template: str, *, status: int = 200, needs_wasm: bool = False, **values: Any
 ) -> HTMLResponse:
-    """Return the rendered template, with `values` and `me`, `path`, `query`, `zone`, `colours`, `ways`, `navigation`."""
+    """Return the rendered template with `values`, `me`, `path`, `query`, `zone`, `colours`, `ways`, `navigation`."""
     pages: PageTemplates = request.app.state.pages
     known = {
         "me": caller,

@@ -84,11 +84,11 @@ def rig_of(calibration: Calibration) -> RigDrawing:
     """Return the drawing. The LiDAR is the sensor that all the others are placed by."""
     sensors = placed_sensors(calibration)
     placed = [_placed(sensor) for sensor in sensors]
-    near = [one for one in placed if max(map(abs, one.at_m)) <= FARTHEST_M]
+    near = [mount for mount in placed if max(map(abs, mount.at_m)) <= FARTHEST_M]
     half_m = (calibration.footprint.length_m / 2, calibration.footprint.width_m / 2)
     top = _view("From above", near, lambda p: (-p[1], -p[0]), (half_m[1], half_m[0]))
     side = _view("From the right", near, lambda p: (p[0], -p[2]), (half_m[0], 0.0))
-    left_out = tuple(one.mount.name for one in placed if one not in near)
+    left_out = tuple(mount.mount.name for mount in placed if mount not in near)
     return RigDrawing((top, side), tuple(sensors), left_out, calibration.vehicle)
 
 
@@ -109,7 +109,7 @@ def _placed(sensor: PlacedSensor) -> _PlacedMount:
 
 def _view(title: str, placed: list[_PlacedMount], flat: Flat, half_m: tuple[float, float]) -> RigView:
     """Return a view sized to fit its marks."""
-    marks = _uncluttered([_mark(one, flat(one.at_m), flat(one.looks)) for one in placed])
+    marks = _uncluttered([_mark(mount, flat(mount.at_m), flat(mount.looks)) for mount in placed])
     body_height = 2 * half_m[1] * CM
     body = (-half_m[0] * CM, -half_m[1] * CM if body_height else -35.0, 2 * half_m[0] * CM, body_height or 35.0)
     seen = REACH_CM if any(mark.wedge for mark in marks) else 0.0

@@ -103,8 +103,8 @@ COOKIE = "stone_colours"
 
 def colours_of(request: Request) -> ColourName:
     """Return the palette of class colours."""
-    asked = request.cookies.get(COOKIE, "")
-    return next((name for name in PALETTES if name == asked), "default")
+    chosen = request.cookies.get(COOKIE, "")
+    return next((name for name in PALETTES if name == chosen), "default")
 
 
 def coloured(url: str, colours: ColourName) -> str:
@@ -135,15 +135,15 @@ def span(seconds: float | None) -> str:
         return DASH
     if seconds < 10:
         return f"{seconds:.1f} s"
-    left, said = round(seconds), list[str]()
+    left, parts = round(seconds), list[str]()
     for name, length in SPANS:
         count, rest = divmod(left, length)
-        if count or said:
-            said.append(f"{count} {name}" if count else "")
+        if count or parts:
+            parts.append(f"{count} {name}" if count else "")
             left = rest
-        if len(said) == 2:
+        if len(parts) == 2:
             break
-    return " ".join(part for part in said if part)
+    return " ".join(part for part in parts if part)
 
 
 def about(seconds: float | None) -> str:
@@ -200,7 +200,7 @@ def by_harm(findings: Iterable[Any]) -> list[Any]:
     return sorted(findings, key=rank)
 
 
-def said_of(finding: Any) -> str:
+def sentence_of(finding: Any) -> str:
     """Return the sentence of a finding, a mapping or a value, after its topic unless the sentence contains it."""
     named = finding if isinstance(finding, Mapping) else {"topic": finding.topic, "message": finding.message}
     topic, message = str(named.get("topic") or ""), str(named["message"])
@@ -208,7 +208,7 @@ def said_of(finding: Any) -> str:
 
 
 FILTERS: Mapping[str, Callable[..., Any]] = {
-    "said_of": said_of,
+    "sentence_of": sentence_of,
     "size": size,
     "span": span,
     "about": about,
@@ -253,8 +253,8 @@ def phase_names(session: Session, ids: Iterable[str]) -> Mapping[str, PhaseName]
     joined = select(Phase.id, Benchmark.name, Benchmark.title, Phase.name).join(
         Benchmark, Benchmark.id == Phase.benchmark_id
     )
-    found = session.execute(joined.where(Phase.id.in_(set(ids))))
-    return {phase_id: PhaseName(benchmark, title, phase) for phase_id, benchmark, title, phase in found}
+    rows = session.execute(joined.where(Phase.id.in_(set(ids))))
+    return {phase_id: PhaseName(benchmark, title, phase) for phase_id, benchmark, title, phase in rows}
 
 
 def team_names(session: Session, ids: Iterable[str]) -> Mapping[str, str]:

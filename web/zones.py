@@ -25,5 +25,5 @@ def zone_of(request: Request) -> tzinfo:
 
 def written(moment: datetime, zone: tzinfo, *, is_exact: bool = False) -> str:
     """Return `2026-11-21 20:10` in this zone; in UTC with its name, because the reader's zone is unknown."""
-    said = moment.astimezone(zone).strftime("%Y-%m-%d %H:%M:%S" if is_exact else "%Y-%m-%d %H:%M")
-    return f"{said} UTC" if zone is UTC else said
+    text = moment.astimezone(zone).strftime("%Y-%m-%d %H:%M:%S" if is_exact else "%Y-%m-%d %H:%M")
+    return f"{text} UTC" if zone is UTC else text

@@ -125,6 +125,6 @@ def test_of_names_in_one_place_one_is_written() -> None:
 
 def test_a_finding_names_its_subject_once() -> None:
     puts = {"code": "CAL-430", "topic": "CAM_FRONT", "message": "tf_static puts it 2.7 cm from the calibration."}
-    assert words.said_of(puts) == "CAM_FRONT: tf_static puts it 2.7 cm from the calibration."
-    assert words.said_of({**puts, "message": "CAM_FRONT: |t| is 12.3 m"}) == "CAM_FRONT: |t| is 12.3 m"
-    assert words.said_of({"code": "LAB-603", "message": "The track spans 3.11 m."}) == "The track spans 3.11 m."
+    assert words.sentence_of(puts) == "CAM_FRONT: tf_static puts it 2.7 cm from the calibration."
+    assert words.sentence_of({**puts, "message": "CAM_FRONT: |t| is 12.3 m"}) == "CAM_FRONT: |t| is 12.3 m"
+    assert words.sentence_of({"code": "LAB-603", "message": "The track spans 3.11 m."}) == "The track spans 3.11 m."

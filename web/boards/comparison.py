@@ -121,7 +121,7 @@ class DifferenceSpan:
 
     low: str
     length: str
-    said: str
+    text: str
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class ComparedRow:
 
     name: str
     title: str
-    found: RatioDifferenceItem
+    ratio: RatioDifferenceItem
     a_width: str | None
     b_width: str | None
     at: str | None
@@ -150,8 +150,8 @@ class ComparisonFigures:
 
 def compared(answer: ComparisonAnswer, names: Names) -> ComparisonFigures:
     ratios = answer.ratios
-    bars = axis_from_zero(value for found in ratios.values() for value in (found.a, found.b))
-    reach = [value for found in ratios.values() for value in (found.difference, *_ends(found))]
+    bars = axis_from_zero(value for ratio in ratios.values() for value in (ratio.a, ratio.b))
+    reach = [value for ratio in ratios.values() for value in (ratio.difference, *_ends(ratio))]
     differences = axis_around_zero(reach)
     rows = tuple(_row(name, ratios[name], bars, differences) for name in TITLES)
     return ComparisonFigures(rows, bars, differences, verdict(answer, names))
@@ -159,21 +159,21 @@ def compared(answer: ComparisonAnswer, names: Names) -> ComparisonFigures:
 
 def verdict(answer: ComparisonAnswer, names: Names) -> ComparisonVerdict:
     """Return the verdict in words: the better entry by mIoU, the margin, and its significance."""
-    found = answer.ratios["miou"]
-    if found.difference is None:
+    ratio = answer.ratios["miou"]
+    if ratio.difference is None:
         return ComparisonVerdict(
             "The two entries cannot be ordered", ("One of the entries has no mIoU: a class is undefined.",)
         )
-    better, worse = (names.a, names.b) if found.difference >= 0 else (names.b, names.a)
-    margin = f"{better} is ahead by {abs(100 * found.difference):.2f} points of mIoU."
-    if found.difference == 0:
-        return ComparisonVerdict(f"{names.a} and {names.b} have the same mIoU", (_uncertain(answer, found),))
-    if answer.is_withheld or found.these_places is None:
+    better, worse = (names.a, names.b) if ratio.difference >= 0 else (names.b, names.a)
+    margin = f"{better} is ahead by {abs(100 * ratio.difference):.2f} points of mIoU."
+    if ratio.difference == 0:
+        return ComparisonVerdict(f"{names.a} and {names.b} have the same mIoU", (_uncertain(answer, ratio),))
+    if answer.is_withheld or ratio.these_places is None:
         headline = f"{better} is ahead of {worse}; significance unknown"
-        scored = f"{better} scored {abs(100 * found.difference):.2f} points of mIoU more."
-        return ComparisonVerdict(headline, (scored, _uncertain(answer, found)))
-    grounds = (margin, _here(answer, found.difference, found.these_places), *_elsewhere(answer, found))
-    if found.these_places.p > 1 - answer.interval_level:
+        scored = f"{better} scored {abs(100 * ratio.difference):.2f} points of mIoU more."
+        return ComparisonVerdict(headline, (scored, _uncertain(answer, ratio)))
+    grounds = (margin, _here(answer, ratio.difference, ratio.these_places), *_elsewhere(answer, ratio))
+    if ratio.these_places.p > 1 - answer.interval_level:
         return ComparisonVerdict(f"No significant difference between {names.a} and {names.b}", grounds)
     return ComparisonVerdict(f"{better} is better than {worse}", grounds)
 
@@ -200,12 +200,12 @@ def _here(answer: ComparisonAnswer, difference: float, told: DifferenceItem) -> 
 
 
 def _elsewhere(answer: ComparisonAnswer, found: RatioDifferenceItem) -> tuple[str, ...]:
-    told = found.new_place
-    if told is None:
+    interval = found.new_place
+    if interval is None:
         return (f"No interval for unseen places: {_silence(found, 'new_place')}.",)
-    if told.p <= 1 - answer.interval_level:
-        return (f"It is also significant across whole sequences and thus likely in unseen places ({_p(told.p)}).",)
-    return (f"It is not significant across whole sequences and may not hold in unseen places ({_p(told.p)}).",)
+    if interval.p <= 1 - answer.interval_level:
+        return (f"It is also significant across whole sequences and thus likely in unseen places ({_p(interval.p)}).",)
+    return (f"It is not significant across whole sequences and may not hold in unseen places ({_p(interval.p)}).",)
 
 
 def _silence(found: RatioDifferenceItem, scope: Scope) -> str:
@@ -238,4 +238,6 @@ def _span(found: DifferenceItem | None, axis: Axis) -> DifferenceSpan | None:
 
 
 def _ends(found: RatioDifferenceItem) -> tuple[float, ...]:
-    return tuple(end for told in (found.these_places, found.new_place) if told is not None for end in told.interval)
+    return tuple(
+        end for interval in (found.these_places, found.new_place) if interval is not None for end in interval.interval
+    )

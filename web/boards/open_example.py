@@ -14,23 +14,23 @@ STOPS = 24
 
 @dataclass(frozen=True)
 class ChosenFrame:
-    """A frame among those of its phase: `place` counts from 1 of `total`; neighbours are empty at either end."""
+    """A frame among those of its phase: `number` counts from 1 of `total`; neighbours are empty at either end."""
 
     token: str
     sequence: str
-    place: int
+    number: int
     total: int
     before: str
     after: str
 
 
-def chosen_frame(platform: Platform, found: OpenTruth | None, token: str | None = None) -> ChosenFrame | None:
+def chosen_frame(platform: Platform, located: OpenTruth | None, token: str | None = None) -> ChosenFrame | None:
     """Return the frame of this token, else the one in the middle; None if no frame may be shown.
 
     Reads the store, so it must not run within a transaction. The neighbours are chosen so that `STOPS` of them span all
     frames.
     """
-    shown = open_frames(platform.store, found).sequences if found else {}
+    shown = open_frames(platform.store, located).sequences if located else {}
     if not shown:
         return None
     tokens = tuple(shown)

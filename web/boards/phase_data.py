@@ -82,15 +82,17 @@ def phase_downloads(session: Session, phase: Phase) -> PhaseDownloads:
 def _training(session: Session, dataset: Dataset) -> tuple[SequenceInput, ...]:
     members: Sequence[DatasetMember] = session.scalars(members_of(dataset.id, [TRAIN])).all()
     at = f"/api/v1/datasets/{dataset.name}/inputs"
-    return tuple(_input(one.member, one.made, at) for one in inputs_of_members(session, members))
+    return tuple(
+        _input(member_input.member, member_input.made, at) for member_input in inputs_of_members(session, members)
+    )
 
 
 def _input(member: DatasetMember, made: PhaseInput | DatasetInput | None, at: str) -> SequenceInput:
-    said = (member.name, member.environment, member.illumination, member.frames)
+    facts = (member.name, member.environment, member.illumination, member.frames)
     return (
-        SequenceInput(*said, f"{at}/{member.name}.tar", made.tar_bytes, made.tar_sha256)
+        SequenceInput(*facts, f"{at}/{member.name}.tar", made.tar_bytes, made.tar_sha256)
         if made
-        else SequenceInput(*said)
+        else SequenceInput(*facts)
     )
 
 
@@ -99,6 +101,6 @@ def _baselines(session: Session, phase: Phase) -> tuple[BaselineZip, ...]:
     if secrecy_of(phase, now_ns()) != "open":
         return ()
     kept = select(SubmissionRow, Blob).join(Blob, Blob.sha256 == SubmissionRow.blob_sha256)
-    found = kept.where(is_on_board(), SubmissionRow.phase_id == phase.id, SubmissionRow.kind == "baseline")
-    rows = session.execute(found.order_by(SubmissionRow.method))
+    baselines = kept.where(is_on_board(), SubmissionRow.phase_id == phase.id, SubmissionRow.kind == "baseline")
+    rows = session.execute(baselines.order_by(SubmissionRow.method))
     return tuple(BaselineZip(row.id, row.method, blob.size_bytes, blob.sha256) for row, blob in rows)

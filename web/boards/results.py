@@ -105,11 +105,12 @@ def totals(answer: ResultsAnswer) -> Totals:
 
 def breakdowns(answers: Iterable[BreakdownAnswer]) -> tuple[Breakdown, ...]:
     """Return one figure for each breakdown with more than one part, all on the same axis."""
-    told = sorted((one for one in answers if len(one.parts) > 1), key=lambda one: list(BY_TITLES).index(one.by))
-    axis = axis_over(getattr(part.ratios, name) for answer in told for part in answer.parts for name in DOTS)
+    several = (answer for answer in answers if len(answer.parts) > 1)
+    ordered = sorted(several, key=lambda answer: list(BY_TITLES).index(answer.by))
+    axis = axis_over(getattr(part.ratios, name) for answer in ordered for part in answer.parts for name in DOTS)
     return tuple(
         Breakdown(answer.by, BY_TITLES[answer.by], tuple(_part(part, axis) for part in answer.parts), axis)
-        for answer in told
+        for answer in ordered
     )
 
 

@@ -85,7 +85,7 @@ class ShownBoard:
 
     @property
     def has_brackets(self) -> bool:
-        return any(one.tied > 1 for group in self.groups for one in group.rows)
+        return any(row.tied > 1 for group in self.groups for row in group.rows)
 
     @property
     def has_danger(self) -> bool:
@@ -94,16 +94,16 @@ class ShownBoard:
     @property
     def comparable(self) -> int:
         """The number of rows that can be compared."""
-        return sum(one.row.submission_id is not None for group in self.groups for one in group.rows)
+        return sum(shown.row.submission_id is not None for group in self.groups for shown in group.rows)
 
     @property
     def asked(self) -> dict[str, str]:
         """The query of this board, where it differs from the one shown first."""
         answer = self.answer
-        said = {"track": answer.track, "entries": answer.entries, "sort": self.sort}
+        given = {"track": answer.track, "entries": answer.entries, "sort": self.sort}
         usual = {"track": "all", "entries": "best", "sort": "rank"}
         when = {} if answer.as_of is None else {"as_of": answer.as_of.isoformat().replace("+00:00", "Z")}
-        return {name: value for name, value in said.items() if value != usual[name]} | when
+        return {name: value for name, value in given.items() if value != usual[name]} | when
 
     def link(self, **changed: str | None) -> str:
         """Return the URL of this board with these changes of its query; None removes a parameter."""
@@ -148,7 +148,7 @@ def shortened(whole: ShownBoard, most: int = FEW) -> ShownBoard:
     """Return the best `most` ranked rows with their axis, and the best ceiling, baseline and reported row."""
     shown: dict[EntryStatus, int] = {"ceiling": 1, "ranked": most, "baseline": 1, "reported": 1}
     rows: list[BoardRow] = []
-    for row in (one.row for group in whole.groups for one in group.rows):
+    for row in (shown_row.row for group in whole.groups for shown_row in group.rows):
         if shown.get(row.standing, 0):
             shown[row.standing] -= 1
             rows.append(row)
@@ -161,12 +161,12 @@ def _ranked(rows: Iterable[BoardRow]) -> int:
 
 def _by_group(rows: Iterable[BoardRow]) -> list[tuple[EntryStatus, list[BoardRow]]]:
     """Group the rows by standing; baselines are placed among the ranked entries, if there are any."""
-    found: dict[EntryStatus, list[BoardRow]] = {standing: [] for standing in TITLES}
+    groups: dict[EntryStatus, list[BoardRow]] = {standing: [] for standing in TITLES}
     for row in rows:
-        found[row.standing].append(row)
-    if found["ranked"]:
-        found["ranked"] = _with_baselines(found["ranked"], found.pop("baseline"))
-    return [(standing, rows_of) for standing, rows_of in found.items() if rows_of]
+        groups[row.standing].append(row)
+    if groups["ranked"]:
+        groups["ranked"] = _with_baselines(groups["ranked"], groups.pop("baseline"))
+    return [(standing, rows_of) for standing, rows_of in groups.items() if rows_of]
 
 
 def _with_baselines(ranked: list[BoardRow], baselines: Iterable[BoardRow]) -> list[BoardRow]:
@@ -244,9 +244,9 @@ def _whisker(row: BoardRow, axis: Axis) -> BoardWhisker | None:
 
 
 def _bests(rows: Sequence[BoardRow]) -> dict[str, float]:
-    found = {name: [value for row in rows if (value := _value(row, name)) is not None] for name in VALUE_NAMES}
+    known = {name: [value for row in rows if (value := _value(row, name)) is not None] for name in VALUE_NAMES}
     best_of = {"danger": min}
-    return {name: best_of.get(name, max)(values) for name, values in found.items() if len(values) > 1}
+    return {name: best_of.get(name, max)(values) for name, values in known.items() if len(values) > 1}
 
 
 def _best_in(row: BoardRow, bests: Mapping[str, float]) -> frozenset[str]:
@@ -299,12 +299,12 @@ def timeline(shown: ShownBoard, changes: Sequence[ChangeItem]) -> BoardTimeline:
     last = len(changes) - 1
     stops = tuple(
         TimelineStop(
-            shown.link(as_of=None if place == last else _spelled(change.at)),
+            shown.link(as_of=None if index == last else _spelled(change.at)),
             change,
-            f"{100 * place / max(last, 1):.2f}%",
+            f"{100 * index / max(last, 1):.2f}%",
             _height(change.best_miou, axis),
         )
-        for place, change in enumerate(changes)
+        for index, change in enumerate(changes)
     )
     return BoardTimeline(stops, _steps(stops), _chosen(stops, shown.answer.as_of))
 
@@ -312,11 +312,11 @@ def timeline(shown: ShownBoard, changes: Sequence[ChangeItem]) -> BoardTimeline:
 def _steps(stops: Sequence[TimelineStop]) -> tuple[CurveStep, ...]:
     """Level until the next stop, then up or down to it."""
     steps: list[CurveStep] = []
-    for one, following in pairwise(stops):
-        if one.y is not None:
-            steps.append(CurveStep(one.x, one.y, following.x, one.y))
-        if one.y is not None and following.y is not None and one.y != following.y:
-            steps.append(CurveStep(following.x, one.y, following.x, following.y))
+    for stop, following in pairwise(stops):
+        if stop.y is not None:
+            steps.append(CurveStep(stop.x, stop.y, following.x, stop.y))
+        if stop.y is not None and following.y is not None and stop.y != following.y:
+            steps.append(CurveStep(following.x, stop.y, following.x, following.y))
     return tuple(steps)
 
 

@@ -60,8 +60,8 @@ def slope_picture(rows: Sequence[MovedItem]) -> SlopePicture | None:
 def _column(ranked: Sequence[tuple[int, MovedItem]]) -> dict[str, SlopeEnd]:
     ordered = sorted(ranked, key=lambda one: (one[0], one[1].method, one[1].submission_id))
     return {
-        row.submission_id: SlopeEnd(TOP + ROW * (place + 0.5), rank, _named(row))
-        for place, (rank, row) in enumerate(ordered)
+        row.submission_id: SlopeEnd(TOP + ROW * (index + 0.5), rank, _named(row))
+        for index, (rank, row) in enumerate(ordered)
     }
 
 
@@ -94,6 +94,6 @@ def bars(counts: Sequence[int], width: float, height: float, gap: float = 1.0) -
     most, step = max([1, *counts]), width / max(1, len(counts))
     heights = [max(1.0, height * count / most) for count in counts]
     return [
-        SparkBar(round(place * step, 2), round(height - tall, 2), round(step - gap, 2), round(tall, 2), count)
-        for place, (count, tall) in enumerate(zip(counts, heights, strict=True))
+        SparkBar(round(index * step, 2), round(height - tall, 2), round(step - gap, 2), round(tall, 2), count)
+        for index, (count, tall) in enumerate(zip(counts, heights, strict=True))
     ]

@@ -46,7 +46,7 @@ def submission_steps(at: StepsPlace) -> tuple[SubmissionStep, ...]:
 def _steps(at: StepsPlace) -> Iterator[SubmissionStep]:
     of_phase, manifest = (at.benchmark, at.phase), manifest_filename(at.benchmark, at.phase)
     wanted = ("--benchmark", at.benchmark, "--phase", at.phase)
-    said = ("--team", at.team or TEAM, "--method", METHOD, "--modality", "L")
+    options = ("--team", at.team or TEAM, "--method", METHOD, "--modality", "L")
     if at.wheel is not None:
         line = f"{IN_ITS_OWN_PLACE}{install_line(at.url, at.wheel)}"
         yield SubmissionStep("Install the client", line, "Python 3.10 or newer.")
@@ -67,6 +67,6 @@ def _steps(at: StepsPlace) -> Iterator[SubmissionStep]:
     yield SubmissionStep("Validate", join(("stone", "validate", ZIP, "--manifest", manifest)))
     yield SubmissionStep(
         "Submit",
-        join(("stone", "benchmark", "submit", ZIP, *wanted, *said)),
+        join(("stone", "benchmark", "submit", ZIP, *wanted, *options)),
         "L is LiDAR; C camera, R radar, C+L both.",
     )

@@ -9,7 +9,7 @@ from api.deps import Administrator, PlatformDep
 from api.paging import LONGEST_CURSOR, PageQuery
 from api.schemas.base import PLAIN
 from api.views.audit import AuditFilter, acts_known, audit_page
-from web.audit_words import VERBS, told
+from web.audit_words import VERBS, describe
 from web.rendering import page
 
 router = APIRouter()
@@ -31,7 +31,7 @@ def audit_log(
     wanted = AuditFilter(act=act.strip(), actor=actor.strip(), subject_id=subject_id.strip())
     with platform.database.reading() as session:
         lines = audit_page(session, PageQuery(cursor, SHOWN), wanted)
-        acts, entries = acts_known(session), told(session, lines.items)
+        acts, entries = acts_known(session), describe(session, lines.items)
     return page(
         request, caller, "people/audit.html", lines=lines, entries=entries, acts=acts, wanted=wanted, verbs=VERBS
     )

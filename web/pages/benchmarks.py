@@ -46,12 +46,12 @@ class ShownPhase:
 @router.get("/benchmarks")
 def list_benchmarks(request: Request, caller: Looker, platform: PlatformDep, query: PageDep) -> HTMLResponse:
     with platform.database.reading() as session:
-        found = page_of(session, benchmarks_of(caller), Benchmark.id.desc(), query)
-        items = benchmark_items(session, found.rows)
-        phases = {row.name: _phases(session, row) for row in found.rows}
+        rows = page_of(session, benchmarks_of(caller), Benchmark.id.desc(), query)
+        items = benchmark_items(session, rows.rows)
+        phases = {row.name: _phases(session, row) for row in rows.rows}
         viewer = viewer_for(session, caller)
     leaders = {item.name: _leaders(platform, phases[item.name], viewer) for item in items[:FIRST]}
-    known: dict[str, Any] = {"benchmarks": items, "phases": phases, "leaders": leaders, "cursor": found.next}
+    known: dict[str, Any] = {"benchmarks": items, "phases": phases, "leaders": leaders, "cursor": rows.next}
     return page(request, caller, "boards/benchmarks.html", **known)
 
 
@@ -62,11 +62,13 @@ def show_benchmark(
     with platform.database.reading() as session:
         row = benchmark_of(session, caller, benchmark_name)
         phases, viewer = _phases(session, row), viewer_for(session, caller)
-        first = min(phases, key=lambda one: one.is_hidden, default=None)
+        first = min(phases, key=lambda phase: phase.is_hidden, default=None)
         truth = open_truth_of(session, session.get_one(Phase, first.id)) if first else None
     known: dict[str, Any] = {
         "benchmark": row,
-        "phases": [ShownPhase(one, shortened(shown_board(platform, one.id, viewer)), _passed(one)) for one in phases],
+        "phases": [
+            ShownPhase(phase, shortened(shown_board(platform, phase.id, viewer)), _passed(phase)) for phase in phases
+        ],
         "first": first,
         "example": chosen_frame(platform, truth),
         "grid": first.grid if first else PAPER,
@@ -82,12 +84,12 @@ def show_definition(
         phase = at.find(session)
         item = phase_item(session, phase)
         title = session.get_one(Benchmark, phase.benchmark_id).title or at.benchmark
-        found = metric_item(session, phase, metric)
+        definition = metric_item(session, phase, metric)
     known: dict[str, Any] = {
         "phase": item,
         "benchmark_title": title,
-        "metric": found,
-        "definition": html_of(found.definition),
+        "metric": definition,
+        "definition": html_of(definition.definition),
     }
     return page(request, caller, "boards/metric.html", **known)
 
@@ -98,8 +100,8 @@ def _phases(session: Session, row: Benchmark) -> list[PhaseItem]:
 
 def _leaders(platform: Platform, phases: Iterable[PhaseItem], viewer: Viewer) -> ShownBoard | None:
     """Return the head of the board of the running phase, else of the first; None without a phase."""
-    found = sorted(phases, key=lambda one: one.standing != "open")
-    return shortened(shown_board(platform, found[0].id, viewer), FIRST) if found else None
+    ordered = sorted(phases, key=lambda phase: phase.standing != "open")
+    return shortened(shown_board(platform, ordered[0].id, viewer), FIRST) if ordered else None
 
 
 def _passed(item: PhaseItem) -> float | None:

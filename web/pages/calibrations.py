@@ -37,13 +37,13 @@ def list_calibrations(
     mine = theirs(select(CalibrationRow), caller, CalibrationRow.owner_id)
     narrowed = mine.where(CalibrationRow.name.icontains(name, autoescape=True)) if name else mine
     with platform.database.reading() as session:
-        found = paged(session, narrowed, CalibrationRow.id.desc(), PageQuery(cursor or None, SHOWN))
-        ids = [row.id for row in found.rows]
+        rows = paged(session, narrowed, CalibrationRow.id.desc(), PageQuery(cursor or None, SHOWN))
+        ids = [row.id for row in rows.rows]
         alive = SequenceRow.deleted_ns.is_(None)
         pinned = select(SequenceRow.calibration_id, func.count()).where(SequenceRow.calibration_id.in_(ids), alive)
         counts = dict(session.execute(pinned.group_by(SequenceRow.calibration_id)).all())
-    shown = [(CalibrationItem.of(row), counts.get(row.id, 0)) for row in found.rows]
-    return page(request, caller, "calibrations/list.html", shown=shown, cursor=found.next, name=name or "")
+    shown = [(CalibrationItem.of(row), counts.get(row.id, 0)) for row in rows.rows]
+    return page(request, caller, "calibrations/list.html", shown=shown, cursor=rows.next, name=name or "")
 
 
 @router.get("/{calibration_id}")
@@ -60,7 +60,7 @@ def show_calibration(
         versions = session.scalars(of_name.order_by(CalibrationRow.version.desc()).limit(MOST_NAMED)).all()
         pins = select(SequenceRow).where(SequenceRow.id.in_(sequences_of(caller).with_only_columns(SequenceRow.id)))
         named = pins.order_by(SequenceRow.name).limit(MOST_NAMED)
-        sequences = [(one.id, one.name, one.calibration_id == row.id) for one in session.scalars(named)]
+        sequences = [(pin.id, pin.name, pin.calibration_id == row.id) for pin in session.scalars(named)]
     rig, unread = stored_rig(platform.store, key, item.filename)
     other = against or (before.id if before is not None else None)
     return page(
@@ -68,7 +68,7 @@ def show_calibration(
         caller,
         "calibrations/one.html",
         calibration=item,
-        versions=[(one.id, one.version) for one in versions],
+        versions=[(version.id, version.version) for version in versions],
         sequences=sequences,
         rig=rig,
         unread=unread,

@@ -46,14 +46,14 @@ def compare_entries(
         phase = at.find(session)
         title = session.get_one(Benchmark, phase.benchmark_id).title or at.benchmark
         viewer = viewer_for(session, caller)
-        chosen = [known_submission(session, viewer, one) if one else None for one in (picked.a, picked.b)]
+        chosen = [known_submission(session, viewer, item) if item else None for item in (picked.a, picked.b)]
     board = shown_board(platform, phase.id, viewer, BoardQuery(entries="all"))
     a, b = chosen
     shown = None
     if a is not None and b is not None:
         answer = comparison_answer(compare(platform, phase.id, (a, b), viewer))
         shown = compared(answer, _names(a, b))
-    rows = [one.row for group in board.groups for one in group.rows if one.row.submission_id]
+    rows = [item.row for group in board.groups for item in group.rows if item.row.submission_id]
     known: dict[str, Any] = {
         "phase": phase,
         "benchmark": at.benchmark,

@@ -80,8 +80,8 @@ def new_version(request: Request, caller: Administrator, platform: PlatformDep) 
 
 
 def _versions(session: Session, cursor: str | None) -> tuple[list[DatasetItem], str | None]:
-    found = rows_of(session, select(Dataset), Dataset.id.desc(), PageQuery(cursor, SHOWN))
-    return [dataset_item(session, row) for row in found.rows], found.next
+    versions = rows_of(session, select(Dataset), Dataset.id.desc(), PageQuery(cursor, SHOWN))
+    return [dataset_item(session, row) for row in versions.rows], versions.next
 
 
 def _parts(record: Record) -> list[dict[str, Any]]:
@@ -165,10 +165,10 @@ def figure_of(record: Record) -> CompositionFigure:
     """Return the picture of a record of `statistics_record`; without sequences it has environments and no light."""
     cells = {(cell["environment"], cell["illumination"]): cell for cell in record["cells"]}
     words = _in_order({light for _, light in cells}, ILLUMINATIONS)
-    places = _in_order({place for place, _ in cells} | {*ENVIRONMENTS}, ENVIRONMENTS)
+    places = _in_order({environment for environment, _ in cells} | {*ENVIRONMENTS}, ENVIRONMENTS)
     bars_px = LEFT_PX + CELL_PX * max(len(words), 1)
     scale = _FigureScale(cells, {row["key"]: row for row in record["environments"]})
-    lines = tuple(_line(place, number, words, scale) for number, place in enumerate(places))
+    lines = tuple(_line(environment, number, words, scale) for number, environment in enumerate(places))
     lights = tuple(Heading(word or "unspecified", LEFT_PX + CELL_PX * n, CELL_PX) for n, word in enumerate(words))
     return CompositionFigure(
         width_px=bars_px + BAR_PX + END_PX,
@@ -209,8 +209,8 @@ def _line(place: str, number: int, words: list[str], scale: _FigureScale) -> Env
 def _square(cell: Record, x_px: float, y_px: float, side_px: float) -> Square:
     top_px = y_px - side_px / 2 - 6
     conditions = f"{cell['environment'] or 'unspecified'}, {cell['illumination'] or 'unspecified'}"
-    said = f"{conditions}: {counted(cell['sequences'], 'sequence')}"
-    return Square(said, x_px, top_px, side_px, cell["frames"], _stripes(cell["class_ratios"], top_px, side_px))
+    title = f"{conditions}: {counted(cell['sequences'], 'sequence')}"
+    return Square(title, x_px, top_px, side_px, cell["frames"], _stripes(cell["class_ratios"], top_px, side_px))
 
 
 def _stripes(ratios: Mapping[str, Any] | None, top_px: float, side_px: float) -> tuple[Stripe, ...]:
@@ -226,12 +226,12 @@ def _stripes(ratios: Mapping[str, Any] | None, top_px: float, side_px: float) ->
 
 def _halves(words: list[str]) -> tuple[Heading, ...]:
     """Day and night over the lights that are theirs, which stand beside each other."""
-    found = list[Heading]()
+    headings = list[Heading]()
     for half in HALVES:
-        at = [place for place, word in enumerate(words) if DAYLIGHT.get(word) == half]
+        at = [index for index, word in enumerate(words) if DAYLIGHT.get(word) == half]
         if at:
-            found.append(Heading(half, LEFT_PX + CELL_PX * at[0], CELL_PX * len(at)))
-    return tuple(found)
+            headings.append(Heading(half, LEFT_PX + CELL_PX * at[0], CELL_PX * len(at)))
+    return tuple(headings)
 
 
 def _in_order(words: set[str], order: tuple[str, ...]) -> list[str]:

@@ -33,8 +33,8 @@ def list_imports(request: Request, caller: Curator, platform: PlatformDep, curso
     """Show the form, and the caller's imports, newest first."""
     mine = theirs(select(DatasetImport), caller, DatasetImport.owner_id)
     with platform.database.reading() as session:
-        found = paged(session, mine, DatasetImport.id.desc(), PageQuery(cursor, SHOWN))
-        items = import_items(session, found.rows)
+        rows = paged(session, mine, DatasetImport.id.desc(), PageQuery(cursor, SHOWN))
+        items = import_items(session, rows.rows)
     limit_bytes = min(platform.settings.uploads.max_bytes, owner_limit_bytes(platform, UploadOwner(caller.user_id)))
     return page(
         request,
@@ -42,7 +42,7 @@ def list_imports(request: Request, caller: Curator, platform: PlatformDep, curso
         "imports/list.html",
         needs_wasm=True,
         imports=items,
-        cursor=found.next,
+        cursor=rows.next,
         limit_bytes=limit_bytes,
         longest_name=LONGEST_NAME,
         roots=platform.settings.in_place.roots,

@@ -40,10 +40,10 @@ def show_method(
 ) -> HTMLResponse:
     with platform.database.reading() as session:
         viewer = viewer_for(session, caller)
-        found = results(session, viewer, known_submission(session, viewer, submission_id), score)
-        answer = results_answer(session, viewer, found)
+        scored = results(session, viewer, known_submission(session, viewer, submission_id), score)
+        answer = results_answer(session, viewer, scored)
         seen = known_score(session, caller, submission_id, score)
-        told, made_by = _breakdowns(seen), _provenance(seen)
+        breakdown_answers, made_by = _breakdowns(seen), _provenance(seen)
         truth = locate_open_truth(session, seen.phase, seen.truth) if seen.submission.blob_sha256 else None
         title = session.get_one(Benchmark, seen.phase.benchmark_id).title or answer.benchmark
     board = shown_board(platform, seen.phase.id, viewer)
@@ -61,7 +61,7 @@ def show_method(
         frame=chosen_frame(platform, truth, frame) if seen.policy.shows("frames") else None,
         score_query=f"&score={score}" if score else "",
         totals=totals(answer),
-        breakdowns=breakdowns(told),
+        breakdowns=breakdowns(breakdown_answers),
         matrix=matrix(answer.confusion),
         class_names=CLASS_NAMES,
         provenance=made_by,
@@ -89,11 +89,11 @@ def _stands(seen: ScoreView) -> bool:
 
 def _row(board: ShownBoard, submission_id: str) -> BoardRow | None:
     """Return the entry's row of the current board, if it is the best of its team."""
-    rows = (one.row for group in board.groups for one in group.rows)
+    rows = (shown.row for group in board.groups for shown in group.rows)
     return next((row for row in rows if row.submission_id == submission_id), None)
 
 
 def _rivals(board: ShownBoard, submission_id: str) -> list[BoardRow]:
     """Return the other scored rows of the board, for comparisons."""
-    rows = (one.row for group in board.groups for one in group.rows)
+    rows = (shown.row for group in board.groups for shown in group.rows)
     return [row for row in rows if row.submission_id not in (None, submission_id)]

@@ -17,7 +17,7 @@ from api.views.people import browsers_of, storage_of, tokens_page, user_item, us
 from services.runtime.access.roles import ROLES, SCOPES
 from services.runtime.orm import User
 from services.runtime.orm.base import now_ns
-from web.audit_words import told
+from web.audit_words import describe
 from web.rendering import page
 
 router = APIRouter()
@@ -83,8 +83,8 @@ def users(
     cursor: Cursor = None,
 ) -> HTMLResponse:
     with platform.database.reading() as session:
-        found = users_page(session, PageQuery(cursor, SHOWN), name, role)
-    return page(request, caller, "people/users.html", users=found, name=name, role=role, may=MAY, roles=ROLES)
+        users_shown = users_page(session, PageQuery(cursor, SHOWN), name, role)
+    return page(request, caller, "people/users.html", users=users_shown, name=name, role=role, may=MAY, roles=ROLES)
 
 
 @router.get("/admin/users/{user_id}")
@@ -95,8 +95,8 @@ def user(request: Request, caller: Administrator, platform: PlatformDep, user_id
             "user": user_item(row),
             "storage": storage_of(platform, session, row),
             "tokens": tokens_page(session, PageQuery(None, 200), user_id),
-            "about": told(session, audit_page(session, LINES, AuditFilter(subject_id=user_id)).items),
-            "by": told(session, audit_page(session, LINES, AuditFilter(actor_id=user_id)).items),
+            "about": describe(session, audit_page(session, LINES, AuditFilter(subject_id=user_id)).items),
+            "by": describe(session, audit_page(session, LINES, AuditFilter(actor_id=user_id)).items),
             "browsers": browsers_of(session, user_id, ""),
         }
     return page(request, caller, "people/user.html", may=MAY, allows=ALLOWS, roles=ROLES, **values)

@@ -68,7 +68,11 @@ def overview(at: AtSequence, caller: Looker) -> HTMLResponse:
         needs_wasm=is_setting_up,
         has_scene=scene is not None,
         report=read_report(at.platform.store, file),
-        downloads=[(*DOWNLOADS[one.name], one) for one in status.sequence.artefacts if one.name in DOWNLOADS],
+        downloads=[
+            (*DOWNLOADS[artefact.name], artefact)
+            for artefact in status.sequence.artefacts
+            if artefact.name in DOWNLOADS
+        ],
         may_set_up=is_setting_up,
         again=again,
         choices=choices,
@@ -115,7 +119,7 @@ def calibration(at: AtSequence, caller: Looker) -> HTMLResponse:
         pinned = session.get(CalibrationRow, status.sequence.calibration_id or "")
         key = session.get_one(Blob, pinned.blob_sha256).object_key if pinned else ""
     rig, unread = stored_rig(at.platform.store, key, pinned.filename) if pinned else (None, "")
-    overlays = [one.name for one in status.sequence.previews if one.name.startswith(OVERLAY)]
+    overlays = [preview.name for preview in status.sequence.previews if preview.name.startswith(OVERLAY)]
     channels = sorted((name.removeprefix(OVERLAY).rpartition(".")[0] for name in overlays), key=rig_place)
     named = [(f"{OVERLAY}{channel}.jpg", _spoken(channel)) for channel in channels]
     return shown_section(
@@ -138,9 +142,9 @@ def exports(at: AtSequence, caller: Looker) -> HTMLResponse:
         asked_for = exports_shown_to(session, caller, at.sequence_id).where(Export.format != PLAYBACK)
         newest = asked_for.order_by(Export.id.desc())
         items = export_items(session, at.sequence_id, session.scalars(newest.limit(MOST_EXPORTS)).all())
-        alive = select(Job).where(Job.id.in_([one.job_id for one in items]), Job.state.not_in(TERMINAL))
+        alive = select(Job).where(Job.id.in_([export.job_id for export in items]), Job.state.not_in(TERMINAL))
         progress = {job.id: job.progress for job in job_items(session, session.scalars(alive).all())}
-    under_way = {one.id: progress[one.job_id] for one in items if one.job_id in progress}
+    under_way = {export.id: progress[export.job_id] for export in items if export.job_id in progress}
     offers = offers_beside(items)
     looking = (caller, status)
     return shown_section(at, looking, "exports", exports=items, under_way=under_way, titles=TITLES, offers=offers)

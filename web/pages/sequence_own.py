@@ -38,7 +38,9 @@ def recordings(at: AtSequence, caller: Reader) -> HTMLResponse:
         row, labels = sequence_of(session, caller, at.sequence_id), labels_of(session, at.sequence_id)
         file = artefact_file(session, row, labels, "report.json")
     report = read_report(at.platform.store, file)
-    views = [recording_view(one.inspection, one.quality) if one.inspection else None for one in shown]
+    views = [
+        recording_view(recording.inspection, recording.quality) if recording.inspection else None for recording in shown
+    ]
     pairs = list(zip(shown, views, strict=True))
     joined = report.recordings if report else ()
     looking = (caller, status)
@@ -70,12 +72,12 @@ def label_sets(at: AtSequence, caller: Reader) -> HTMLResponse:
         sets = label_set_items(session, at.sequence_id, rows.all())
         newest = select(LabelComparison).where(compared).order_by(LabelComparison.id.desc())
         comparisons = comparison_items(session, session.scalars(newest.limit(MOST_SHOWN)).all())
-    matrices = {one.id: matrix(one.record.all_voxels.confusion) for one in comparisons if one.record}
+    matrices = {item.id: matrix(item.record.all_voxels.confusion) for item in comparisons if item.record}
     return shown_section(
         at,
         (caller, status),
         "label-sets",
-        label_sets={one.id: one for one in sets},
+        label_sets={item.id: item for item in sets},
         comparisons=comparisons,
         matrices=matrices,
         class_names=CLASS_NAMES,

@@ -57,8 +57,8 @@ class SequenceFilterForm:
             illumination=self.illumination or None,
             owner_id=caller.user_id if self.whose and caller.user_id else None,
         )
-        found = filters.narrowed(statement)
-        return found.where(SequenceRow.name.icontains(self.name, autoescape=True)) if self.name else found
+        filtered = filters.narrowed(statement)
+        return filtered.where(SequenceRow.name.icontains(self.name, autoescape=True)) if self.name else filtered
 
 
 @router.get("")
@@ -72,8 +72,8 @@ def list_sequences(
     """List the sequences, newest first; the page updates running work automatically."""
     narrowed = asked.narrowed(sequences_shown_to(caller), caller)
     with platform.database.reading() as session:
-        found = paged(session, narrowed, SequenceRow.id.desc(), PageQuery(cursor or None, SHOWN))
-        items = sequence_items(session, found.rows, caller)
+        rows = paged(session, narrowed, SequenceRow.id.desc(), PageQuery(cursor or None, SHOWN))
+        items = sequence_items(session, rows.rows, caller)
         own = [item.id for item in items if caller.is_administrator or item.owner_id == caller.user_id]
         runs = runs_of(session, own)
         begun = uploads_begun(session, [item.id for item in items if item.id in own and not item.recordings])
@@ -86,7 +86,7 @@ def list_sequences(
         "sequences/list.html",
         shown=shown,
         sent=sent,
-        cursor=found.next,
+        cursor=rows.next,
         asked=asked,
         environments=OFFERED,
         illuminations=ILLUMINATIONS,
@@ -101,7 +101,7 @@ def new_sequences(request: Request, caller: Curator, platform: PlatformDep) -> H
     with platform.database.reading() as session:
         calibrations = [CalibrationItem.of(row) for row in session.scalars(newest.limit(MOST_CALIBRATIONS))]
         last_used = calibrations_by_robot(session, caller.user_id)
-    ids = {one.id for one in calibrations}
+    ids = {calibration.id for calibration in calibrations}
     return page(
         request,
         caller,
@@ -130,7 +130,7 @@ def calibrations_by_robot(session: Session, owner_id: str) -> dict[str, str]:
     columns = select(SequenceRow.platform, SequenceRow.calibration_id)
     own = columns.where(SequenceRow.owner_id == owner_id, SequenceRow.deleted_ns.is_(None))
     used = own.where(SequenceRow.platform != "", SequenceRow.calibration_id.is_not(None))
-    found: dict[str, str] = {}
+    by_robot: dict[str, str] = {}
     for robot, calibration_id in session.execute(used.order_by(SequenceRow.id.desc()).limit(MOST_REMEMBERED)):
-        found.setdefault(robot, calibration_id or "")
-    return found
+        by_robot.setdefault(robot, calibration_id or "")
+    return by_robot

@@ -69,7 +69,7 @@ def splits(request: Request, caller: Curator, platform: PlatformDep) -> HTMLResp
     findings = judged(current.split, seen) if caller.is_administrator else None
     shown = splits_answer(current, entries_of(seen), findings)
     columns = columns_of(shown)
-    others = sorted({one.environment for one in entries_of(seen) if one.environment} - {*ENVIRONMENTS})
+    others = sorted({entry.environment for entry in entries_of(seen) if entry.environment} - {*ENVIRONMENTS})
     return page(
         request,
         caller,

@@ -36,11 +36,11 @@ def list_submissions(
     request: Request, caller: Reader, platform: PlatformDep, query: PageDep, filters: Narrowed
 ) -> HTMLResponse:
     with platform.database.reading() as session:
-        found = paged(session, filters.narrowed(submissions_of(caller)), SubmissionRow.id.desc(), query)
-        items = submission_items(session, found.rows)
+        rows = paged(session, filters.narrowed(submissions_of(caller)), SubmissionRow.id.desc(), query)
+        items = submission_items(session, rows.rows)
         values: dict[str, Any] = {
             "items": items,
-            "next": found.next,
+            "next": rows.next,
             "phases": phase_names(session, [item.phase_id for item in items]),
             "teams": team_names(session, [item.team_id for item in items]),
             "has_team": session.scalars(teams_of(caller).limit(1)).first() is not None,
@@ -73,7 +73,7 @@ def _total(session: Session, caller: Caller, row: SubmissionRow) -> RatiosItem |
     if row.state != "scored":
         return None
     try:
-        found = results(session, viewer_for(session, caller), row)
+        scored = results(session, viewer_for(session, caller), row)
     except (NotScoredError, ScoreMissingError):  # scored by another evaluation version than the one in force
         return None
-    return RatiosItem(**found.total)
+    return RatiosItem(**scored.total)

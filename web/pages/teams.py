@@ -39,7 +39,7 @@ def show_team(team_id: IdPath, request: Request, caller: Reader, platform: Platf
         phases = session.scalars(select(Phase).where(Phase.id.in_(team.phases)).order_by(Phase.id)).all()
         counted = select(func.count()).select_from(SubmissionRow).where(SubmissionRow.team_id == team_id)
         values: dict[str, Any] = {
-            "invitations": [InvitationItem.of(one) for one in open_invitations(session, team_id)],
+            "invitations": [InvitationItem.of(invitation) for invitation in open_invitations(session, team_id)],
             "standings": [(phase, quota_answer(session, phase, team_id)) for phase in phases],
             "names": phase_names(session, team.phases),
             "submissions": session.scalar(counted) or 0,

@@ -19,15 +19,15 @@ def line(x: Floats, y: Floats) -> str:
 
 def dots(x: Floats, y: Floats) -> str:
     """Return a stroke without length at each known point: with round caps a dot, however the plot is stretched."""
-    return " ".join(f"M{_said(a)} {_said(b)}h0" for a, b in zip(x, y, strict=True) if not np.isnan(b))
+    return " ".join(f"M{_format(a)} {_format(b)}h0" for a, b in zip(x, y, strict=True) if not np.isnan(b))
 
 
 def band(x: Floats, lower: Floats, upper: Floats) -> str:
     """Return the closed area between two lines over the same x; empty for fewer than two points."""
     if len(x) < 2:
         return ""
-    there = [f"{_said(a)} {_said(b)}" for a, b in zip(x, upper, strict=True)]
-    back = [f"{_said(a)} {_said(b)}" for a, b in zip(x[::-1], lower[::-1], strict=True)]
+    there = [f"{_format(a)} {_format(b)}" for a, b in zip(x, upper, strict=True)]
+    back = [f"{_format(a)} {_format(b)}" for a, b in zip(x[::-1], lower[::-1], strict=True)]
     return f"M{'L'.join(there)}L{'L'.join(back)}Z"
 
 
@@ -57,10 +57,10 @@ def thinned(x: Floats, y: Floats, columns: int = MOST_COLUMNS) -> tuple[Floats, 
 
 def _run(x: Floats, y: Floats) -> str:
     if len(x) == 1:
-        return f"M{_said(x[0])} {_said(y[0])}h0"
-    return "M" + "L".join(f"{_said(a)} {_said(b)}" for a, b in zip(x, y, strict=True))
+        return f"M{_format(x[0])} {_format(y[0])}h0"
+    return "M" + "L".join(f"{_format(a)} {_format(b)}" for a, b in zip(x, y, strict=True))
 
 
-def _said(value: float) -> str:
-    said = f"{value:.1f}"
-    return said.removesuffix(".0") if said != "-0.0" else "0"
+def _format(value: float) -> str:
+    text = f"{value:.1f}"
+    return text.removesuffix(".0") if text != "-0.0" else "0"

@@ -71,22 +71,22 @@ def signed_log_ticks(low: float, high: float, linear_below: float) -> list[float
     decades = max(1, ceil(log10(max(abs(low), abs(high), linear_below) / linear_below) + 1e-9))
     each = max(1, ceil(decades / 4))
     sizes = [linear_below * 10.0**power for power in range(decades, -1, -each)]
-    found = [-size for size in sizes] + [0.0] + sizes[::-1]
-    return [value for value in found if low <= value <= high]
+    ticks_around_zero = [-size for size in sizes] + [0.0] + sizes[::-1]
+    return [value for value in ticks_around_zero if low <= value <= high]
 
 
 def tick_text(value: float, step: float) -> str:
     """Return the value with as many decimals as its step, a real minus sign and thousands separators."""
     decimals = max(0, -floor(log10(step) + 1e-9)) if step > 0 else 0
-    said = f"{abs(value):,.{decimals}f}"
-    return f"−{said}" if value < 0 and float(said.replace(",", "")) else said
+    text = f"{abs(value):,.{decimals}f}"
+    return f"−{text}" if value < 0 and float(text.replace(",", "")) else text
 
 
 def duration_text(value_ns: float) -> str:
     """`12 ms`, `−37 s`: a signed time in the unit that suits it, three digits at most."""
     for size_ns, unit in ((1e9, "s"), (1e6, "ms"), (1e3, "µs")):
         if abs(value_ns) >= size_ns * 0.9995:
-            said = f"{abs(value_ns) / size_ns:.3g}"
-            said = said if "e" not in said else f"{abs(value_ns) / size_ns:,.0f}"
-            return f"{'−' if value_ns < 0 else ''}{said} {unit}"
+            text = f"{abs(value_ns) / size_ns:.3g}"
+            text = text if "e" not in text else f"{abs(value_ns) / size_ns:,.0f}"
+            return f"{'−' if value_ns < 0 else ''}{text} {unit}"
     return f"{'−' if value_ns < 0 else ''}{abs(value_ns):.0f} ns"

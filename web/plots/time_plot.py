@@ -47,11 +47,11 @@ class PlotSpan:
 
 @dataclass(frozen=True)
 class Plot:
-    """`said` is the picture in words, for those who do not see it."""
+    """`text` describes the picture for screen readers."""
 
     title: str
     unit: str
-    said: str
+    text: str
     curves: tuple[Curve, ...]
     x_ticks: tuple[PlotTick, ...]
     y_ticks: tuple[PlotTick, ...]
@@ -84,15 +84,15 @@ class PlotDescription:
 def time_plot(
     about: PlotDescription, span_s: float, series: Sequence[PlotSeries], spans: Sequence[PlotSpan] = ()
 ) -> Plot:
-    """Plot series over [0, `span_s`]. Without a known value the axis is 0 to 1, and `said` states it."""
-    known = np.concatenate([one.values[np.isfinite(one.values)] for one in series] or [np.empty(0)])
+    """Plot series over [0, `span_s`]. Without a known value the axis is 0 to 1, and `text` states it."""
+    known = np.concatenate([curve.values[np.isfinite(curve.values)] for curve in series] or [np.empty(0)])
     low, high = _ends(about, known)
     x, y = Scale(0.0, span_s, 0.0, WIDTH), Scale(low, high, HEIGHT_PX - EDGE_PX, EDGE_PX)
     return Plot(
         about.title,
         about.unit,
-        _said(about, known),
-        tuple(_curve(one, x, y) for one in series),
+        _describe(about, known),
+        tuple(_curve(curve, x, y) for curve in series),
         time_ticks(span_s),
         _y_ticks(low, high, y),
         tuple(spans),
@@ -127,8 +127,8 @@ def marked(start_s: float, end_s: float, span_s: float, style: str) -> PlotSpan:
 
 
 def _ends(about: PlotDescription, known: Floats) -> tuple[float, float]:
-    asked = [value for value in (about.floor, about.ceiling) if value is not None]
-    values = [*known.tolist(), *asked] or [0.0, 1.0]
+    bounds = [value for value in (about.floor, about.ceiling) if value is not None]
+    values = [*known.tolist(), *bounds] or [0.0, 1.0]
     return nice_ends(min(values), max(values), MOST_Y_TICKS)
 
 
@@ -148,7 +148,7 @@ def _clock(at_s: float, step_s: float) -> str:
     return f"{tick_text(at_s, step_s)} s"
 
 
-def _said(about: PlotDescription, known: Floats) -> str:
+def _describe(about: PlotDescription, known: Floats) -> str:
     if not len(known):
         return f"{about.title}: no data"
     low, middle, high = np.quantile(known, (0.0, 0.5, 1.0)).tolist()

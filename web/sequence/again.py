@@ -48,15 +48,15 @@ def choices_of(session: Session, labels: LabelSet | None, profile: str = "") -> 
     run = None if labels is None or labels.job_id is None else session.get(Job, labels.job_id)
     if run is None or run.kind != PROCESS or "profile" not in run.arguments:
         return None
-    asked = request_of(run.arguments)
+    request = request_of(run.arguments)
     return RunChoices(
-        profile=profile or asked.profile,
-        odometry_topic=asked.odometry_topic or "",
-        lidar_topic=asked.lidar_topic or "",
-        parameters=dict(asked.parameters),
-        grid=asked.grid.name,
-        kept=_kept(asked),
-        kept_words=_words(asked),
+        profile=profile or request.profile,
+        odometry_topic=request.odometry_topic or "",
+        lidar_topic=request.lidar_topic or "",
+        parameters=dict(request.parameters),
+        grid=request.grid.name,
+        kept=_kept(request),
+        kept_words=_words(request),
     )
 
 

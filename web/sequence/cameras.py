@@ -17,4 +17,4 @@ def has_cameras(session: Session, sequence_id: str, table: FrameTable | None) ->
     channels = [record.get("channels") or {} for record in read if record]
     if not channels:
         return None
-    return any(name.startswith(CAMERA) for one in channels for name in one)
+    return any(name.startswith(CAMERA) for names in channels for name in names)

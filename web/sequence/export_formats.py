@@ -29,5 +29,7 @@ TITLES = {offer.format: offer.title for offer in OFFERS}
 
 def offers_beside(exports: Iterable[ExportItem]) -> tuple[Offer, ...]:
     """Return the formats that the active labels are neither exported to nor being exported to."""
-    standing = {one.format for one in exports if not one.is_stale and one.state not in ("failed", "cancelled")}
+    standing = {
+        export.format for export in exports if not export.is_stale and export.state not in ("failed", "cancelled")
+    }
     return tuple(offer for offer in OFFERS if offer.format not in standing)

@@ -141,10 +141,10 @@ def _plural(word: str) -> str:
 
 def _apart(marks: Iterable[PlotTick]) -> tuple[PlotTick, ...]:
     """Return the ticks that do not overlap, always including zero."""
-    found = list(marks)
-    zero = next((tick for tick in found if tick.text == "0"), None)
+    ticks = list(marks)
+    zero = next((tick for tick in ticks if tick.text == "0"), None)
     kept = [zero] if zero else []
-    for tick in sorted(found, key=lambda one: abs(one.at - (zero.at if zero else 0.0))):
+    for tick in sorted(ticks, key=lambda one: abs(one.at - (zero.at if zero else 0.0))):
         if all(abs(tick.at - other.at) >= LEAST_APART for other in kept):
             kept.append(tick)
     return tuple(sorted(kept, key=lambda one: one.at))
@@ -249,28 +249,28 @@ class RecordingView:
 
 def recording_view(inspection: Mapping[str, Any], quality: Mapping[str, Any] | None) -> RecordingView:
     """Return the view; without a quality report, only from the inspection."""
-    said = quality or {}
+    report = quality or {}
     span_s = float(inspection.get("duration_ns") or 0) / NS_PER_S
     channels = {topic: channel for channel, topic in (inspection.get("channels") or {}).items()}
-    rows = [_topic(row, channels, span_s) for row in said.get("coverage") or ()]
+    rows = [_topic(row, channels, span_s) for row in report.get("coverage") or ()]
     return RecordingView(
         span_s,
-        said.get("score"),
-        tuple(said.get("deductions") or ()),
+        report.get("score"),
+        tuple(report.get("deductions") or ()),
         tuple(row for row in rows if row.role not in UNCLOCKED),
         tuple(row for row in rows if row.role in UNCLOCKED),
         clocks_of(inspection.get("clocks") or {}),
-        _rtk(said.get("rtk"), span_s),
-        tuple(sorted((_camera(one) for one in said.get("cameras") or ()), key=lambda one: rig_place(one.name))),
-        tuple(_lidar(one) for one in said.get("lidars") or ()),
-        tuple(_radar(one, channels) for one in said.get("radars") or ()),
+        _rtk(report.get("rtk"), span_s),
+        tuple(sorted(map(_camera, report.get("cameras") or ()), key=lambda camera: rig_place(camera.name))),
+        tuple(map(_lidar, report.get("lidars") or ())),
+        tuple(_radar(radar, channels) for radar in report.get("radars") or ()),
     )
 
 
 def rig_place(channel: str) -> tuple[int, str]:
     """Return the place of a camera among six: front row from left to right, then the back; others after, by name."""
-    place = channel.removeprefix("CAM_")
-    return (RIG.index(place) if place in RIG else len(RIG), channel)
+    position = channel.removeprefix("CAM_")
+    return (RIG.index(position) if position in RIG else len(RIG), channel)
 
 
 def spark_of(values: Sequence[float], base: float | None = None) -> Spark | None:
@@ -291,12 +291,12 @@ def strip(covered: Sequence[float]) -> tuple[CoverageBar, ...]:
     """Even bins as bars; equal neighbours are one, empty ones none."""
     bars = list[CoverageBar]()
     each = 1000 / max(1, len(covered))
-    for place, share in enumerate(round(float(value), 2) for value in covered):
+    for index, share in enumerate(round(float(value), 2) for value in covered):
         last = bars[-1] if bars else None
-        if last is not None and last.share == share and abs(last.x + last.width - place * each) < 0.05:
-            bars[-1] = CoverageBar(last.x, round((place + 1) * each - last.x, 2), share)
+        if last is not None and last.share == share and abs(last.x + last.width - index * each) < 0.05:
+            bars[-1] = CoverageBar(last.x, round((index + 1) * each - last.x, 2), share)
         elif share > 0:
-            bars.append(CoverageBar(round(place * each, 2), round(each, 2), share))
+            bars.append(CoverageBar(round(index * each, 2), round(each, 2), share))
     return tuple(bars)
 
 
@@ -330,10 +330,10 @@ def _words(at_s: Sequence[float], words: Sequence[str], span_s: float) -> tuple[
     """Consecutive samples of one word as one span, each lasting until the next."""
     ends = [*at_s[1:], span_s]
     spans, start = list[PlotSpan](), 0
-    for place, word in enumerate(words):
-        if place + 1 == len(words) or words[place + 1] != word:
-            spans.append(marked(at_s[start], ends[place], span_s, RTK_STYLES.get(word, RTK_OTHER)))
-            start = place + 1
+    for index, word in enumerate(words):
+        if index + 1 == len(words) or words[index + 1] != word:
+            spans.append(marked(at_s[start], ends[index], span_s, RTK_STYLES.get(word, RTK_OTHER)))
+            start = index + 1
     return tuple(spans)
 
 

@@ -61,7 +61,7 @@ class Report:
     @property
     def is_solved_by_default_profile(self) -> bool:
         """Whether the labels are of profile paper and have a finding that the default profile solves."""
-        return self.profile == "paper" and any(one["code"] in PROFILE_CODES for one in self.findings)
+        return self.profile == "paper" and any(finding["code"] in PROFILE_CODES for finding in self.findings)
 
 
 def read_report(store: Store, file: StoredFile | None) -> Report | None:
@@ -85,20 +85,20 @@ def report_of(record: Mapping[str, Any]) -> Report:
         map_voxels=mapped.get("voxels"),
         map_points=mapped.get("points"),
         findings=tuple(record.get("findings") or ()),
-        recordings=tuple(_shift(one) for one in record.get("recordings") or ()),
+        recordings=tuple(_shift(recording) for recording in record.get("recordings") or ()),
         held_out=_bands(record.get("held_out") or {}),
     )
 
 
 def _bands(held_out: Mapping[str, Any]) -> tuple[HeldOutBand, ...]:
     halves = [half for half in (held_out.get("from_first_half"), held_out.get("from_second_half")) if half]
-    found = []
+    shown = []
     for bands in zip(*(half["by_distance"] for half in halves), strict=True):
         voxels = sum(band["voxels"] for band in bands)
         if voxels:
             kept = sum(band["voxels"] * (band["recall"] or 0.0) for band in bands)
-            found.append(HeldOutBand(bands[0]["from_m"], bands[0]["to_m"], voxels, kept / voxels))
-    return tuple(found)
+            shown.append(HeldOutBand(bands[0]["from_m"], bands[0]["to_m"], voxels, kept / voxels))
+    return tuple(shown)
 
 
 def _shift(one: Mapping[str, Any]) -> ClockShift:

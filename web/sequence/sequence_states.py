@@ -54,9 +54,9 @@ def runs_of(session: Session, sequence_ids: Iterable[str]) -> Mapping[str, Seque
     """Return the runs that decide the state of each of these sequences, by one statement."""
     of_sequences = (Job.sequence_id.in_(list(sequence_ids)), Job.id == Job.root_id, Job.kind.in_((PROCESS, REGISTER)))
     newest = select(func.max(Job.id)).where(*of_sequences).group_by(Job.sequence_id, Job.kind)
-    told = or_(Job.id.in_(newest), Job.state.in_(("queued", "running")))
+    deciding = or_(Job.id.in_(newest), Job.state.in_(("queued", "running")))
     rows = defaultdict[str, list[Job]](list)
-    for job in session.scalars(select(Job).where(*of_sequences, told).order_by(Job.id.desc())):
+    for job in session.scalars(select(Job).where(*of_sequences, deciding).order_by(Job.id.desc())):
         rows[job.sequence_id or ""].append(job)
     return {sequence_id: _runs(jobs) for sequence_id, jobs in rows.items()}
 

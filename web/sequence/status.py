@@ -37,10 +37,12 @@ class LabelOrigin:
 
 def origin_of(labels: LabelSet | None) -> LabelOrigin | None:
     """Return the origin; None without labels, or if they were made from a recording."""
-    said = {} if labels is None else labels.parameters
-    if not said.get("dataset") or not said.get("sha256"):
+    parameters = {} if labels is None else labels.parameters
+    if not parameters.get("dataset") or not parameters.get("sha256"):
         return None
-    return LabelOrigin(str(said["dataset"]), str(said["sha256"]), str((said.get("classes") or {}).get("name", "")))
+    return LabelOrigin(
+        str(parameters["dataset"]), str(parameters["sha256"]), str((parameters.get("classes") or {}).get("name", ""))
+    )
 
 
 MOST_RUNS = 12

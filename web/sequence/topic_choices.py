@@ -62,8 +62,8 @@ def choices_in(inspections: Iterable[dict[str, Any] | None]) -> TopicChoices:
         bool(read),
         _merged(topic for topic in topics if _may_be_odometry(topic)),
         _merged(topic for topic in topics if topic["role"] == "lidar" or topic["type"] == POINT_CLOUD),
-        _only({one["pose"] for one in channels if "pose" in one}),
-        _only({one["lidar"] for one in channels if "lidar" in one}),
+        _only({resolved["pose"] for resolved in channels if "pose" in resolved}),
+        _only({resolved["lidar"] for resolved in channels if "lidar" in resolved}),
     )
 
 
@@ -73,13 +73,13 @@ def _may_be_odometry(topic: dict[str, Any]) -> bool:
 
 
 def _merged(topics: Iterable[dict[str, Any]]) -> tuple[TopicChoice, ...]:
-    found: dict[str, TopicChoice] = {}
+    merged: dict[str, TopicChoice] = {}
     for topic in topics:
         name = topic["name"]
-        before = found[name].messages if name in found else 0
+        before = merged[name].messages if name in merged else 0
         if len(name) <= LONGEST_TOPIC and re.fullmatch(TOPIC_PATTERN, name):
-            found[name] = TopicChoice(name, topic["type"].rpartition("/")[2], before + topic["count"])
-    return tuple(found[name] for name in sorted(found))
+            merged[name] = TopicChoice(name, topic["type"].rpartition("/")[2], before + topic["count"])
+    return tuple(merged[name] for name in sorted(merged))
 
 
 def _only(topics: set[str]) -> str:

@@ -143,8 +143,8 @@ def excluded_spans(table: FrameTable) -> tuple[PlotSpan, ...]:
     if not len(table) or not table.excluded:
         return ()
     span_s = float(table.times_s[-1])
-    at_s = [(one.stamp_ns - int(table.stamps_ns[0])) / NS_PER_S for one in table.excluded]
-    return tuple(marked(one, one, span_s, "left-out-mark") for one in at_s)
+    at_s = [(excluded_s.stamp_ns - int(table.stamps_ns[0])) / NS_PER_S for excluded_s in table.excluded]
+    return tuple(marked(excluded_s, excluded_s, span_s, "left-out-mark") for excluded_s in at_s)
 
 
 def _series(times_s: Floats, values: Floats, style: str = "curve", name: str = "") -> PlotSeries:
@@ -157,13 +157,13 @@ def _paths(points_m: Floats, times_s: Floats, wanted: NDArray[np.bool_]) -> str:
     """Return the segments that end in a wanted frame, without those over a pause."""
     legs = np.concatenate([[0], np.cumsum(np.diff(times_s) > PAUSE_S)])
     rows = np.unique([*range(0, len(points_m), max(1, len(points_m) // MOST_POINTS)), len(points_m) - 1]).tolist()
-    said, drawn_to = list[str](), -1
+    commands, drawn_to = list[str](), -1
     for before, row in pairwise(rows):
         if wanted[row] and legs[row] == legs[before]:
-            said += [] if drawn_to == before else [f"M{_at(points_m[before])}"]
-            said.append(f"L{_at(points_m[row])}")
+            commands += [] if drawn_to == before else [f"M{_at(points_m[before])}"]
+            commands.append(f"L{_at(points_m[row])}")
             drawn_to = row
-    return "".join(said)
+    return "".join(commands)
 
 
 def _at(point_m: Floats) -> str:

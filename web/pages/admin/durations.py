@@ -68,7 +68,7 @@ def durations_of(jobs: Iterable[tuple[str, str, int, int]], zone: tzinfo = UTC) 
             taken[kind].append((finished_ns, max(0, finished_ns - started_ns) / 1e9))
         else:
             failed[kind] += 1
-    total_s = {kind: sum(one for _, one in taken[kind]) for kind in {*taken, *failed}}
+    total_s = {kind: sum(duration_s for _, duration_s in taken[kind]) for kind in {*taken, *failed}}
     return tuple(_of_kind(kind, taken[kind], failed[kind], zone) for kind in sorted(total_s, key=total_s.__getitem__))[
         ::-1
     ]
@@ -77,10 +77,10 @@ def durations_of(jobs: Iterable[tuple[str, str, int, int]], zone: tzinfo = UTC) 
 def _of_kind(kind: str, taken: list[tuple[int, float]], failed: int, zone: tzinfo) -> KindDurations:
     if not taken:
         return KindDurations(kind, failed, failed, None, None, None, ())
-    took_s = np.array([one for _, one in taken])
+    took_s = np.array([duration_s for _, duration_s in taken])
     by_day = defaultdict[str, list[float]](list)
-    for finished_ns, one in taken:
-        by_day[datetime.fromtimestamp(finished_ns / 1e9, zone).strftime("%Y-%m-%d")].append(one)
+    for finished_ns, duration_s in taken:
+        by_day[datetime.fromtimestamp(finished_ns / 1e9, zone).strftime("%Y-%m-%d")].append(duration_s)
     daily = tuple((day, float(np.median(by_day[day])), len(by_day[day])) for day in sorted(by_day))
     median_s, p90_s = (float(value) for value in np.percentile(took_s, (50, 90)))
     return KindDurations(kind, len(taken) + failed, failed, median_s, p90_s, float(took_s.max()), daily)

@@ -73,9 +73,9 @@ class JobSearch:
 
     def filters(self) -> AdminFilters:
         """Return the search as the API's filters."""
-        said: dict[str, Any] = {key: value for key, value in asdict(self).items() if value and key not in OF_THE_PAGE}
+        given: dict[str, Any] = {key: value for key, value in asdict(self).items() if value and key not in OF_THE_PAGE}
         state = {"dead": {"dead": True}, "": {}}.get(self.list, {"state": self.list})
-        return AdminFilters(**said, **state)
+        return AdminFilters(**given, **state)
 
     @property
     def is_narrowed(self) -> bool:
@@ -108,8 +108,8 @@ def jobs(
 ) -> HTMLResponse:
     filters, in_days = search.filters(), search.in_days(zone_of(request))
     with platform.database.reading() as session:
-        found = _found(session, filters.narrowed(in_days), search)
-        items = admin_job_items(session, found.rows)
+        rows = _found(session, filters.narrowed(in_days), search)
+        items = admin_job_items(session, rows.rows)
         counts = job_counts(session, filters.of_any_state(in_days), filters.flat(in_days))
         invalid = _invalid_submissions(session, [item.id for item in items])
         queues, workers = queue_items(session), worker_items(session, platform.settings)
@@ -119,7 +119,7 @@ def jobs(
         caller,
         "admin/jobs.html",
         jobs=items,
-        next=found.next,
+        next=rows.next,
         search=search,
         lists=[(word, title, _count(counts.model_dump(), word)) for word, title in LISTS],
         queues=[(queue, bars(queue.per_minute, *SPARK)) for queue in queues],
@@ -142,8 +142,8 @@ def _found(session: Session, statement: Select[Job], search: JobSearch) -> PageR
 
 def _invalid_submissions(session: Session, job_ids: Sequence[str]) -> frozenset[str]:
     """Return the succeeded jobs that found a submission invalid."""
-    found = select(SubmissionRow.job_id).where(SubmissionRow.job_id.in_(job_ids), SubmissionRow.state == "invalid")
-    return frozenset(one for one in session.scalars(found) if one)
+    invalid = select(SubmissionRow.job_id).where(SubmissionRow.job_id.in_(job_ids), SubmissionRow.state == "invalid")
+    return frozenset(job_id for job_id in session.scalars(invalid) if job_id)
 
 
 def _count(counts: dict[str, int], word: str) -> int:
@@ -192,7 +192,7 @@ def queues(request: Request, caller: Administrator, platform: PlatformDep) -> HT
         "admin/queues.html",
         scrub=scrub,
         scrubbed_at=instant_or_none(scrub.passed_ns),
-        faults=[(one, instant(one.found_ns)) for one in faults],
+        faults=[(fault, instant(fault.found_ns)) for fault in faults],
         queues=[(queue, bars(queue.per_minute, *FIGURE, gap=3.0)) for queue in items],
         workers=workers,
         is_broker_reachable=all(count is not None for count in wake_ups.values()),

@@ -50,10 +50,10 @@ def phase(
             "phase": phase_detail(session, row),
             "tag": etag(row.revision),
             "truths": truth_items(session, row, session.scalars(truths).all()),
-            "rescores": [rescore_item(session, one) for one in session.scalars(rescores)],
-            "alarms": [AlarmItem.of(one) for one in session.scalars(alarms)],
+            "rescores": [rescore_item(session, rescore) for rescore in session.scalars(rescores)],
+            "alarms": [AlarmItem.of(alarm) for alarm in session.scalars(alarms)],
             "teams": team_quotas(session, row, MOST_TEAMS),
-            "reported": [reported_item(one) for one in reported_in(session, row.id)],
+            "reported": [reported_item(reported) for reported in reported_in(session, row.id)],
             "datasets": versions(session),
         }
     detail = values["phase"]
