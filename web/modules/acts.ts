@@ -1,8 +1,11 @@
 // Forms that act: `<form data-act="POST /api/v1/…" data-then="…">` sends its fields as JSON to the API.
 //
-// A field's `data-kind` says what its text means: number, boolean, lines (a list), nullable (empty is null), optional
-// (empty is left out), days (sent as seconds), moment (a date in the form's time zone, sent as UTC). `data-match` is an If-Match. `data-then`: reload, goto:/path, refresh:#id (htmx fetches that part
-// of the page again), close. A path may hold {name}, which a field or, after an answer, the answer fills in.
+// A field's `data-kind` is the type of its text: number, boolean, lines (a list), nullable (empty is null), optional
+// (empty is left out), days (sent as seconds) or moment. A moment is a date in the form's time zone, sent as UTC.
+// `data-match` is an If-Match.
+//
+// `data-then` is reload, goto:/path, refresh:#id (htmx fetches that part of the page again) or close. A path may
+// contain {name}, which a field or, after a response, the response fills in.
 
 import { call } from "./api.js";
 import { momentOf } from "./moments.js";

@@ -2,7 +2,7 @@
 
 import { again, csrfToken } from "./session.js";
 
-/** A refusal as the API says it (RFC 9457). */
+/** A refusal of the API (RFC 9457). */
 export interface Problem {
   title: string;
   status: number;
@@ -13,21 +13,22 @@ export interface Problem {
   errors_total?: number;
 }
 
-/** What `call` throws for every answer that is not the one asked for. */
+/** Thrown by `call` for every refusal. */
 export class RefusedError extends Error {
   constructor(readonly problem: Problem, readonly headers: Headers) {
     super(problem.detail);
   }
 }
 
-/** The method, with a body (a form, else JSON) where one is given; the answer's JSON, or null. Throws `RefusedError`. */
+/** Sends the request, with a body (a form, else JSON) if given; returns the response's JSON, or null. Throws
+ * `RefusedError`. */
 export async function call<T = unknown>(
   method: string,
   path: string,
   body?: unknown,
   headers: Record<string, string> = {},
 ): Promise<T> {
-  const isForm = body instanceof FormData; // the browser says of it where its parts begin
+  const isForm = body instanceof FormData; // the browser sets the multipart boundary
   const answer = await ask(method, path, {
     headers: body === undefined || isForm ? headers : { "Content-Type": "application/json", ...headers },
     ...(body === undefined ? {} : { body: isForm ? body : JSON.stringify(body) }),

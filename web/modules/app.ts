@@ -1,4 +1,4 @@
-// What every page does: forms that act, parts that refresh, dialogs, times, the theme.
+// Common behaviour of all pages: forms that act, parts that refresh, dialogs, times, the theme.
 
 import { installActs } from "./acts.js";
 import { installColours } from "./colours.js";

@@ -1,4 +1,4 @@
-// The class colours that a reader chose: a cookie tells the server for the next page, this page changes at once.
+// The class colours that a reader chose: stored in a cookie for the next pages, and applied to this page at once.
 
 const COOKIE = "stone_colours";
 const PARAMETER = "colours";

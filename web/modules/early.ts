@@ -1,6 +1,7 @@
-// Before anything else, as a classic script: the theme, so that no page flashes in the other one; and what a quick reader
-// does before the modules are there, which is done as soon as they are. Without it a form of ours would be sent the
-// browser's own way, its fields in the address.
+// Runs before everything else, as a classic script. It sets the theme, so that no page flashes in the other one.
+//
+// It also records a quick reader's submits and clicks until the modules are loaded. Otherwise the browser itself would
+// send our forms, with their fields in the URL.
 {
   const chosen = localStorage.getItem("stone-theme");
   if (chosen === "light" || chosen === "dark") document.documentElement.dataset["theme"] = chosen;

@@ -1,6 +1,6 @@
-// What is said of something that was thrown.
+// The text of a thrown value.
 
-/** Its message, or itself in words where it is no error. */
+/** Returns its message, or the value as text if it is no error. */
 export function messageOf(thrown: unknown): string {
   return thrown instanceof Error ? thrown.message : String(thrown);
 }

@@ -1,12 +1,12 @@
-// Server-sent events that are followed until they end, whatever happens on the way.
+// Server-sent events that are followed until they end, across broken connections.
 //
-// A browser opens a stream again when its connection breaks, and gives it up for good when the answer is not a stream:
-// a platform that is busy (429, 503) for a moment would leave the page at what it showed then. So it is asked again.
+// A browser reopens a stream when its connection breaks, but gives up if the response is not a stream. A platform that
+// is busy (429, 503) for a moment would then leave the page outdated, so this module opens the stream again.
 
 const FIRST_WAIT_MS = 1_000;
 const LONGEST_WAIT_MS = 30_000;
 
-/** What is done with the events: `progress` says that something changed, `ended` that nothing will any more. */
+/** The callbacks: `progress` for a change, `ended` for the last one. */
 export interface Heard {
   progress: (data: string) => void;
   ended: () => void;

@@ -4,7 +4,7 @@ import "hash-wasm/sha256";
 
 const PIECE_BYTES = 4 * 2 ** 20;
 
-/** Lower-case hex. `heard` is told how many bytes are counted. Throws `AbortError` when `signal` fires. */
+/** Returns lower-case hex. `heard` receives the number of bytes hashed. Throws `AbortError` when `signal` fires. */
 export async function sha256Of(
   file: Blob,
   heard: (done_bytes: number) => void = () => undefined,

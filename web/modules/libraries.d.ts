@@ -1,4 +1,4 @@
-// Libraries of others that put themselves on `globalThis` when they are imported: what is used of them.
+// Types of third-party libraries that add themselves to `globalThis` when they are imported.
 
 declare module "hash-wasm/sha256";
 

@@ -1,7 +1,7 @@
 // Dates in forms (`parts/moments.html`): chosen by the browser's picker in the time zone beside it, kept as UTC.
 //
-// A field that nobody touches is sent as it came: the picker knows whole seconds, the platform microseconds. An hour
-// that a zone leaves out in spring is the one after it; of one that it has twice, one of the two.
+// An untouched field is sent unchanged, because the picker has whole seconds and the platform microseconds. A spring
+// hour that a zone skips becomes the following hour; a repeated autumn hour becomes one of the two.
 
 const SECOND_MS = 1000;
 const MINUTE_MS = 60_000;
@@ -29,7 +29,7 @@ export function installMoments(root: ParentNode = document): void {
   }
 }
 
-/** The field's moment as `2026-06-01T00:00:00Z`; null where it is empty. */
+/** The field's moment as `2026-06-01T00:00:00Z`; null if it is empty. */
 export function momentOf(field: HTMLInputElement): string | null {
   return momentIn(field, field.form?.querySelector<HTMLSelectElement>("select[data-zone]")?.value ?? "UTC");
 }
@@ -42,7 +42,7 @@ export function instantOf(wall: string, zone: string): number {
   return second_ms + offsetOf(second_ms, zone) === shown_ms ? second_ms : Math.max(first_ms, second_ms);
 }
 
-/** What clocks in a zone show at an instant: `2026-06-01T09:00:00`. */
+/** The wall time of a zone at an instant: `2026-06-01T09:00:00`. */
 export function wallOf(at_ms: number, zone: string): string {
   return new Date(at_ms + offsetOf(at_ms, zone)).toISOString().slice(0, -5);
 }

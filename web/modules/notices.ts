@@ -1,4 +1,4 @@
-// What is said to the reader: a refusal beside the form it belongs to, a passing word at the edge of the page.
+// Messages to the reader: a refusal beside its form, a short notice at the edge of the page.
 
 import { type Problem, RefusedError } from "./api.js";
 
@@ -27,7 +27,7 @@ export function sayProblem(place: HTMLElement, problem: Problem): void {
   place.dataset["tone"] = "error";
 }
 
-/** One finding: of a field of a form it is a sentence already, of a file what was expected and found. */
+/** One finding as a line: for a field of a form its sentence, for a file the expected and the actual value. */
 function lineOf({ code, file, frame, where, expected, actual, detail }: NonNullable<Problem["errors"]>[number]): string {
   if (detail) return [where, detail].filter(Boolean).join(": ");
   const place = [file, frame, where].filter(Boolean).join(" ");
@@ -35,7 +35,7 @@ function lineOf({ code, file, frame, where, expected, actual, detail }: NonNulla
   return [place, code.replaceAll("_", " "), values].filter(Boolean).join(": ");
 }
 
-/** Whatever was thrown, as a sentence in `place`. */
+/** Shows a thrown value as a sentence in `place`. */
 export function sayError(place: HTMLElement, error: unknown): void {
   if (error instanceof RefusedError) sayProblem(place, error.problem);
   else sayProblem(place, { title: "Error", status: 0, detail: String(error), code: "error", request_id: "" });

@@ -1,7 +1,7 @@
-// A file in pieces, each with its sha256: what is damaged on its way is sent again, and not the whole file.
+// A file in pieces, each with its sha256: a damaged piece is sent again, not the whole file.
 //
-// A piece that breaks off does not count, since nobody can check half of one. So pieces are as large as the line is fast:
-// a break costs a second or two of sending, on a slow line as on a fast one.
+// An interrupted piece does not count, because half of it cannot be verified. The size of a piece follows the speed of
+// the line, so that an interruption costs a second or two of sending on any line.
 
 import "hash-wasm/sha256";
 
@@ -10,7 +10,7 @@ const LARGEST_BYTES = 16 * 2 ** 20;
 const SHORT_MS = 700;
 const LONG_MS = 3000;
 
-/** How large the next piece is: twice the last where that was quick, half of it where it was slow. */
+/** Size of the next piece: twice the last one if it was quick, half of it if it was slow. */
 export class Pace {
   bytes = SMALLEST_BYTES;
   #since_ms = performance.now();
@@ -30,10 +30,8 @@ interface Piece {
   checksum: string;
 }
 
-/**
- * What the tus library reads a file through; `checksum` is that of the piece it took last, as `Upload-Checksum`. While a
- * piece is on its way the next one is read and counted.
- */
+/** The file source of the tus library; `checksum` is that of the last piece, as `Upload-Checksum`. While a piece is
+ * being sent, the next one is read and hashed. */
 export class CheckedPieces {
   checksum = "";
   #ahead: { start: number; end: number; piece: Promise<Piece> } | undefined;
@@ -59,7 +57,7 @@ export class CheckedPieces {
   #readAhead(start: number, end: number): void {
     const piece = start < end ? this.#read(start, end) : undefined;
     this.#ahead = piece && { start, end, piece };
-    piece?.catch(() => undefined); // whoever takes it is told
+    piece?.catch(() => undefined); // the consumer of the piece gets the error
   }
 
   /** The bytes that are counted are the ones that are sent: a piece is read once. */

@@ -1,8 +1,8 @@
 // Parts of a page that are fetched again: on an interval, on a server's event, after an act.
 //
-// `<section id="jobs" data-refresh="2s">` fetches this page and morphs the part with the same id, so that what has the
-// focus keeps it. `data-follow="/api/v1/…/events"` does so when the platform says that something happened. While a
-// dialog is open nothing is put in place, for it may stand within and would close; what is owed comes when it is left.
+// `<section id="jobs" data-refresh="2s">` fetches this page and morphs the part with the same id, so that the focus
+// stays. `data-follow="/api/v1/…/events"` does this when the platform reports a change. While a dialog is open nothing
+// is replaced, because the dialog may be inside and would close; the update follows when it closes.
 
 import { followStream } from "./event_stream.js";
 import { toast } from "./notices.js";

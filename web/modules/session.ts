@@ -1,11 +1,11 @@
-// A session that ends while its page is open: the reader signs in again on the page, and what was asked is asked again.
+// A session that ends while its page is open: the reader signs in again on the page, and the request is repeated.
 //
-// Whoever signs in must be who the page was made for: for anybody else the page is loaded anew, and nothing is sent. A
-// session that was opened in another tab has another CSRF token: it is fetched without a word.
+// The same user must sign in; for another user the page is reloaded and nothing is sent. A session opened in another
+// tab has another CSRF token, which is fetched silently.
 
 import type { Problem } from "./api.js";
 
-/** Told to the window while the reader is asked to sign in (`detail` true), and when that is over (false). */
+/** Event on the window: `detail` is true while the sign-in dialog is open, and false afterwards. */
 export const ASKING = "session-asking";
 
 interface Session {
@@ -14,7 +14,7 @@ interface Session {
 }
 
 let asking: Promise<boolean> | undefined;
-let isDeclined = false; // until the reader does something: what is fetched by itself does not ask again
+let isDeclined = false; // until the reader acts: automatic requests do not open the dialog again
 document.addEventListener("click", () => (isDeclined = false), true);
 
 export function csrfToken(): string {
@@ -87,7 +87,7 @@ function answered(dialog: HTMLDialogElement): Promise<boolean> {
   return new Promise((resolve) => dialog.addEventListener("close", () => resolve(isDone), { once: true }));
 }
 
-/** Why there is no session; empty where `taken` was given one. */
+/** Returns the reason why there is no session, or an empty string if `taken` was called with one. */
 async function refusalOf(asked: Promise<Response>, taken: (session: Session) => void): Promise<string> {
   try {
     const answer = await asked;

@@ -1,4 +1,4 @@
-// Times in the reader's zone: a cookie tells the server for the next page, this page is rewritten where it was UTC.
+// Times in the reader's zone: a cookie sets it for the next pages, and this page's UTC times are rewritten.
 
 const COOKIE = "stone_zone";
 

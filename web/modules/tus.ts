@@ -1,6 +1,6 @@
-// A file goes to the platform by tus 1.0: created by one call, then sent, and gone on with wherever it broke off.
+// A file goes to the platform by tus 1.0: created by one call, then sent, and resumed after any interruption.
 //
-// Creating is ours, not the library's: the answer tells how much is there already, and that may be all of it.
+// This module creates uploads itself, because the response contains the number of bytes already stored, possibly all.
 
 import "tus-js-client";
 import type { DetailedError, HttpRequest } from "tus-js-client";
@@ -33,7 +33,7 @@ export async function createUpload(file: File, said: Record<string, string>, key
   return { id, offset_bytes: Number(answer.headers.get("Upload-Offset") ?? 0) };
 }
 
-/** The upload as it is now; null where it is gone, or somebody else's. */
+/** The current upload; null if it is gone, or another user's. */
 export async function findUpload(id: string): Promise<Opened | null> {
   try {
     const answer = await asked("HEAD", `${AT}/${encodeURIComponent(id)}`, {});
@@ -44,11 +44,9 @@ export async function findUpload(id: string): Promise<Opened | null> {
   }
 }
 
-/**
- * Send what is missing, each piece with its checksum; `heard` is told the bytes that are there. Who is patient in a way
- * of their own gives `retry_ms` as null. Where the session ends it goes on once the reader has signed in again. Throws
- * `RefusedError`, and `AbortError`.
- */
+/** Sends the missing bytes, each piece with its checksum; `heard` receives the number of stored bytes. Callers with
+ * their own retries pass `retry_ms` as null. If the session ends, sending resumes once the reader has signed in again.
+ * Throws `RefusedError`, and `AbortError`. */
 export async function sendMissing(
   file: File,
   upload: Opened,
@@ -75,7 +73,7 @@ function sendRest(
   retry_ms: number[] | null,
 ): Promise<void> {
   return new Promise((resolve, reject) => {
-    signal.throwIfAborted(); // a signal that has fired already says so to nobody
+    signal.throwIfAborted(); // a signal that has already fired sends no event
     const pieces = new CheckedPieces(file);
     const pace = new Pace();
     const sending = new tus.Upload(file, {

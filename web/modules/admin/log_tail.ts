@@ -1,7 +1,7 @@
-// What a job says, as it says it: asks for what came after the last line, keeps the end in sight.
+// The log of a job, live: fetches lines after the last one and scrolls to the end.
 //
-// Scrolling up stops the following, so that a line can be read; the button, or scrolling to the end, takes it up again.
-// Levels are filtered by style alone. Of very long logs the last `MOST` lines stay.
+// Scrolling up stops the scrolling, so that a line can be read; the button, or scrolling to the end, resumes it. Styles
+// filter the levels. A very long log keeps its last `MOST` lines.
 
 import { call } from "../api.js";
 import { sayError } from "../notices.js";
@@ -72,7 +72,7 @@ class Tail {
     if (this.isFollowing) this.lines.scrollTop = this.lines.scrollHeight;
   }
 
-  /** Whoever scrolls up stops following. Lines that grew since (a font that came late, a window that was made smaller) are no reader. */
+  /** A reader who scrolls up stops the scrolling; layout changes (a late font, a smaller window) do not. */
   moved(): void {
     if (sizeOf(this.lines) === this.#size || isAtEnd(this.lines)) this.follow(isAtEnd(this.lines));
     else this.keepEnd();

@@ -1,8 +1,8 @@
-// Rows that are selected, and one act on all of them: the administrator's list of jobs.
+// Selected rows, and one act on all of them: the administrator's list of jobs.
 //
-// The selection is kept by id, so that it outlives every refresh of the list. Space or a click picks a row; with shift
-// the whole range since the last one; the arrows move between the boxes, with shift they pick on the way; Escape picks
-// none.
+// The selection is kept by id and survives every refresh of the list. Space or a click selects a row; with shift, the
+// range since the last one. The arrows move between the boxes, with shift they select on the way; Escape clears the
+// selection.
 
 import { call } from "../api.js";
 import { refresh } from "../refresh.js";

@@ -4,7 +4,7 @@
 export type Part = "train" | "val" | "test" | "";
 export const PARTS: readonly Part[] = ["train", "val", "test", ""];
 
-/** A labelled sequence as its card says it; `voxels` are T, P and N, null where nobody counted them. */
+/** A labelled sequence as its card describes it; `voxels` are T, P and N, null if unknown. */
 export interface Entry {
   id: string;
   name: string;

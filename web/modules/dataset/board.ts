@@ -1,8 +1,8 @@
 // The board: cards in columns, moved by keys, by dragging, and by the select on each card.
 //
-// One card is the board's tab stop (a roving tabindex); arrows walk, Space picks several, 1 2 3 0 move what is picked,
-// or else the card that has the focus: a sequence, or a drive with all of its sequences. Everything moves through the
-// state, and the cards follow what it says.
+// One card is the board's tab stop (a roving tabindex). Arrows move the focus and Space selects several cards. The keys
+// 1 2 3 0 move the selection, or else the focused card: a sequence, or a drive with all of its sequences. All moves go
+// through the state, and the cards follow it.
 
 import { type Part, PARTS, called, partOf } from "./arrangement.js";
 import { headColumns } from "./columns.js";
@@ -103,7 +103,7 @@ export class Board {
     this.drives.reflect();
   }
 
-  /** What a move of this card takes along. */
+  /** The ids that a move of this card moves. */
   private takenWith(card: HTMLElement): string[] {
     const ids = this.drives.idsOf(card);
     return ids.some((id) => this.picked.has(id)) ? [...new Set([...this.picked, ...ids])] : [...ids];

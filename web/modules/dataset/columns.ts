@@ -1,4 +1,4 @@
-// The heads of the board's columns: how much is in each, of which classes, and which conditions it covers.
+// The heads of the board's columns: amount, class shares and conditions of each column.
 
 import { counted } from "../counts.js";
 import { type Part, type Totals, totalsOf } from "./arrangement.js";
@@ -22,7 +22,7 @@ export function headColumns(board: HTMLElement, state: EditorState): void {
   }
 }
 
-/** The class bar's lengths and what it says to who cannot see it. */
+/** Sets the class bar's lengths and its text for screen readers. */
 export function showShares(bar: Element | null, voxels: readonly number[]): void {
   if (!bar) return;
   const total = voxels.reduce((sum, count) => sum + count, 0);

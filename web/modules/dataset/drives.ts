@@ -34,7 +34,7 @@ export class Drives {
     return members.length === ids.length && members.every((id) => ids.includes(id)) ? name : null;
   }
 
-  /** The card of a drive or sequence that is on the board: of a drive whose card went, another one of it. */
+  /** The card of a drive or sequence on the board; if a drive's card is gone, another card of that drive. */
   standing(card: HTMLElement): HTMLElement | undefined {
     return card.isConnected ? card : (this.heads().find((head) => head.dataset["heads"] === card.dataset["heads"]) ?? undefined);
   }

@@ -1,4 +1,4 @@
-// What is in the editor: the splits as they are saved, as they stand now, and the way back.
+// The state of the editor: the saved splits, the current ones, and the undo history.
 
 import { type Arrangement, type Entry, type Move, type Part, differences, moved } from "./arrangement.js";
 
@@ -54,7 +54,7 @@ export class EditorState {
     return this.put(moved(this.now, ids, part));
   }
 
-  /** Have the sequences stand so; what moved. */
+  /** Applies the arrangement and returns the moves. */
   put(next: Arrangement): Move[] {
     const moves = differences(this.now, next);
     if (!moves.length) return moves;
@@ -72,7 +72,7 @@ export class EditorState {
     this.tell();
   }
 
-  /** The platform holds `saved` at `revision` now; what stands in the editor is left as it is. */
+  /** Takes `saved` at `revision` as the platform's state; the editor's arrangement stays. */
   rebase(saved: Arrangement, revision: number): void {
     this.saved = saved;
     this.revision = revision;

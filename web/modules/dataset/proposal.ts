@@ -1,4 +1,4 @@
-// A proposal by the solver: asked for by sizes, shown beside what stands, adopted by a button.
+// A proposal of the solver: requested by sizes, shown beside the current splits, adopted by a button.
 
 import { call } from "../api.js";
 import { counted } from "../counts.js";

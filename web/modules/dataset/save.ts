@@ -1,7 +1,7 @@
-// Saving the splits: what moves, why, and what to do when somebody else saved meanwhile.
+// Saving the splits: the moves, the reason, and the merge if another user saved meanwhile.
 //
-// The platform takes a change only of the revision that was read (If-Match). Whoever comes second loses nothing: what
-// they moved stays in the editor, they see what the other one saved, and decide.
+// The platform accepts a change only of the revision that was read (If-Match). The second user loses nothing: their
+// moves stay in the editor, they see the other user's version, and decide.
 
 import { RefusedError, call } from "../api.js";
 import { sayError, toast } from "../notices.js";
@@ -30,7 +30,7 @@ interface Line {
 
 export class Saving {
   private isAsking = false;
-  /** The revision of somebody else's that is being shown; 0 for none. */
+  /** The shown revision of another user; 0 for none. */
   private shown = 0;
 
   constructor(
@@ -58,7 +58,7 @@ export class Saving {
     this.dialog.showModal();
   }
 
-  /** The platform said that its splits are at this revision; if it is not ours, somebody else saved. */
+  /** Takes the revision of the platform's splits; if it is not ours, another user has saved. */
   noteRevision(revision: number): void {
     if (revision !== this.state.revision && revision !== this.shown) void this.showTheirs();
   }
@@ -146,7 +146,7 @@ export class Saving {
   }
 }
 
-/** Who saved last, and why. */
+/** The user who saved last, and the reason. */
 async function lastSaved(): Promise<Line | null> {
   const lines = await call<{ items: Line[] }>("GET", "/api/v1/admin/audit-log?act=splits.put&limit=1");
   return lines.items[0] ?? null;

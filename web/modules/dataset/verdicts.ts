@@ -1,4 +1,4 @@
-// The rules' verdicts, asked of the API after every move; the last question's answer is the one that is shown.
+// The rules' verdicts, requested from the API after every move; only the response to the last request is shown.
 
 import { call } from "../api.js";
 import { messageOf } from "../errors.js";
@@ -92,7 +92,7 @@ export class Verdicts {
     if (says) says.textContent = SAID[tone];
   }
 
-  /** Errors are always listed; what is only a warning when its rule was chosen. */
+  /** Always lists errors; lists warnings only for the chosen rule. */
   private list(): void {
     const shown = this.findings.filter((one) => (this.chosen ? one.code === this.chosen : one.severity === "error"));
     const place = this.root.querySelector<HTMLElement>("[data-findings]");

@@ -1,5 +1,7 @@
-// The form that imports a dataset: its archive is looked at, counted, sent and handed over; begun again, it goes on.
-// An archive that the server can read already is named by root and path instead.
+// The form that imports a dataset: its archive is checked, hashed, sent and submitted, and resumes after an
+// interruption.
+//
+// An archive that the server can already read is named by root and path instead.
 
 import { call } from "../api.js";
 import { sha256Of } from "../file_hash.js";
@@ -70,7 +72,7 @@ async function imported(form: HTMLFormElement, values: FormData, signal: AbortSi
     sets_splits: values.has("splits"),
     is_public: values.has("public"),
   };
-  // Asked again, an upload is the same import. An archive in place may have changed: each click is an import of its own.
+  // A repeated upload is the same import. An archive in place may have changed, so each click is a new import.
   const asked = JSON.stringify(path ? { ...body, at_ms: Date.now() } : body);
   const key = `import-${await sha256Of(new Blob([asked]))}`;
   const made = await call<{ id: string }>("POST", "/api/v1/dataset-imports", body, { "Idempotency-Key": key });
@@ -94,7 +96,7 @@ async function uploaded(form: HTMLFormElement, signal: AbortSignal): Promise<str
   return sent(archive, sum, { name: "dataset", target_id: null }, heard, signal);
 }
 
-/** What the file of classes says; null where none was chosen. */
+/** The text of the class map file; null if no file was chosen. */
 async function classesOf(values: FormData): Promise<string | null> {
   const file = values.get("classes");
   if (!(file instanceof File) || !file.size) return null;

@@ -3,7 +3,7 @@
 import { showOnce } from "./once.js";
 
 interface Issued {
-  name?: string; // of a token; a webhook has none
+  name?: string; // tokens have a name, webhooks none
   secret: string;
 }
 

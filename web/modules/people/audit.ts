@@ -1,4 +1,4 @@
-// The audit log: the platform reads the whole chain and says whether each line follows from the one before.
+// The audit log: the platform verifies the whole chain and reports whether each line follows from the previous one.
 
 import "../dataset/copy_buttons.js";
 import { call } from "../api.js";

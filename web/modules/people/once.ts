@@ -2,7 +2,7 @@
 
 import "../dataset/copy_buttons.js";
 
-/** Show the secret in the page's place for it; `title` says whose it is. */
+/** Shows the secret in the page's place for it, under the title. */
 export function showOnce(secret: string, title: string): void {
   const place = document.querySelector<HTMLElement>("[data-once]");
   const code = place?.querySelector("[data-secret]");

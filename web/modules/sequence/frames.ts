@@ -83,7 +83,7 @@ class FramePage {
     this.fetchAhead();
   }
 
-  /** Whatever says which frame it is. */
+  /** Updates every text that names the frame. */
   private tell(): void {
     const token = this.points.tokens[this.index] ?? "";
     const at_s = this.points.times_s[this.index] ?? 0;

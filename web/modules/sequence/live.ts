@@ -1,8 +1,8 @@
-// A sequence's page while the platform is at it: one stream of events freshens what moves.
+// A sequence's page while its run is in progress: one stream of events refreshes the live parts.
 //
-// `#standing` carries the stream's address and the id of the labels the page shows. Parts marked `data-live-part` are
-// fetched again with it. When other labels count, or another run is followed (`data-run`), whose log and buttons stand
-// elsewhere on the page, the page is loaded anew, unless somebody is in the middle of a dialog.
+// `#standing` has the stream's URL and the id of the shown labels. Parts marked `data-live-part` are fetched again with
+// it. The whole page is reloaded, unless a dialog is open, if other labels become active or another run is followed
+// (`data-run`), because the run's log and buttons are elsewhere on the page.
 
 import { followStream } from "../event_stream.js";
 import { toast } from "../notices.js";
@@ -31,7 +31,7 @@ function follow(part: HTMLElement, address: string): void {
     },
     ended: () => toast("The sequence was deleted."),
   });
-  document.addEventListener("close", () => isOwed && freshen(), true); // of a dialog
+  document.addEventListener("close", () => isOwed && freshen(), true); // close of a dialog
 }
 
 /** Everything that moves, of one answer. The first event brings what happened since the page was made. */

@@ -1,4 +1,4 @@
-// What the modules of a sequence's page share: finding their parts, reading their data, drawing a cursor.
+// Shared code of a sequence's page: finding its parts, reading their data, drawing a cursor.
 
 /** The one element that the page has for this selector. Throws where the page lacks it: a fault of ours. */
 export function part<E extends Element = HTMLElement>(root: ParentNode, selector: string): E {
@@ -34,7 +34,7 @@ export function nearest(values: readonly number[], wanted: number): number {
   return wanted - (values[before] ?? 0) < (values[low] ?? 0) - wanted ? before : low;
 }
 
-/** Call `move` with the share of its width that is pointed at, while somebody drags along the element. */
+/** Calls `move` with the pointer's share of the element's width during a drag. */
 export function onDrag(element: Element, move: (share: number) => void): void {
   const at = (event: PointerEvent): void => {
     const box = element.getBoundingClientRect();

@@ -51,7 +51,7 @@ export class Player {
     this.pause();
   }
 
-  /** The last frame that has begun by then. */
+  /** The last frame that has started by then. */
   private dueAt(now_s: number, index: number): number {
     let due = index;
     while (due + 1 < this.times_s.length && (this.times_s[due + 1] ?? Infinity) <= now_s) due += 1;

@@ -1,4 +1,4 @@
-// Along the drive: one slider moves the robot on the map and a cursor in every plot, and says the values there.
+// Along the drive: one slider moves the robot on the map and a cursor in every plot, and shows the values there.
 
 import { nearest, onDrag, pageData, part, placeCursors } from "./parts.js";
 
@@ -45,7 +45,7 @@ class TrackPage {
     part<HTMLAnchorElement>(this.root, "[data-frame-link]").href = `${this.root.dataset["framesAt"] ?? ""}?frame=${points.tokens[index] ?? ""}`;
   }
 
-  /** The frame whose place on the map is the nearest to where somebody points. */
+  /** The frame nearest to the pointer on the map. */
   private nearestTo(map: SVGSVGElement, event: PointerEvent): number {
     const screen = map.getScreenCTM();
     if (!screen) return 0;

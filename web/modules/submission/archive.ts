@@ -1,6 +1,6 @@
-// Bytes of a file that is never loaded whole, and what is said of one that is not as agreed.
+// Bytes of a file that is never loaded whole, and the fault of a malformed one.
 //
-// Codes and bounds are those of the platform's own reader (services/eval); a test holds the two against each other.
+// Codes and bounds are those of the platform's own reader (services/eval); a test compares both.
 
 /** Why an archive or a file in it would be refused. */
 export class Fault extends Error {
@@ -13,7 +13,7 @@ const WINDOW_BYTES = 2 ** 20;
 const LONGEST_TEXT = 200;
 const UNPRINTABLE = /[\p{C}\p{Z}]/u;
 
-/** A window into a file: at most a mebibyte of it, or what was asked for at once, is in memory. */
+/** A window into a file: at most a mebibyte of it, or one requested range, is in memory. */
 export class Bytes {
   private start = 0;
   private held = new DataView(new ArrayBuffer(0));
@@ -42,7 +42,7 @@ export function wide(view: DataView, at: number): number {
   return Number(view.getBigUint64(at, true));
 }
 
-/** One line of at most 200 characters; what is not printable (controls, marks that turn the writing round) is escaped. */
+/** One line of at most 200 characters; non-printable characters (controls, bidirectional marks) are escaped. */
 export function plain(text: string): string {
   const shown = (one: string): string => (one === " " || !UNPRINTABLE.test(one) ? one : escaped(one));
   const line = [...text].slice(0, LONGEST_TEXT).map(shown).join("");

@@ -1,7 +1,7 @@
-// A submission from a file to the queue: its sha256, announced, sent, finalised; begun again after anything it goes on.
+// A submission from a file to the queue: hashed, announced, sent and finalised; it resumes after any interruption.
 //
-// Nothing is kept on this side: the platform is asked for the team's submission of the same bytes under the same name,
-// so a page that was left goes on where it was, and the same file is never scored twice by accident.
+// Nothing is stored in the browser: the platform is queried for the team's submission of the same bytes under the same
+// name. So a page that was left resumes, and the same file is never scored twice by accident.
 
 import { call, RefusedError } from "../api.js";
 import { sha256Of } from "../file_hash.js";
@@ -11,7 +11,7 @@ const GONE_ON = ["draft", "queued", "scoring", "scored", "valid", "invalid"];
 const MOST_PAGES = 10;
 const WAIT_MS = [500, 1000, 2000, 4000, 8000];
 
-/** What is said of a file: where it goes, in whose name, what made it. */
+/** The facts of a submission: phase, team, method. */
 export interface Entry {
   phase_id: string;
   team_id: string;
@@ -21,7 +21,7 @@ export interface Entry {
   kind: "entry" | "validation";
 }
 
-/** Told how far it is. */
+/** Progress callbacks. */
 export interface Heard {
   act: (name: string) => void;
   bytes: (done_bytes: number, total_bytes: number) => void;
@@ -40,7 +40,8 @@ interface Submission {
   upload_id: string | null;
 }
 
-/** Where the submission is; `isKnown` when this very file had been sent before. Throws `RefusedError`, `AbortError`. */
+/** Returns the URL of the submission; `isKnown` if this very file was submitted before. Throws `RefusedError`,
+ * `AbortError`. */
 export async function submit(
   file: File,
   entry: Entry,
@@ -103,7 +104,7 @@ async function opened(draft: Submission, file: File, sha256: string): Promise<Op
   return begun ?? createUpload(file, { purpose: "submission", target_id: draft.id, sha256 }, newKey());
 }
 
-/** The call with its key, again where no answer came: the platform does it once. */
+/** Sends the call with its key, again if there was no response: the platform executes it once. */
 async function patiently(method: string, path: string, body: unknown, key: string): Promise<unknown> {
   for (const wait_ms of WAIT_MS) {
     try {

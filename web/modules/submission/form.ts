@@ -1,4 +1,4 @@
-// The form of a submission: a zip is looked at when it is chosen, and sent when the reader says so, once.
+// The form of a submission: a zip is checked when it is chosen, and sent once, when the reader submits it.
 
 import { call } from "../api.js";
 import { sayError } from "../notices.js";
@@ -15,7 +15,7 @@ if (form) install(form);
 function install(form: HTMLFormElement): void {
   const state: { file: File | null; why: string; sending: AbortController | null } = { file: null, why: "Choose a zip first.", sending: null };
   const manifest = call("GET", form.dataset["manifest"] ?? "").then(manifestOf);
-  manifest.catch(() => undefined); // said where a zip is looked at
+  manifest.catch(() => undefined); // reported when a zip is checked
 
   const show = (): void => showActs(form, state.why, state.sending !== null);
   installSenses(form);
@@ -100,7 +100,7 @@ function entryOf(form: HTMLFormElement, kind: Entry["kind"]): Entry {
   };
 }
 
-/** A file of the size of what is unfinished: fill in what was said of that. */
+/** Fills in the facts of the unfinished submission if the file has its size. */
 function goOnWith(form: HTMLFormElement, file: File): void {
   const draft = document.querySelector<HTMLElement>(`[data-draft][data-bytes="${file.size}"]`);
   const method = form.querySelector<HTMLInputElement>("[name=method]");

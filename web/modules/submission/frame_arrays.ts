@@ -14,7 +14,7 @@ const HEAD_BYTES = 12 + 4096;
 const MOST_ARRAYS = 64;
 const KEYS = ["semantics", "arr_0"];
 const HIGHEST_LABEL = 3;
-/** So many bytes of voxels are read, a few seconds' work; of more, the values of every n-th frame. */
+/** Bytes of voxels that are read, a few seconds' work; beyond, only the values of every n-th frame are read. */
 const MOST_VALUES_BYTES = 2 ** 31;
 const BYTE_TYPES = ["|u1", "u1", "<u1", ">u1"];
 /** How to make a frame of the expected shape of one that was found, by what was found: as stone_submissions/errors.py. */
@@ -30,20 +30,20 @@ function stepsTo([x, y, z]: Shape): Record<string, string> {
   };
 }
 
-/** What makes a frame of the shape or order that was found one of the expected shape. */
+/** The code that turns a frame of the actual shape or order into the expected shape. */
 export function shapeHint(expected: Shape, found: string): string {
   const step = stepsTo(expected)[found];
   return step ? `axes are x, y, z: ${step}` : `axes are x, y, z, with ${expected.join(" × ")} voxels, in C order`;
 }
 
-/** What would be refused in the arrays; in how many frames the values were read; how many could not be read here. */
+/** The faults of the arrays, the number of frames whose values were read, and the number that cannot be read here. */
 export interface ArrayCheck {
   problems: Problem[];
   valued: number;
   unread: number;
 }
 
-/** Check the arrays of all frames; `heard` is told how far it is, and ends the check by answering false. */
+/** Checks the arrays of all frames; `heard` receives the progress, and ends the check by returning false. */
 export async function checkArrays(archive: Blob, frames: ReadonlyMap<string, Member>, shape: Shape, heard: (done: number) => boolean): Promise<ArrayCheck> {
   const voxels = voxelsOf(shape);
   const every = Math.max(1, Math.ceil((frames.size * voxels) / MOST_VALUES_BYTES));
@@ -60,7 +60,7 @@ export async function checkArrays(archive: Blob, frames: ReadonlyMap<string, Mem
   return check;
 }
 
-/** What would be refused of this frame; null if nothing would, "unread" if only the platform can read it. */
+/** The fault of this frame; null if there is none, "unread" if only the platform can read it. */
 async function faultIn(archive: Blob, member: Member, shape: Shape, readsValues: boolean): Promise<Fault | null | "unread"> {
   try {
     const npz = new Blob(await unpacked(archive, member, member.unpacked_bytes));

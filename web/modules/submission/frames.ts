@@ -21,7 +21,7 @@ export interface Manifest {
   tokens: Set<string>;
 }
 
-/** One thing that is wrong: in which file, of which frame. */
+/** One problem: its file and its frame. */
 export interface Problem {
   code: string;
   file: string;
@@ -30,14 +30,14 @@ export interface Problem {
   actual: string;
 }
 
-/** What is there, and what is wrong; a broken archive has one problem and no frames. */
+/** The frames and the problems; a broken archive has one problem and no frames. */
 export interface Verdict {
   frames: Map<string, Member>;
   problems: Problem[];
   folder: string;
 }
 
-/** The manifest as the API serves it. Throws where it is none. */
+/** The manifest as the API serves it. Throws if it is none. */
 export function manifestOf(said: unknown): Manifest {
   const { sequences: listed, grid } = said as { sequences?: Record<string, unknown>; grid?: { shape: Shape } | null };
   const sequences = new Map(Object.entries(listed ?? {}).map(([name, tokens]) => [name, (tokens as string[]).map(String)]));

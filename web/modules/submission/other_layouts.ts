@@ -8,7 +8,7 @@ const RUBBISH = [".DS_Store", "._", "Thumbs.db", "desktop.ini"];
 const NUMBERED = "files numbered instead of named by token";
 export const OF_TOOLS = "files that macOS's Finder or Windows adds to a zip (`zip -r -X` does not)";
 
-/** What files are, and the token of the frame that a name then stands for, "" if it stands for none. */
+/** Kinds of files, and the token of the frame that a name stands for, "" for none. */
 const LAYOUTS: [string, (name: string) => string][] = [
   ["files in the label layout gts/<scene>/<token>/labels.npz", (name) => (name.endsWith(".npz") && !name.includes("\\") ? parentOf(name) : "")],
   ["names with backslashes, as written by some Windows programs", (name) => (name.includes("\\") && name.endsWith(".npz") ? stemOf(name) : "")],
@@ -17,7 +17,7 @@ const LAYOUTS: [string, (name: string) => string][] = [
   ["tokens in upper case or with dashes", (name) => (name.toLowerCase().endsWith(".npz") ? stemOf(name).toLowerCase().replaceAll("-", "") : "")],
 ];
 
-/** Whether a file manager added this file to a zip, and nobody meant it. */
+/** Whether a file manager added this file to a zip automatically. */
 export function isRubbish(name: string): boolean {
   const base = name.split("/").at(-1) ?? "";
   return name.startsWith("__MACOSX/") || RUBBISH.some((one) => base.startsWith(one));

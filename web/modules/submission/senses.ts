@@ -1,4 +1,4 @@
-// What a method senses with: boxes for cameras, LiDAR and radar, which the API knows as their sum.
+// The sensors of a method: boxes for cameras, LiDAR and radar; the API uses their combination.
 
 const MISSING = "Select at least one modality.";
 

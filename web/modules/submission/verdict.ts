@@ -1,4 +1,4 @@
-// What the first look at a zip found, drawn: a strip of frames for each sequence, and the problems by kind.
+// The result of the browser's check of a zip, drawn: a strip of frames for each sequence, and the problems by kind.
 
 import { count, counted } from "../counts.js";
 import { type ArrayCheck, shapeHint } from "./frame_arrays.js";

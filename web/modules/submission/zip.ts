@@ -1,7 +1,7 @@
 // The table of contents of a zip, read from its end: every length is checked before anything is read.
 //
-// The same rules as stone_files/zip_directory.py, as far as the directory tells; headers beside the data, and the
-// data, are looked at by the platform. Source: PKWARE APPNOTE 6.3.10, §4.3.12.
+// The rules of stone_files/zip_directory.py, as far as the directory allows; the platform checks the local headers and
+// the data. Source: PKWARE APPNOTE 6.3.10, §4.3.12.
 
 import { Bytes, Fault, wide } from "./archive.js";
 import { type End, readEnd } from "./zip_end.js";

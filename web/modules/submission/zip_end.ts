@@ -59,7 +59,7 @@ export async function beginsAsZip(bytes: Bytes): Promise<boolean> {
   return first.byteLength === 4 && first.getUint32(0, true) === FIRST_FILE;
 }
 
-/** Whether a record at byte `position` can be of this archive: those of archives inside tell of other places. */
+/** Whether a record at byte `position` can be of this archive; records of nested archives have other offsets. */
 function mayEndAt({ directory_bytes, directory_offset }: End, position: number): boolean {
   if (directory_bytes === SATURATED || directory_offset === SATURATED) return true;
   return [0, WIDE_BYTES + LOCATOR_BYTES].includes(position - directory_offset - directory_bytes);

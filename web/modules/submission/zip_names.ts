@@ -18,7 +18,7 @@ export function decoded(name: Uint8Array, flags: number): string {
   }
 }
 
-/** The zip64 field's bytes, empty where there is none; refuses a second name that is another. Throws `Fault`. */
+/** The zip64 field's bytes, or empty; refuses a second name that differs. Throws `Fault`. */
 export function zip64Field(extra: DataView, name: string): DataView {
   const fields = new Map<number, DataView>();
   for (let at = 0; at + 4 <= extra.byteLength; ) {

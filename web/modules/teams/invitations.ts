@@ -1,6 +1,6 @@
-// Invitations: the secret of a new one is shown once, with buttons that copy it; one in the address fills in the form.
+// Invitations: the secret of a new one is shown once, with buttons that copy it; a secret in the URL fills in the form.
 //
-// A link carries the secret behind `#`, which browsers send to nobody.
+// A link carries the secret behind `#`, which browsers do not send.
 
 import { toast } from "../notices.js";
 

@@ -1,17 +1,18 @@
-// Which of the chosen files are one bag: a rosbag2 folder, the parts of a split one (ROS 1's, too), or a file by itself.
+// Groups the chosen files into bags: a rosbag2 folder, the parts of a split bag (also ROS 1), or a single file.
 //
-// The rules are the platform's own (`stone_files/bag_fingerprint.py`), said here before anything is sent. Several bags in
-// one folder without a metadata.yaml stay several, unless their names count on: run_0.mcap, run_1.mcap.
+// The rules are the platform's own (`stone_files/bag_fingerprint.py`), applied before anything is sent. Several bags in
+// one folder without a metadata.yaml stay separate, unless they are numbered consecutively: run_0.mcap, run_1.mcap.
 
 import { refusalOf } from "./magic.js";
 
-/** A file and where it lay: `run/run_0.mcap` in a folder that was dropped, `run.mcap` where it was chosen by itself. */
+/** A file and its path: `run/run_0.mcap` in a dropped folder, `run.mcap` for a single file. */
 export interface Found {
   file: File;
   path: string;
 }
 
-/** The files of one recording. `trouble` says why they cannot be one, `code` what kind of fault that is; empty where they can. */
+/** The files of one recording. `trouble` is the reason why they are no bag, `code` the kind of fault; both are empty
+ * for a valid bag. */
 export interface Bag {
   name: string;
   files: File[];
@@ -19,7 +20,7 @@ export interface Bag {
   code: string;
 }
 
-/** What was chosen: bags by name, and the files that belong to none, with the reason. */
+/** The chosen files: bags by name, and the files outside bags, with the reason. */
 export interface Sorted {
   bags: Bag[];
   left: { name: string; why: string }[];
@@ -39,7 +40,7 @@ export function isBagPart(name: string): boolean {
   return name === METADATA || [BAG_FILE, JOURNAL, DEFINITION].some((form) => form.test(name));
 }
 
-/** Why files so called are not one bag; empty where they are. */
+/** The reason why files with these names are not one bag; empty if they are. */
 export function troubleOf(names: readonly string[]): string {
   const unnameable = names.find((name) => UNSEEN.test(name) || new TextEncoder().encode(name).length > LONGEST_NAME_BYTES);
   if (unnameable) return `The name ${JSON.stringify(unnameable.slice(0, 100))} has non-printable characters, or is too long.`;
@@ -99,7 +100,7 @@ function bagOf(name: string, files: File[]): Bag {
 export async function lookedInto(bag: Bag): Promise<Bag> {
   for (const file of bag.trouble ? [] : bag.files.filter(({ name }) => BAG_FILE.test(name))) {
     const hasWal = bag.files.some(({ name, size }) => name === `${file.name}-wal` && size > 0);
-    const trouble = await refusalOf(file, hasWal).catch(() => ""); // what cannot be read says so when it is sent
+    const trouble = await refusalOf(file, hasWal).catch(() => ""); // unreadable files report it when they are sent
     if (trouble) return { ...bag, trouble, code: "BAG-001" };
   }
   return bag;
@@ -110,7 +111,7 @@ function whyLeft(name: string): string {
   return "Not part of a bag.";
 }
 
-/** What a sequence of this bag is called unless its owner says otherwise: a plain name. */
+/** The default name of a sequence of this bag: a plain name. */
 export function plainName(bag: Bag): string {
   const stem = bag.files.length > 1 ? bag.name : bag.name.replace(/(\.(mcap|db3|bag|active|zstd))+$/i, "");
   return stem.replaceAll(/[^A-Za-z0-9._-]+/g, "-").replace(/^[^A-Za-z0-9]+/, "").slice(0, 100) || "sequence";

@@ -24,12 +24,12 @@ interface Shown {
 const LARGEST_BYTES = 2 ** 20;
 const CALIBRATION = /\.(ya?ml|json|zip)$/i;
 
-/** Whether the platform could read a calibration in it: only the platform can tell. */
+/** Whether the file might be a calibration; only the platform can decide. */
 export function mayBeCalibration(file: File): boolean {
   return CALIBRATION.test(file.name) && file.size > 0 && file.size <= LARGEST_BYTES;
 }
 
-/** Have the file checked and kept; of a file that is kept already, that calibration. Throws `RefusedError`. */
+/** Has the file checked and stored; a known file returns the existing calibration. Throws `RefusedError`. */
 export function keep(file: File): Promise<Kept> {
   const form = new FormData();
   form.append("file", file, file.name);

@@ -1,4 +1,4 @@
-// Calibration files that are dropped: kept at once or refused with findings; pinned where a sequence asked for one.
+// Dropped calibration files: stored at once or refused with findings, and assigned to the sequence of the panel.
 
 import { call } from "../api.js";
 import { refresh } from "../refresh.js";
@@ -18,7 +18,7 @@ export function mountCalibrations(root: HTMLElement): void {
     if (input) input.value = "";
   };
   input?.addEventListener("change", takeChosen);
-  takeChosen(); // what was chosen before this module was there
+  takeChosen(); // files chosen before this module was loaded
   listenForDrops(root.querySelector("[data-drop]"), take);
 }
 
@@ -30,7 +30,7 @@ async function bring(root: HTMLElement, file: File): Promise<void> {
     const sequenceId = root.dataset["sequence"];
     if (sequenceId) {
       await call("PUT", `/api/v1/sequences/${sequenceId}/calibration`, { calibration_id: kept.id });
-      // Its panel says what was noticed, and a part fetched meanwhile would be older; but no upload is broken off.
+      // A reload shows the findings in the panel, but would interrupt uploads on a page with an uploader.
       if (!document.querySelector("[data-uploader]")) return location.reload();
     }
     showKept(item, file, kept);

@@ -43,7 +43,7 @@ function store(sums: Record<string, string>): void {
 
 const TABLE = new TextEncoder();
 
-/** The sum of a bag of several files: of the lines `sha256sum` prints for them in order of name. */
+/** The checksum of a bag of several files: over the lines `sha256sum` prints for them in order of name. */
 export function linesOf(files: readonly { name: string; sum: string }[]): Blob {
   const ordered = [...files].sort((a, b) => (a.name < b.name ? -1 : 1));
   return new Blob([TABLE.encode(ordered.map(({ name, sum }) => `${sum}  ${name}\n`).join(""))]);

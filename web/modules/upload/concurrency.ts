@@ -51,12 +51,12 @@ const LONGEST_MS = 20_000;
 const PASSING = [0, 408, 423, 429, 500, 502, 503, 504];
 const PASSING_CODES = ["offset_mismatch", "checksum_mismatch", "request_in_flight"];
 
-/** Whether the next try may fare better: nobody answered, a lock, a piece that was damaged on its way. */
+/** Whether the next attempt may succeed: no response, a lock, or a piece damaged in transit. */
 export function mayPass(error: unknown): error is RefusedError {
   return error instanceof RefusedError && (PASSING.includes(error.problem.status) || PASSING_CODES.includes(error.problem.code));
 }
 
-/** Try again, less and less often, while what is thrown may pass; `away` is told why, and for how long it waits. */
+/** Tries again with growing pauses while the error may pass; `away` receives the error and the pause. */
 export async function patiently<T>(
   task: () => Promise<T>,
   signal: AbortSignal,

@@ -12,17 +12,18 @@ const MOST = 20;
 const TOO_MANY = `Not read as a calibration, because more than ${MOST} such files were dropped. Drop the calibration alone.`;
 const UNASSIGNED = "Not assigned: choose it under Calibration. ";
 
-/** Where they go: the panel of one sequence, or the form with the metadata of all that are uploaded. */
+/** Their destination: the panel of one sequence, or the form with the metadata of all uploads. */
 export interface Place {
   /** The list of lines. */
   lines: HTMLElement;
   sequenceId: string;
-  /** Whether that sequence has one, which is not replaced without being asked. */
+  /** Whether that sequence has a calibration, which is not replaced automatically. */
   isCalibrated: boolean;
   facts: HTMLFormElement | null;
 }
 
-/** Keep those of the files that are calibrations; what is none, with the reason. One by one: reading costs the platform. */
+/** Stores the calibrations among the files, and returns the others with the reason. One by one, because each costs the
+ * platform time. */
 export async function takeCalibrations(found: readonly Found[], place: Place): Promise<Left[]> {
   const left: Left[] = found.slice(MOST).map(({ path }) => ({ name: path, why: TOO_MANY }));
   const kept: { one: Kept; file: File; item: HTMLLIElement }[] = [];
@@ -43,7 +44,7 @@ export async function takeCalibrations(found: readonly Found[], place: Place): P
   return left;
 }
 
-/** What became of it, in a sentence. */
+/** The result, in a sentence. */
 async function assigned(kept: Kept, place: Place): Promise<string> {
   try {
     return (await used(kept, place)) ? "Assigned. " : UNASSIGNED;

@@ -1,16 +1,16 @@
-// The files that somebody drops or chooses, with those in folders, each with the path it had there.
+// Dropped or chosen files, with those in folders, each with its path.
 
 import type { Found } from "./bags.js";
 
 const DEEPEST = 8;
 const MOST = 20_000;
 
-/** What an `<input type="file">` holds; of a folder with the paths below it. */
+/** The files of an `<input type="file">`, with their paths below a chosen folder. */
 export function chosen(files: FileList): Found[] {
   return [...files].map((file) => ({ file, path: file.webkitRelativePath || file.name }));
 }
 
-/** What was dropped, folders opened. The entries must be taken before the event has passed. */
+/** The dropped files, with folders opened. The entries must be taken before the event has passed. */
 export async function dropped(data: DataTransfer): Promise<Found[]> {
   const taken = [...data.items].filter((item) => item.kind === "file").map((item) => ({
     entry: item.webkitGetAsEntry(),

@@ -1,7 +1,7 @@
-// The form with the metadata of all sequences that are uploaded: which calibration, and whether they are processed.
+// The form with the metadata of all uploaded sequences: their calibration, and whether they are processed.
 //
-// No calibration is chosen for the reader but the one that they last used with the robot they name: the newest one may
-// be another robot's, and labels made with it look right and are wrong.
+// It preselects only the calibration last used with the robot that the reader names. The newest one may be another
+// robot's, and labels made with it look right and are wrong.
 
 import type { Kept } from "./calibration_file.js";
 

@@ -1,8 +1,8 @@
-// One file: counted, announced once, and sent from where the platform's bytes end.
+// One file: hashed, announced once, and sent from the platform's offset.
 //
-// Nothing is kept on this side but sha256 sums. The platform is asked for an upload of the same bytes for the same
-// purpose, so a page that was loaded again, another browser, or the command goes on where the bytes on the platform's
-// disk end, and nothing is sent twice (`stone_client/files/tus.py` does the same).
+// The browser stores only sha256 sums. The platform is queried for an upload of the same bytes for the same purpose. So
+// a reloaded page, another browser, or the command resumes at the stored offset, and nothing is sent twice
+// (`stone_client/files/tus.py` does the same).
 
 import { call, type Problem } from "../api.js";
 import { sha256Of } from "../file_hash.js";
@@ -29,13 +29,13 @@ interface Listed<T> {
   next: string | null;
 }
 
-/** What an upload is for: a recording of a sequence, or a dataset, which has no target. */
+/** The purpose of an upload: a recording of a sequence, or a dataset, which has no target. */
 export interface Purpose {
   name: "recording" | "dataset";
   target_id: string | null;
 }
 
-/** Who is told how far it is, and why nothing moves for a while. */
+/** Callbacks for progress, and for the reason of a pause. */
 export interface Heard {
   counted(file: File, bytes: number): void;
   sent(file: File, bytes: number): void;
@@ -76,7 +76,7 @@ export function sent(file: File, sha256: string, purpose: Purpose, heard: Heard,
   }, signal, away), signal);
 }
 
-/** The upload of these bytes for this purpose that is under way or complete; asked of itself where it ends. */
+/** The unfinished or complete upload of these bytes for this purpose, with its current offset. */
 async function begun(file: File, sha256: string, purpose: Purpose): Promise<Opened | null> {
   for (const state of ["open", "complete"]) {
     for (const item of await all<UploadItem>(`/api/v1/uploads?state=${state}`)) {

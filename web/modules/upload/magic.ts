@@ -1,7 +1,7 @@
-// Whether a file is a bag by its first bytes, before it is sent: 20 GB of an HTML page need not travel to be refused.
+// Detects by its first bytes whether a file is a bag, so that 20 GB of an HTML page are refused before they are sent.
 //
-// The rules and the words are the platform's own (`stone_recordings/bags/magic.py`). What only the platform can tell is
-// let pass: what is inside a file compressed with zstd, and where a file was cut off.
+// The rules and the words are the platform's own (`stone_recordings/bags/magic.py`). Files that only the platform can
+// judge pass: files compressed with zstd, and truncated files.
 
 const FIRST_BYTES = 512;
 const SHOWN_BYTES = 16;
@@ -26,7 +26,8 @@ const KNOWN: readonly (readonly [string, string])[] = [
   ["\x7fELF", "a program"],
 ];
 
-/** Why the platform would refuse the file as BAG-001; empty where it would not. A write-ahead log may stand in for a database. */
+/** The reason why the platform would refuse the file as BAG-001, or an empty string. A write-ahead log may stand in for
+ * a database. */
 export async function refusalOf(file: File, hasWal: boolean): Promise<string> {
   const first = await text(file.slice(0, FIRST_BYTES));
   if ([MCAP, ROS1, SQLITE, ZSTD].some((magic) => first.startsWith(magic))) return "";

@@ -1,4 +1,4 @@
-// What `parts/uploading.html` needs to be alive: bags, calibrations, the processing of a sequence.
+// The behaviour of `parts/uploading.html`: bags, calibrations, the processing of a sequence.
 
 import { call } from "../api.js";
 import { messageOf } from "../errors.js";
@@ -19,7 +19,8 @@ for (const form of document.querySelectorAll<HTMLFormElement>("form[data-process
 addEventListener("registered", (event) => void registered((event as CustomEvent<Registered>).detail));
 addEventListener("bags", (event) => countBags(Number((event as CustomEvent<number>).detail)));
 
-/** What the page says of it is fetched again, and where it was asked for, the sequence is processed once it is whole. */
+/** Refreshes the sequence's part of the page and, if requested, starts its processing once its recordings are complete.
+ * */
 async function registered({ sequenceId, isWhole }: Registered): Promise<void> {
   for (const part of AFTER_A_RECORDING) if (document.querySelector(part)) await refresh(part);
   const wish = document.querySelector<HTMLInputElement>('form[data-bags] [name="process"]');
@@ -33,7 +34,7 @@ async function registered({ sequenceId, isWhole }: Registered): Promise<void> {
   }
 }
 
-/** The button that begins says how many bags it begins with. */
+/** Shows the number of bags on the start button. */
 function countBags(count: number): void {
   const button = document.querySelector<HTMLButtonElement>("form[data-bags] [data-begin]");
   if (!button) return;

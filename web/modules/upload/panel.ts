@@ -27,7 +27,7 @@ interface Line {
 export class Panel {
   readonly #lines: Line[] = [];
   readonly #speed = new Speed();
-  /** What makes a sequence by its body: asked again, by another bag too, it is the same sequence. */
+  /** Idempotency keys of created sequences by body, so that a repetition, also by another bag, is the same sequence. */
   readonly #keys = new Map<string, string>();
   readonly #made = new Map<string, Promise<string>>(); // while they are being made
   #begun: Unfinished[] = [];
@@ -59,7 +59,7 @@ export class Panel {
         if (input) input.value = "";
       };
       input?.addEventListener("change", takeChosen);
-      queueMicrotask(takeChosen); // what was chosen before this module was there
+      queueMicrotask(takeChosen); // files chosen before this module was loaded
     }
     this.root.addEventListener("click", (event) => this.#clicked(event));
     listenForDrops(this.#part("drop"), (found) => void this.add(found));
@@ -71,7 +71,7 @@ export class Panel {
       for (const { transfer } of this.#lines) transfer.signingIn((event as CustomEvent<boolean>).detail);
     });
     addEventListener("pageshow", ({ persisted }) => {
-      if (persisted) void this.#lookForUnfinished(); // the page as it was left: uploads went on or stopped since
+      if (persisted) void this.#lookForUnfinished(); // a page restored from the cache: uploads have progressed or stopped since
     });
     addEventListener("beforeunload", (event) => {
       if (this.#lines.some(({ transfer }) => transfer.isUnderWay)) event.preventDefault();
@@ -155,7 +155,7 @@ export class Panel {
     this.#part<HTMLButtonElement>("choose")?.focus();
   }
 
-  /** The sequence of this panel; that of what was begun before; or one of its own, made when it is started. */
+  /** The sequence of this panel; that of the unfinished upload; or a new one, created at the start. */
   #targetOf(bag: Bag, row: Row): Target {
     const begun = this.#sequenceId ? undefined : begunOf(bag, this.#begun);
     const known = this.#sequenceId || begun?.sequenceId;
@@ -223,7 +223,7 @@ export function listenForDrops(place: HTMLElement | null, take: (found: Found[])
   });
 }
 
-/** What the form says of every sequence. */
+/** The form's values for every sequence. */
 function said(facts: HTMLFormElement | null): Record<string, unknown> {
   const { calibration_id: _calibration, process: _process, ...rest } = facts ? valuesOf(facts) : {};
   return rest;

@@ -1,9 +1,9 @@
-// The form that has a sequence processed: what is left empty is left out, so that it is as the platform has it.
+// The form that has a sequence processed: empty fields are left out, so that the platform's defaults apply.
 
 import { call } from "../api.js";
 import { sayError } from "../notices.js";
 
-/** What is asked for, as `POST /sequences/{id}/process` reads it. */
+/** The request body of `POST /sequences/{id}/process`. */
 export function asked(form: HTMLFormElement): Record<string, unknown> {
   const fields = new FormData(form);
   const topics = ["odometry_topic", "lidar_topic"].map((name) => [name, String(fields.get(name) ?? "").trim()]);
@@ -24,7 +24,7 @@ export function asked(form: HTMLFormElement): Record<string, unknown> {
   };
 }
 
-/** What the run before was asked for and the form has no fields for; all of it if the form is a button alone. */
+/** The values of the previous run without a field in the form; all of them if the form is only a button. */
 function keptFrom(form: HTMLFormElement): Record<string, unknown> {
   return JSON.parse(form.dataset["kept"] ?? "{}") as Record<string, unknown>;
 }

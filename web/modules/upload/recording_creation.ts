@@ -1,4 +1,4 @@
-// Complete uploads become a recording, once; it is followed until the platform has read it, or says why it will not.
+// Turns complete uploads into a recording, once, and follows it until the platform has registered or refused it.
 
 import { call, type Problem, RefusedError } from "../api.js";
 import { sha256Of } from "../file_hash.js";
@@ -31,7 +31,7 @@ interface Job {
 
 const LOOK_MS = 700;
 
-/** The recording of these very bytes that the sequence has already; counts only where one is called so. */
+/** The recording with these very bytes that the sequence already has; hashes only if one has this name. */
 export async function standing(
   bag: Bag,
   sums: () => Promise<string[]>,
@@ -46,7 +46,7 @@ export async function standing(
   return named.find((one) => one.sha256 === whole);
 }
 
-/** Make complete uploads the recording they are; asked again, it is the same one. */
+/** Creates the recording of complete uploads; a repetition returns the same one. */
 export async function sealed(
   bag: Bag,
   uploads: readonly string[],

@@ -1,4 +1,4 @@
-// A bag's line in the page: what it is doing in words and bars, and what can be done about it.
+// A bag's line in the page: its phase in words and bars, and its buttons.
 
 import { size, span } from "./speed.js";
 import type { Phase, Transfer } from "./transfer.js";
@@ -14,7 +14,7 @@ const SAID: Record<Phase, string> = {
   registered: "registered",
   refused: "refused",
 };
-/** The words of `data-state` whose colours `components.css` knows. */
+/** The values of `data-state` with colours in `components.css`. */
 const LOOKS: Record<Phase, string> = {
   waiting: "queued",
   counting: "running",
@@ -98,14 +98,14 @@ export class Row {
     this.part("counted")?.closest(".transfer-bars")?.toggleAttribute("hidden", bag.trouble !== "");
     this.part("sequence-name")?.closest("label")?.toggleAttribute("hidden", bag.trouble !== "");
     this.button("pause")?.toggleAttribute("hidden", !isUnderWay || phase === "reading");
-    const mayTry = phase === "refused" && problem !== undefined && !bag.trouble; // what was read and refused stays so
+    const mayTry = phase === "refused" && problem !== undefined && !bag.trouble; // a refusal after reading is final
     resume?.toggleAttribute("hidden", !(phase === "paused" || mayTry));
     fill(resume, phase === "paused" ? "Resume" : "Try again");
     this.button("remove")?.toggleAttribute("hidden", isUnderWay || phase === "registered");
     const open = this.part<HTMLAnchorElement>("open");
     if (!open || !sequenceId) return;
     open.href = `/sequences/${sequenceId}`;
-    // Not before the platform has it all: whoever leaves the page breaks the sending off.
+    // Only once the platform has all bytes, because leaving the page interrupts the upload.
     open.hidden = location.pathname === open.pathname || !(phase === "registered" || phase === "refused");
   }
 

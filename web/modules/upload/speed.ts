@@ -2,7 +2,7 @@
 
 const WINDOW_MS = 6000;
 
-/** Told how many bytes there are in all, it knows the rate. */
+/** The rate of a count of bytes over time. */
 export class Speed {
   readonly #marks: { at_ms: number; bytes: number }[] = [];
 
@@ -19,7 +19,7 @@ export class Speed {
     return last ? (performance.now() - last.at_ms) / 1000 : 0;
   }
 
-  /** Bytes per second; 0 where nothing is known yet. */
+  /** Bytes per second; 0 if unknown. */
   get per_s(): number {
     const [first, last] = [this.#marks[0], this.#marks.at(-1)];
     if (!first || !last || last.at_ms - first.at_ms < 200) return 0;

@@ -1,4 +1,4 @@
-// One bag on its way: counted, sent, sealed, read. Whatever ends it early, starting again goes on where it was.
+// One bag in transit: hashed, sent, registered. After any interruption, a restart resumes.
 
 import { type Problem, RefusedError } from "../api.js";
 import type { Bag } from "./bags.js";
@@ -11,10 +11,10 @@ import { forgetSum } from "./checksums.js";
 
 export type Phase = "waiting" | "counting" | "sending" | "away" | "signing-in" | "paused" | "reading" | "registered" | "refused";
 
-/** Phases in which something happens by itself. */
+/** Phases that progress automatically. */
 export const UNDER_WAY: readonly Phase[] = ["counting", "sending", "away", "signing-in", "reading"];
 
-/** Where a bag goes: the id of its sequence, made where there is none yet. */
+/** The id of the bag's sequence, which is created if there is none yet. */
 export type Target = (signal: AbortSignal) => Promise<string>;
 
 export class Transfer implements Heard {
@@ -38,7 +38,7 @@ export class Transfer implements Heard {
   ) {
     if (!bag.trouble) return;
     this.problem = { title: "No bag", status: 422, detail: bag.trouble, code: bag.code, request_id: "" };
-    this.phase = "refused"; // not by a change: nobody can be shown what is still being made
+    this.phase = "refused"; // not by a change, because the row is still being constructed
   }
 
   get size_bytes(): number {
@@ -74,7 +74,7 @@ export class Transfer implements Heard {
       this.#enter(recording.state === "registered" ? "registered" : "refused");
     } catch (error) {
       const isPaused = stop.signal.aborted;
-      stop.abort(); // of several files the others stop too
+      stop.abort(); // stops the other files of the bag too
       if (isPaused) this.#enter("paused");
       else this.#refuse(problemOf(error));
     }
@@ -125,7 +125,7 @@ export class Transfer implements Heard {
     this.#enter("away");
   }
 
-  /** The session has ended, and the reader is asked to sign in: nothing goes on until they have answered. */
+  /** The session has ended and the sign-in dialog is open: transfers pause until the reader has answered. */
   signingIn(isAsked: boolean): void {
     if (isAsked && this.isUnderWay) this.#enter("signing-in");
     else if (!isAsked) this.back();

@@ -1,4 +1,4 @@
-// What was begun and is not done: the platform's open uploads, and which bag of the chosen ones goes on with which.
+// Unfinished uploads of the platform, and the chosen bags that continue them.
 
 import { call } from "../api.js";
 import { toast } from "../notices.js";
@@ -13,7 +13,7 @@ export interface Unfinished {
   sequenceName: string;
 }
 
-/** The recordings' uploads that no recording was made of, with their sequences; of one sequence where it is given. */
+/** The uploads of recordings without a recording, with their sequences; optionally only those of one sequence. */
 export async function unfinished(sequenceId: string): Promise<Unfinished[]> {
   const some = await Promise.all(["open", "complete"].map((state) => all<UploadItem>(`/api/v1/uploads?state=${state}`)));
   const begun = some.flat().filter((upload) => upload.purpose === "recording" && upload.target_id);
@@ -25,7 +25,7 @@ export async function unfinished(sequenceId: string): Promise<Unfinished[]> {
     .map((upload) => ({ upload, sequenceId: upload.target_id ?? "", sequenceName: names.get(upload.target_id ?? "") ?? "" }));
 }
 
-/** What of the unfinished this bag is: some file of the same name and size. */
+/** The unfinished upload of this bag: a file of the same name and size. */
 export function begunOf(bag: Bag, begun: readonly Unfinished[]): Unfinished | undefined {
   return begun.find(({ upload }) => bag.files.some((file) => file.name === upload.filename && file.size === upload.length_bytes));
 }

@@ -4,7 +4,7 @@ import { fixed } from "../counts.js";
 import type { SceneFacts } from "./scene.js";
 
 export type Mode = "class" | "difference" | "d2" | "confidence" | "elevation" | "slope" | "roughness";
-/** What happens to labels that the frame's LiDAR did not see. */
+/** Look of labels that the frame's LiDAR did not observe. */
 export type Unseen = "show" | "fade" | "hide";
 
 /** From and to; null: no bound. */
@@ -15,7 +15,7 @@ export interface Look {
   /** Bit c is set where class c is shown. */
   classes: number;
   unseen: Unseen;
-  /** What is shown, metres above the robot's wheels; absent: all. */
+  /** Shown heights, metres above the robot's wheels; absent: all. */
   heights_m?: Span;
 }
 
@@ -39,7 +39,7 @@ const ROUGHNESS = [-14, -4] as const;
 const CERTAIN = 255;
 const LEAST_SHOWN = 0.5;
 
-/** Where the value lies on the ramp, 0–1; D² has its limit in the middle and ten times the limit at the end. */
+/** Position of the value on the ramp, 0–1; D² has its limit in the middle and ten times the limit at the end. */
 export function shareOf(mode: Mode, values: Values, scene: SceneFacts): number {
   const share = rawShare(mode, values, scene);
   return Number.isFinite(share) ? Math.min(1, Math.max(0, share)) : 1;
@@ -90,7 +90,7 @@ export function isShown(look: Look, kind: number, seen: boolean): boolean {
   return ((look.classes >> kind) & 1) === 1 && (seen || look.unseen !== "hide");
 }
 
-/** The palette's index of a voxel; 0 where it is not shown. */
+/** The palette's index of a voxel; 0 if it is not shown. */
 export function colourOf(look: Look, kind: number, seen: boolean, values: Values | null, scene: SceneFacts): number {
   if (!isShown(look, kind, seen)) return 0;
   if (look.mode === "difference") return 0; // the map has none

@@ -1,11 +1,12 @@
 // Viewers of a page: `<div data-viewer data-sequence="ID" data-start="first|middle|TOKEN" data-compact data-address
-// data-comparison="ID" data-difference="ID" data-label-sets="COUNT" data-rig="FRONT_LEFT FRONT …" data-may-change>`:
-// `comparison` is a comparison of two label sets whose differences are shown first, `difference` one whose differences
-// are offered; with `label-sets` the reader may see the sequence's others; `rig` is the order of the cameras.
+// data-comparison="ID" data-difference="ID" data-label-sets="COUNT" data-rig="FRONT_LEFT FRONT …" data-may-change>`.
 //
-// What the element holds (a picture, say) is shown until the labels are. The viewer is fetched when the element comes
-// near the window. `data-state` says how it stands: loading, ready, empty, picture (no WebGL2), error. It tells the
-// frame it shows by the event `frame` {index, token} and follows `show-frame` {index} or {token}.
+// `comparison` is a comparison of two label sets whose differences are shown first, `difference` one whose differences
+// are offered. With `label-sets` the reader may see the sequence's others; `rig` is the order of the cameras.
+//
+// The element's content (a picture, for example) is shown until the labels are loaded. The viewer is fetched when the
+// element comes near the window. `data-state` is loading, ready, empty, picture (no WebGL2) or error. The element fires
+// `frame` {index, token} for the shown frame and follows `show-frame` {index} or {token}.
 
 import { RefusedError, call } from "../api.js";
 import { messageOf } from "../errors.js";

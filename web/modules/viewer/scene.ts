@@ -1,4 +1,4 @@
-// What a scene is: the JSON of `/api/v1/sequences/{id}/scene`, and poses.
+// The scene: the JSON of `/api/v1/sequences/{id}/scene`, and poses.
 
 import type { Grid } from "./data/grid.js";
 
@@ -43,7 +43,7 @@ export interface SceneFacts {
   sequence_id: string;
   name: string;
   label_set_id: string;
-  /** A comparison of two label sets, whose differences can be shown; the page says which. */
+  /** A comparison of two label sets, whose differences can be shown; set by the page. */
   comparison_id?: string;
   /** The page was opened for the differences; else they are one of the colours that can be chosen. */
   starts_with_difference?: boolean;
@@ -78,7 +78,7 @@ export function turnedToEgo(pose: Pose, direction: Vector): Vector {
   return rotated(pose[3], [-pose[4], -pose[5], -pose[6]], direction);
 }
 
-/** Where the robot looks in the map's plane, radians from x. */
+/** The robot's heading in the map's plane, radians from x. */
 export function headingOf(pose: Pose): number {
   const [x, y] = rotated(pose[3], [pose[4], pose[5], pose[6]], [1, 0, 0]);
   return Math.atan2(y, x);

@@ -95,7 +95,7 @@ export class Viewer {
     if (this.choices.layers.sensors) await this.world.choose(); // now it is known where cameras stood
   }
 
-  /** Shows the frame and says so; a refusal is said in the picture. */
+  /** Shows the frame and updates its texts; a refusal is shown in the picture. */
   async show(index: number): Promise<void> {
     this.host.setAttribute("aria-busy", "true");
     try {
@@ -206,7 +206,7 @@ export class Viewer {
     else this.say(null);
   }
 
-  /** The voxel that a picture shows where it was clicked. */
+  /** Selects the voxel at the clicked pixel of a picture. */
   private async pickVoxel(id: number): Promise<void> {
     this.aiming.toggle(false);
     const picked = id ? await this.world.pickVoxel(id).catch(() => null) : null;

@@ -78,10 +78,8 @@ export class World {
     return this.asking.ask({ kind: "open", scene: this.scene });
   }
 
-  /**
-   * Counts by class of the frame once it is on the stage; null when another was asked for meanwhile. What is shown beside
-   * it is waited for once the worker holds the frame, so that both change together.
-   */
+  /** Resolves with the frame's counts by class once it is drawn; null if another frame was requested meanwhile.
+   * `beside` is awaited once the worker holds the frame, so that both change together. */
   async show(index: number, beside?: () => Promise<unknown>): Promise<readonly number[] | null> {
     const round = ++this.round;
     const before = this.pose(this.index);
@@ -96,12 +94,12 @@ export class World {
     this.height.stand(drawn.lowest, pose);
     this.stand(pose, before);
     void this.choose()
-      .catch(() => undefined) // said where it was chosen
+      .catch(() => undefined) // reported at the choice
       .then(() => (this.choices.scope === "frame" ? this.store.ahead(index, forwards) : undefined));
     return drawn.counts;
   }
 
-  /** What was chosen is seen; ends with what had to be fetched for it. */
+  /** Shows the choices; resolves when their data are loaded. */
   async choose(): Promise<void> {
     const { layers, scope } = this.choices;
     this.frame.group.visible = layers.labels && scope === "frame";
@@ -146,14 +144,14 @@ export class World {
     this.map.forget();
   }
 
-  /** The voxel that the ray meets; its terrain is fetched where it was not yet. */
+  /** The voxel that the ray meets; its terrain is fetched if missing. */
   async pick(ray: Ray): Promise<Picked | null> {
     await this.map.know(place(this.pose(this.index)), this.known_m).catch(() => undefined);
     const token = this.scene.frames.tokens[this.index] ?? "";
     return this.asking.ask({ kind: "pick", ray, scope: this.choices.scope, token, look: { ...this.choices.look } });
   }
 
-  /** The voxel of the frame with this id (1 + its index), as `pick` tells it. */
+  /** The voxel of the frame with this id (1 + its index), as `pick` returns it. */
   async pickVoxel(id: number): Promise<Picked> {
     await this.map.know(place(this.pose(this.index)), this.known_m).catch(() => undefined);
     const token = this.scene.frames.tokens[this.index] ?? "";
@@ -182,7 +180,7 @@ export class World {
     this.stage.ask();
   }
 
-  /** Where the camera stands, as the robot does. */
+  /** The camera's position relative to the robot. */
   get viewpoint(): Viewpoint {
     const { orbit } = this.stage;
     const pose = this.pose(this.index);
@@ -234,7 +232,7 @@ export class World {
     orbit.yaw_rad += turned;
   }
 
-  /** Frames of another label set over those of the one that counts; of differences and of the whole run there are none. */
+  /** Draws another label set's frame over the active one; there is none for differences and the whole run. */
   private async showSecond(index: number): Promise<void> {
     const { second, scope, look } = this.choices;
     if (!this.second) {

@@ -1,8 +1,8 @@
-// What the reader chose, in the page's address: whoever opens it sees the same frame, layers, colours and view.
+// The reader's choices in the page's URL, so that everyone who opens it sees the same frame, layers, colours and view.
 //
-// Only what differs from how the viewer begins is written; what is unknown or not there is read as if it were not said.
-// `at` is where the 3D view looks from, as the robot stands: heading and pitch in radians, distance, and the place it
-// turns around, metres ahead, left and up of the robot, so that the same link fits every frame.
+// Only values that differ from the viewer's defaults are written; unknown or unavailable values are ignored. `at` is
+// the viewpoint relative to the robot: heading and pitch in radians, distance, and the pivot in metres ahead, left and
+// up of the robot. So the same link fits every frame.
 
 import { type CameraChoice, type Choices, type LayerName, POINT_SIZES, missing } from "./choices.js";
 import { isImported } from "./explanation.js";
@@ -26,14 +26,14 @@ const CLASSES: [number, string][] = [[1, "t"], [2, "p"], [3, "n"]];
 const MODES: Mode[] = ["class", "difference", "d2", "confidence", "elevation", "slope", "roughness"];
 const WRITES_AFTER_MS = 300;
 
-/** What the address says that is looked up later: the channel shown large, the second label set, the view. */
+/** Values of the URL that are applied later: the large channel, the second label set, the view. */
 export interface Begins {
   enlarged: string | null;
   second: string | null;
   at: Viewpoint | null;
 }
 
-/** Changes what was chosen to what the address says, and gives what else it says. */
+/** Applies the URL to the choices, and returns its other values. */
 export function read(address: URL, scene: SceneFacts, choices: Choices): Begins {
   const said = (key: string): string | null => address.searchParams.get(key);
   const { look, layers } = choices;
@@ -127,7 +127,7 @@ function wordsOf(span: Span): string {
   return span.map((value) => value ?? "").join(",");
 }
 
-/** Two bounds, of which an empty one is none; null where it is no span or holds nothing. */
+/** Two bounds, either of them empty for none; null if it is no span or has no bound. */
 function spanOf(said: string | null): Span | null {
   const bounds = (said ?? "").split(",").map((word) => (word === "" ? null : Number(word)));
   if (bounds.length !== 2 || bounds.some((value) => value !== null && !Number.isFinite(value))) return null;

@@ -31,7 +31,8 @@ interface MarkedPlace {
   pixels: number;
 }
 
-/** The pixels of the voxel in ink and those around it in the sheet's colour; where it is, null where it is not seen. */
+/** Draws the voxel's pixels in ink and those around it in the sheet's colour; returns its place, null if it is not
+ * visible. */
 function markIn(words: Uint32Array, { ids, width, height }: CameraView, id: number, theme: Theme): MarkedPlace | null {
   const [ink, rim] = [solid(theme.ink), solid(theme.sheet)];
   const place = { x: 0, y: 0, pixels: 0 };

@@ -1,4 +1,5 @@
-// The cameras beside the 3D view: their pictures change together with the frame, and say so where there are none.
+// The cameras beside the 3D view: their pictures change together with the frame; without pictures a text gives the
+// reason.
 
 import { call } from "../../api.js";
 import { messageOf } from "../../errors.js";
@@ -147,7 +148,7 @@ export class CameraPanel {
     else this.strip.say("There are no camera pictures of these labels.", this.remake());
   }
 
-  /** For whoever may change the sequence: have the pictures made. */
+  /** The button that has the pictures made, for users who may change the sequence. */
   private remake(): HTMLElement | undefined {
     if (this.host.dataset["mayChange"] === undefined) return undefined;
     const button = make("button", { type: "button", class: "small" }, "Prepare camera pictures");

@@ -1,6 +1,6 @@
-// The cameras of a frame in a row, each with the labels that it sees; one of them large beside the 3D view.
+// The cameras of a frame in a row, each with its visible labels; one of them large beside the 3D view.
 //
-// A click in a picture tells the voxel that is seen there. A picked voxel is marked in every picture that sees it.
+// A click in a picture selects the voxel seen there. A selected voxel is marked in every picture that shows it.
 
 import type { CameraFrame } from "../cameras.js";
 import type { CameraView } from "../data/camera_views.js";
@@ -9,9 +9,9 @@ import { paintView } from "./camera_paint.js";
 import type { Theme } from "../drawing/theme.js";
 
 export interface StripActs {
-  /** The pixel shows this voxel, 0 where it shows none. */
+  /** The pixel shows this voxel, or 0 for none. */
   picked: (id: number) => void;
-  /** What the pixel shows is not known, and why. */
+  /** The voxel of the pixel is unknown, for this reason. */
   unknown: (why: string) => void;
   /** This camera is wanted large, null: none. */
   enlarged: (camera: number | null) => void;
@@ -47,7 +47,7 @@ class CameraTile {
     if (this.view) paintView(this.canvas, this.view, palette, theme, marked);
   }
 
-  /** The voxel below the mouse, 0 where there is none; null where no labels are drawn. */
+  /** The voxel below the mouse, 0 for none; null if no labels are drawn. */
   private at(event: MouseEvent): number | null {
     const { view } = this;
     const box = this.button.getBoundingClientRect();
@@ -96,7 +96,7 @@ export class CameraStrip {
     this.paint();
   }
 
-  /** The 3D view went on to a frame whose pictures are still to come: in these nothing is marked or selected. */
+  /** The 3D view shows a frame whose pictures are still loading: nothing is marked or selected in them. */
   wait(): void {
     this.isLate = true;
     this.paint();

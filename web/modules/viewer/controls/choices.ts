@@ -1,4 +1,4 @@
-// What the reader chose to see, and the panel they choose it in.
+// The reader's choices of what to see, and the panel for them.
 
 import { make } from "./elements.js";
 import { isImported } from "./explanation.js";
@@ -14,9 +14,9 @@ export interface Choices {
   look: Look;
   layers: Record<LayerName, boolean>;
   points: PointColour;
-  /** Where the colours of points begin and end, in the unit of what they are coloured by; null: by the points themselves. */
+  /** Start and end of the colours of points, in the unit of the coloured quantity; null: by the points themselves. */
   range: Span;
-  /** Of a point, against its usual size. */
+  /** Size of a point, relative to its default size. */
   size: number;
   /** The label set that is drawn over the one that counts; null: none. */
   second: LabelSetFacts | null;
@@ -26,7 +26,7 @@ export interface Choices {
 /** Pictures of cameras with labels in them, without, or none. */
 export type CameraChoice = "labels" | "plain" | "off";
 
-/** Differences where they were asked for, else classes. */
+/** Differences if requested, else classes. */
 export function firstChoices(scene: SceneFacts): Choices {
   return {
     scope: "frame",
@@ -55,7 +55,7 @@ const CAMERAS: [CameraChoice, string][] = [["labels", "Shown with labels"], ["pl
 const CLASSES: [number, string, string][] = [[1, "Traversable", "fill-t"], [2, "Potentially", "fill-p"], [3, "Non-traversable", "fill-n"]];
 const NO_CONFIDENCE = "No confidence: only labels of profile field have one, and those of earlier releases do not. Process the sequence again with profile field.";
 
-/** Why a layer is not there; undefined where it is. */
+/** The reason why a layer is unavailable; undefined if it is available. */
 export function missing(layer: LayerName, scene: SceneFacts): string | undefined {
   if (layer === "mesh" && !scene.meshes.length) return "No surface is stored for this label set.";
   const { has_clouds, has_radars, has_rays, sensors, state } = scene.playback;
@@ -66,7 +66,8 @@ export function missing(layer: LayerName, scene: SceneFacts): string | undefined
   return state === "making" ? "The point clouds are being prepared." : "Point clouds were not prepared for this sequence.";
 }
 
-/** The panel; every change is written into `choices` and told: `changed` anything, `dressed` only how points are drawn. */
+/** The panel; every change is written into `choices` and calls back: `changed` for any, `dressed` only for the look of
+ * points. */
 export function choicesPanel(scene: SceneFacts, choices: Choices, changed: () => void, dressed: () => void): HTMLElement {
   const layer = (name: LayerName, label: string): HTMLElement =>
     check(label, choices.layers[name], (on) => ((choices.layers[name] = on), changed()), missing(name, scene));
@@ -127,7 +128,7 @@ function pointFields(scene: SceneFacts, choices: Choices, dressed: () => void): 
   return [by, range, slider("Point size", POINT_SIZES, choices.size, (value) => ((choices.size = value), dressed()))];
 }
 
-/** A list of the sequence's other label sets, one of which is drawn over that which counts. */
+/** A list of the sequence's other label sets, to draw one over the active one. */
 export function secondField(others: readonly LabelSetFacts[], choices: Choices, changed: () => void): HTMLElement {
   const options = others.map((one): [string, string] => [one.id, namedSet(one)]);
   return pick("Second label set, hatched", [["", "None"], ...options], choices.second?.id ?? "", (id) => {

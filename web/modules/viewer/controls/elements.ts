@@ -18,7 +18,7 @@ export function make<Tag extends keyof HTMLElementTagNameMap>(
 
 const SVG = "http://www.w3.org/2000/svg";
 
-/** A drawing of one path in a box of 24, in the colour of its text; read out by nobody. */
+/** A drawing of one path in a box of 24, in the colour of its text; hidden from screen readers. */
 export function icon(path: string): SVGSVGElement {
   const drawing = document.createElementNS(SVG, "svg");
   const shape = document.createElementNS(SVG, "path");

@@ -25,7 +25,7 @@ export function valuesOf(found: Found, scene: SceneFacts): [string, string][] {
   ];
 }
 
-/** Labels of a published dataset: of their voxels the class is known and nothing else. */
+/** Whether the labels come from a published dataset: only the class of their voxels is known. */
 export function isImported(scene: SceneFacts): boolean {
   return scene.profile === "imported";
 }
@@ -83,11 +83,9 @@ function apart(found: Found, scene: SceneFacts, feature: number): string {
   return `${name} (${fixed(found.elevation_m, 2)} m against ${fixed(mean[0], 2)} ± ${spread.toFixed(2)} m)`;
 }
 
-/**
- * D² = Σ dᵢ (Σ⁻¹ d)ᵢ in its three parts. The one-sided D² is the least of all ground at least as high, steep and rough:
- * the greatest marginal D² of the subsets of properties whose multipliers Σ_AA⁻¹ d_A are not negative
- * (`stone/labels/profiles.py`).
- */
+/** D² = Σ dᵢ (Σ⁻¹ d)ᵢ in its three parts. The one-sided D² is the least of all ground at least as high, steep and
+ * rough. It equals the greatest marginal D² of the subsets of properties whose multipliers Σ_AA⁻¹ d_A are not negative
+ * (`stone/labels/profiles.py`). */
 export function partsOf(away: Vector, covariance: [Vector, Vector, Vector], isOneSided: boolean): Vector {
   let most: Vector = [0, 0, 0];
   for (const subset of isOneSided ? [1, 2, 3, 4, 5, 6, 7] : [7]) {

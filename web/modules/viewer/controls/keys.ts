@@ -23,7 +23,7 @@ const KEYS: [string[], string][] = [
 const KEPT = "stone-keys-in-view-only";
 const ENTERED = "textarea, select, [contenteditable], input:not([type=checkbox], [type=range])";
 const OPERATED = "a, button, summary, input";
-/** What a focused link, button, box or slider does something with itself. */
+/** Keys that a focused link, button, box or slider handles itself. */
 const OWN = [" ", "Enter", "Home", "End", "ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown"];
 
 /** Whether the key is the viewer's: neither entered somewhere, nor one that what has the focus needs itself. */

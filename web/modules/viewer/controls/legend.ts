@@ -1,4 +1,4 @@
-// What the colours mean: classes with their counts, or a ramp with its values.
+// The legend of the colours: classes with their counts, or a ramp with its values.
 
 import { fixed } from "../../counts.js";
 import { FASTEST_M_S } from "../data/formats.js";
@@ -15,7 +15,7 @@ const FILLS = ["fill-same", "fill-only-a", "fill-only-b", "fill-easier", "fill-h
 const TITLES: Record<Mode, string> = { class: "", difference: "", d2: "D²", confidence: "Confidence: probability that the label is right", elevation: "Elevation", slope: "Slope", roughness: "Roughness" };
 const WIDTH_PX = 180;
 
-/** With each class's share where there are counts. */
+/** The legend of the classes, with shares if there are counts. */
 export function classLegend(counts: readonly number[]): HTMLElement {
   return shareLegend(CLASSES, counts);
 }
@@ -35,7 +35,7 @@ function shareLegend(entries: readonly (readonly [string, string])[], counts: re
   return make("div", { class: "viewer-legend" }, list, ...(total ? [make("span", { class: "viewer-share" }, "of this frame's voxels")] : []));
 }
 
-/** What the colours of points mean, from the first value to the last. */
+/** The legend of the colours of points, from the first value to the last. */
 export function pointLegend(by: PointColour, [first, last]: readonly [number, number]): HTMLElement {
   const values = [first, (first + last) / 2, last];
   if (by === "time") return ramped("Points, age", "lighter", [`${values[0]} s`, `${values[1]} s`, "now"]);

@@ -1,4 +1,4 @@
-// What a picked voxel is: its class, its values, and why.
+// Describes a selected voxel: its class, its values, and the reason of its class.
 
 import { fixed } from "../../counts.js";
 import { swatch } from "./choices.js";

@@ -1,6 +1,6 @@
 // The frames of a run in time: a slider that steps by keys, play and pause, and the speed.
 //
-// Playing waits for a frame before it goes on, so that a slow network or picture plays slower instead of skipping.
+// Playback waits for each frame, so that a slow network or picture plays slower instead of skipping.
 
 import { button, icon, make } from "./elements.js";
 
@@ -81,7 +81,7 @@ export class Timeline {
       const next = this.index + 1;
       await wait;
       if (run === this.run) await this.show(next);
-      if (run === this.run && this.index !== next) break; // it could not be shown, and was said so
+      if (run === this.run && this.index !== next) break; // it could not be shown, which was reported
     }
     if (run === this.run) this.pause();
   }

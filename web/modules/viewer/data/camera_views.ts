@@ -1,15 +1,15 @@
-// What a camera sees of the labels: for each pixel the voxel that its ray meets first.
+// The labels as a camera sees them: for each pixel the voxel that its ray meets first.
 //
-// The rays of a lens come as a grid over its image, made where lenses are known (`stone/sensors/projection.py`); between
-// its nodes they are interpolated. They start where the camera was when it took the picture, which is not where the
-// frame's labels stand: the robot moved in between, and the pose says so.
+// The rays of a lens come as a grid over its image, made from known intrinsics (`stone/sensors/projection.py`) and
+// interpolated between its nodes. They start at the camera's position at exposure, which differs from that of the
+// frame's labels, because the robot moved in between; the pose contains this motion.
 
 import { type Columns, castRays } from "./columns.js";
 import type { CameraFacts } from "./formats.js";
 import { inVoxels } from "./grid.js";
 import type { Pose, Vector } from "../scene.js";
 
-/** A picture of labels, row by row: 1 + index of the voxel seen and its palette index, both 0 where there is none. */
+/** A picture of labels, row by row: 1 + index of the voxel seen and its palette index, both 0 for none. */
 export interface CameraView {
   camera: number;
   width: number;
@@ -25,7 +25,7 @@ export interface ViewSize {
   height: number;
 }
 
-/** Where a camera of a frame was when it took its picture (`ego_from_camera`), and what it looks at. */
+/** The position of a frame's camera at exposure (`ego_from_camera`), and its field of view. */
 export interface Frustum {
   channel: string;
   pose: Pose;
@@ -42,7 +42,7 @@ export class CameraRays {
 
   constructor(private readonly facts: CameraFacts) {}
 
-  /** 1 + index of the voxel in each pixel, 0 where no label is seen or the camera's place is not known. */
+  /** 1 + index of the voxel in each pixel, 0 if no label is seen or the camera's pose is unknown. */
   cast(columns: Columns, size: ViewSize, frame: number): Uint32Array {
     const pixels = size.width * size.height;
     const ids = new Uint32Array(pixels);

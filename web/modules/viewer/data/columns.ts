@@ -1,13 +1,13 @@
-// Which labelled voxel each of many rays meets first: a walk from column to column of the frame's grid.
+// Finds the first labelled voxel on each of many rays: a walk from column to column of the frame's grid.
 //
-// A column of the grid is at most 32 voxels and so one word of 32 bits; what a ray crosses of it is a run of bits, and
-// the first that is set is found without a step for each. Blocks of columns of which it crosses nothing are leapt over.
-// Nothing is allocated along a ray.
+// A column of the grid has at most 32 voxels and is one word of 32 bits. A ray crosses a run of its bits, and the first
+// set bit is found without a step for each. Blocks of columns without a set bit in the run are skipped. Nothing is
+// allocated along a ray.
 
 import type { Planes } from "./formats.js";
 import type { Grid } from "./grid.js";
 
-/** Metres from the camera within which nothing is met: what the camera itself stands in. */
+/** Metres from the camera within which voxels are ignored, because the camera itself stands there. */
 const NEAR_M = 0.1;
 /** Sides of the blocks of columns that a ray leaps over where it meets nothing of them. */
 const BLOCK_BITS = 3;
@@ -42,7 +42,7 @@ export function squareColumns({ voxel_m }: Grid): number {
   return Math.max(1, 2 ** Math.floor(Math.log2(SQUARE_M / voxel_m + 1e-9)));
 }
 
-/** The lowest voxel in each square of columns, row by row along y; −1 where there is none. The lowest: trees stand upon it. */
+/** The lowest voxel in each square of columns, row by row along y, or −1. The lowest, because trees stand upon it. */
 export function lowestOf({ grid, words }: Columns): Int8Array {
   const [across, along] = grid.shape;
   const square = squareColumns(grid);
@@ -57,10 +57,8 @@ export function lowestOf({ grid, words }: Columns): Int8Array {
   return lowest;
 }
 
-/**
- * Writes 1 + index of the first voxel that each ray meets, 0 where it meets none. `from` and the directions (three
- * numbers each, of any length; NaN meets nothing) are in voxels of the grid, its lowest corner at 0.
- */
+/** Writes 1 + index of the first voxel that each ray meets, or 0. `from` and the directions (three numbers each, of any
+ * length; NaN meets nothing) are in voxels of the grid, its lowest corner at 0. */
 export function castRays(columns: Columns, from: readonly [number, number, number], directions: Float32Array, ids: Uint32Array): void {
   const [x, y, z] = from;
   const sights = new Sights(columns);
@@ -86,7 +84,8 @@ function boxOf({ grid, words }: Columns): Int32Array {
   return box;
 }
 
-/** What is set in any column of each block of `BLOCK` × `BLOCK`, as one word: a ray that misses it leaps over the block. */
+/** The set bits of all columns of each block of `BLOCK` × `BLOCK`, as one word: a ray that misses it skips the block.
+ * */
 function blocksOf({ grid: { shape: [across, along] }, words }: Columns): Uint32Array {
   const blocksAlong = along / BLOCK;
   const blocks = new Uint32Array((across / BLOCK) * blocksAlong);
@@ -109,7 +108,7 @@ class Sights {
     this.near = NEAR_M / columns.grid.voxel_m;
   }
 
-  /** 1 + index of the first voxel that the ray meets, 0 where it meets none. */
+  /** 1 + index of the first voxel that the ray meets, or 0. */
   met(x: number, y: number, z: number, dx: number, dy: number, dz: number): number {
     const { blocks, box } = this;
     const { grid: { shape: [across, along, high] }, words } = this.columns;
@@ -169,7 +168,7 @@ function crossed(z: number, dz: number, from: number, to: number, high: number):
   return begins < ends ? (-1 >>> (31 - ends)) & (-1 << begins) : (-1 >>> (31 - begins)) & (-1 << ends);
 }
 
-/** Where along the ray it leaves the cells [low, low + size) of an axis. */
+/** The position along the ray at which it leaves the cells [low, low + size) of an axis. */
 function leaving(from: number, step: number, inverse: number, low: number, size: number): number {
   return step === 0 ? Infinity : ((step > 0 ? low + size : low) - from) * inverse;
 }

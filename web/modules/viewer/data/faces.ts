@@ -1,8 +1,8 @@
-// The faces of a block that can be seen, merged where neighbours look alike: what is sent to the graphics card.
+// The visible faces of a block, merged with equal neighbours, for the graphics card.
 //
-// A quad is four vertices of four uint16: the corner in voxels, and a word of colour (bits 0–7), direction (8–10), light
-// in the corner (11–12) and which corner it is (13–14). Directions are +x, −x, +y, −y, +z, −z; each is a group of its
-// own, so that those that look away from the camera are not drawn at all.
+// A quad is four vertices of four uint16: the corner in voxels, and a word. The word holds colour (bits 0–7), direction
+// (8–10), light in the corner (11–12) and which corner it is (13–14). Directions are +x, −x, +y, −y, +z, −z. Each
+// direction is a separate group, so that faces that look away from the camera are not drawn.
 
 import type { Size, Solid } from "./solid.js";
 
@@ -17,7 +17,7 @@ export interface Faces {
 const LIT = 3;
 const ALL_LIT = 0xff;
 
-/** What one direction of faces needs: along the normal, and along both edges (strides and axes). */
+/** Parameters of one direction of faces: along the normal, and along both edges (strides and axes). */
 interface Side {
   direction: number;
   axis: 0 | 1 | 2;

@@ -1,11 +1,11 @@
-// The binary answers of the scene's routes, once decompressed: voxels of a frame, tiles, meshes, clouds.
+// The binary responses of the scene's routes, once decompressed: voxels of a frame, tiles, meshes, clouds.
 //
-// All little endian behind a magic of four letters. Whatever does not have the length that its head says is refused.
+// All little endian behind a magic of four letters. Data whose length differs from the header is refused.
 
 import { type Grid, voxelCount } from "./grid.js";
 
 const MOST = 20_000_000;
-/** Of radar detections that are told apart by speed. */
+/** Speed of radar detections beyond which their colour stays the same. */
 export const FASTEST_M_S = 5;
 
 /** Three bit planes over the grid, bit `index % 8` of byte `index >> 3`. */
@@ -44,9 +44,11 @@ export interface Cloud {
 }
 
 /**
- * The cameras of a playback. By camera: whether there is a picture of each frame; unit vectors of the optical frame
- * through rows × columns places from edge to edge of the image (NaN: the lens sees nothing there); for each frame where
- * the camera was in the ego frame of its labels, tx ty tz qw qx qy qz (NaN: not known).
+ * The cameras of a playback.
+ *
+ * For each camera: whether there is a picture of each frame, unit vectors of its rays, and its pose at each frame. The
+ * vectors are in the optical frame, at rows × columns places from edge to edge of the image (NaN: outside the lens).
+ * The poses are in the ego frame of the labels, tx ty tz qw qx qy qz (NaN: unknown).
  */
 export interface CameraFacts {
   cameras: number;

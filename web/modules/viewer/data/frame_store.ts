@@ -20,7 +20,7 @@ export class FrameStore {
     this.look = look;
   }
 
-  /** Frames are drawn so from now on; what was drawn otherwise is forgotten. */
+  /** Draws frames with this look from then on; frames with another look are dropped. */
   looking(look: Look): void {
     this.look = look;
     this.kept.clear();
@@ -69,7 +69,7 @@ export class FrameStore {
     return drawn;
   }
 
-  /** Of the labels, or of where they differ from others. */
+  /** The URL of the labels, or of their difference from others. */
   private address(token: string, look: Look): string {
     const { sequence_id, comparison_id, label_set_id } = this.scene;
     if (look.mode !== "difference") return `/api/v1/frames/${token}/voxels?v=${label_set_id}`;

@@ -70,7 +70,7 @@ export class Tiles {
 const STEPS = [-1, 0, 1];
 const AROUND = STEPS.flatMap((i) => STEPS.flatMap((j) => STEPS.map((k): Vector => [i, j, k])));
 
-/** The row of the voxel by halving, −1 where there is none. */
+/** The row of the voxel by bisection, or −1. */
 export function rowOf(tile: Tile, i: number, j: number, k: number): number {
   let [low, high] = [0, tile.i.length - 1];
   while (low <= high) {

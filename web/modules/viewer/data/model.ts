@@ -15,9 +15,10 @@ import { firstVoxel } from "./ray_walk.js";
 const KEPT_FRAMES = 24;
 
 /**
- * A voxel under the cursor; its centre in the map and in the ego frame, `found` what the map says there. `voxel` holds
- * its centre in the frame's grid (`semantics[i, j, k]`), null where that grid does not reach; `id` is 1 + that index in
- * C order, as pictures of cameras know it, or 0.
+ * A voxel under the cursor; its centre in the map and in the ego frame; `found` has the map's values there.
+ *
+ * `voxel` holds its index in the frame's grid (`semantics[i, j, k]`), null outside that grid; `id` is 1 + that index in
+ * C order, as in camera pictures, or 0.
  */
 export interface Picked {
   id: number;
@@ -39,7 +40,7 @@ export interface Drawn {
   /** The lowest corner of voxel (0, 0, 0), and the side of a voxel. */
   corner_m: Vector;
   voxel_m: number;
-  /** Of a frame: the lowest labelled voxel in each square of columns, as `lowestOf` finds it. */
+  /** The lowest labelled voxel of a frame in each square of columns, by `lowestOf`. */
   lowest?: Int8Array;
 }
 
@@ -76,7 +77,7 @@ export class Model {
     return { ...this.drawPlanes(planes, look, this.pose(token)), lowest };
   }
 
-  /** Labels around the robot where it stood; of those that are coloured by class the pose does not matter. */
+  /** Draws the labels around the robot's pose; for labels coloured by class the pose does not matter. */
   drawPlanes(planes: Planes, look: Look, pose: Pose): Drawn {
     const { grid } = planes;
     const solid = new Solid(grid.shape);
@@ -121,7 +122,7 @@ export class Model {
     return this.cameras?.frusta(playback.cameras, frames.tokens.indexOf(token)) ?? [];
   }
 
-  /** What each camera sees of the frame: every labelled voxel hides what is behind it, also one that is not shown. */
+  /** The view of each camera of the frame: every labelled voxel, even a hidden one, occludes those behind it. */
   cameraViews(token: string, look: Look, sizes: readonly ViewSize[]): CameraView[] {
     const { cameras } = this;
     if (!cameras) throw new Error("The scene has no cameras.");

@@ -6,7 +6,7 @@ export interface Sight {
   /** In voxels: integer coordinates are corners. */
   from: Vector;
   direction: Vector;
-  /** Half-open bounds in voxels outside of which nothing is. */
+  /** Half-open bounds of the data, in voxels. */
   low: Vector;
   high: Vector;
 }

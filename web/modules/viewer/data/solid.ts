@@ -1,4 +1,4 @@
-// A dense block of voxels, each empty or of a colour, with an empty layer around it so that nothing asks for bounds.
+// A dense block of voxels, each empty or of a colour, with an empty layer around it that replaces bounds checks.
 
 export type Size = readonly [number, number, number];
 

@@ -1,4 +1,4 @@
-// How high the robot's wheels were where it came nearest to a place of the map: what heights of the whole run count from.
+// Height of the robot's wheels at the track point nearest to a place of the map: the zero of heights of the whole run.
 
 import type { Pose } from "../scene.js";
 
@@ -15,7 +15,7 @@ export class TrackHeight {
     }
   }
 
-  /** Of the square of a metre that holds (x, y); 0 without any pose. */
+  /** The height for the square metre that contains (x, y); 0 without any pose. */
   at(x: number, y: number): number {
     const [i, j] = [Math.floor(x), Math.floor(y)];
     const key = `${i},${j}`;

@@ -1,4 +1,4 @@
-// How high the ground is at a place of the map, as far as the frame's labels say: what the camera stays above.
+// Height of the ground at a place of the map, from the frame's labels: the camera stays above it.
 
 import { squareColumns } from "../data/columns.js";
 import { type Grid, inVoxels } from "../data/grid.js";
@@ -16,7 +16,7 @@ export class GroundHeight {
     this.pose = pose;
   }
 
-  /** Metres in the map: the lowest labelled voxel there; where there is none, where the robot drove nearest to it. */
+  /** Height in metres in the map: the lowest labelled voxel there, else that of the nearest track point. */
   at(x: number, y: number): number {
     const [ahead, left] = toEgo(this.pose, [x, y, this.pose[2]]);
     const { shape, min_m, voxel_m } = this.grid;

@@ -48,13 +48,14 @@ export class MapLayer implements Prop {
     if (this.voxels.visible) for (const { block } of this.shown.values()) block.drawing(camera);
   }
 
-  /** Ends when the worker knows the terrain within `reach_m` of the place. */
+  /** Resolves when the worker has the terrain within `reach_m` of the place. */
   async know(place: Vector, reach_m: number): Promise<void> {
     const near = this.scene.tiles.filter((tile) => distance(tile, place) <= reach_m);
     await Promise.all(near.map((tile) => this.load(tile)));
   }
 
-  /** Draws the tiles around the place, nearest first; what a later call asked for goes first. `drawn` tells how many of how many. */
+  /** Draws the tiles around the place, nearest first; tiles of a later call go first. `drawn` receives the counts of
+   * drawn and all tiles. */
   async show(place: Vector, look: Look, drawn: (done: number, of: number) => void): Promise<void> {
     const round = ++this.round;
     const wanted = levelled(this.scene.tiles, place);

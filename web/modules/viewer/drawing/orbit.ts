@@ -4,7 +4,7 @@ import { PerspectiveCamera, Vector3 } from "three";
 
 const LOWEST_RAD = 0.03;
 const HIGHEST_RAD = Math.PI / 2 - 0.001;
-/** So high above the ground at least is the camera; what it turns around is not below it. */
+/** Minimum height of the camera above the ground; its pivot is not below the ground. */
 const ABOVE_GROUND_M = 0.5;
 const NEAREST_M = 2;
 const FARTHEST_M = 900;

@@ -1,4 +1,4 @@
-// What was made of what was sensed: the reconstructed surface of a tile.
+// The reconstructed surface of a tile.
 
 import { BufferAttribute, BufferGeometry, DoubleSide, GLSL3, Mesh, type PerspectiveCamera, ShaderMaterial, Vector3 } from "three";
 import type { Surface } from "../data/formats.js";

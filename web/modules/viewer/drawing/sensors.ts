@@ -1,6 +1,6 @@
-// Where the sensors of the rig are: the axes of each, x red, y green, z blue, with its name, and what cameras look at.
+// The sensors of the rig: the axes of each, x red, y green, z blue, with its name, and the fields of view of cameras.
 //
-// A camera stands where it was when it took its picture, if that is known. Loaded once the layer is wanted.
+// A camera is drawn at its pose at exposure, if known. Loaded once the layer is shown.
 
 import { BufferAttribute, BufferGeometry, Color, Group, LineBasicMaterial, LineSegments, type Matrix4, type PerspectiveCamera, Vector3 } from "three";
 import { make } from "../controls/elements.js";
@@ -89,7 +89,7 @@ function put(geometry: BufferGeometry, places: readonly number[]): BufferGeometr
   return geometry.setAttribute("position", new BufferAttribute(Float32Array.from(places), 3));
 }
 
-/** Of the picture's edge, optical frame. */
+/** The middle of the picture's edge, in the optical frame. */
 function middleOf({ edge }: Frustum): Vector {
   return [0, 1, 2].map((axis) => (EDGE_M * edge.reduce((sum, ray) => sum + ray[axis]!, 0)) / edge.length) as Vector;
 }

@@ -1,4 +1,4 @@
-// What the graphics card runs. Colours are written as they come from the tokens; everything fades into the paper.
+// The shaders. Colours come from the tokens unchanged; everything fades into the paper.
 
 const FADE = /* glsl */ `
 uniform vec3 paper;

@@ -11,7 +11,7 @@ const RESTS_AFTER_MS = 220;
 
 ColorManagement.enabled = false; // tokens go to the screen as they are
 
-/** What stands on the stage and wants to know of the theme, or of a picture about to be drawn. */
+/** An object on the stage with callbacks for theme changes, or before each drawn picture. */
 export interface Prop {
   themed?(theme: Theme): void;
   drawing?(camera: PerspectiveCamera): void;

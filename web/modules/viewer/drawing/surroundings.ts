@@ -1,4 +1,4 @@
-// What stands around the labels: the ground's grid, the robot's track and footprint, the frame of the picked voxel.
+// Objects around the labels: the ground's grid, the robot's track and footprint, the frame of the selected voxel.
 
 import {
   BoxGeometry, BufferAttribute, BufferGeometry, Color, DoubleSide, EdgesGeometry, GLSL3, Group, LineBasicMaterial, LineSegments,

@@ -14,7 +14,7 @@ export const POINT_COLOURS = ["intensity", "height", "time"] as const;
 export type PointColour = (typeof POINT_COLOURS)[number];
 /** Sweeps no older than this are shown by their age. */
 export const OLDEST_S = 1;
-/** So many of a sweep's intensities in a hundred lie below and above the colours, unless the reader says otherwise. */
+/** Per cent of a sweep's intensities below and above the ramp of colours, unless the reader sets it. */
 const BEYOND_PERCENT = 2;
 
 interface Sweep {
@@ -31,7 +31,7 @@ export class SweepLayer implements Prop {
   private wanted: Span = [null, null];
   private intensities: [number, number] | null = null;
 
-  /** `heights_m`: above the robot's wheels, between which the ramp of heights runs unless the reader says otherwise. */
+  /** `heights_m`: ends of the ramp of heights, above the robot's wheels, unless the reader sets them. */
   constructor(paint: VoxelPaint, private readonly heights_m: readonly [number, number], private readonly height_px: () => number) {
     const colours = new Uint8Array(1024).fill(255);
     for (let place = 0; place < 256; place++) colours.set(ramp("lighter", place / 255), place * 4);
@@ -94,7 +94,7 @@ export class SweepLayer implements Prop {
     this.shared.range.value.set(...this.range);
   }
 
-  /** It is so late now: what is older than a second, or later, is no longer kept. */
+  /** Sets the time: sweeps older than a second, or later, are dropped. */
   private stand(now_ns: bigint): void {
     const age_s = (one: Sweep): number => Number(now_ns - one.stamp_ns) / 1e9;
     this.drop((one) => age_s(one) < 0 || age_s(one) > OLDEST_S);

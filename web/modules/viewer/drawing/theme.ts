@@ -38,7 +38,8 @@ export function themeOf(element: Element): Theme {
   };
 }
 
-/** Calls back when the reader or their system changes the theme or the class colours; what it returns ends that. */
+/** Calls back when the reader or their system changes the theme or the class colours; the returned function stops this.
+ * */
 export function onThemeChange(changed: () => void): () => void {
   const system = matchMedia("(prefers-color-scheme: dark)");
   const observer = new MutationObserver(changed);

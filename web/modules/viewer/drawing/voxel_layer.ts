@@ -36,7 +36,7 @@ export class VoxelPaint implements Prop {
     this.palette.needsUpdate = true;
   }
 
-  /** What is far fades: farther away the more of it is looked at. */
+  /** Sets the distance of the fog: the wider the view, the farther it starts. */
   reach(distance_m: number): void {
     this.fade.value.set(distance_m + 60, distance_m * 2 + 260);
   }
