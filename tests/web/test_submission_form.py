@@ -27,7 +27,7 @@ from tests.services.eval.grid_attacks import TOKENS as ATTACKED_TOKENS
 
 TOKENS = tuple(f"{number:032x}" for number in (11, 22, 33, 44))
 PAPER = np.zeros((256, 256, 32), np.uint8)
-HINTED = re.compile(r"axes are x, y, z: (.+?)(?: if |:|$)")
+HINTED = re.compile(r"Expected axis order x, y, z: (.+?)(?: if |:|$)")
 Found = list[tuple[str, str, str | None]]
 READ = """async ({at, zips, tokens}) => {
   const { examined, manifestOf } = await import(at);
@@ -212,7 +212,7 @@ def test_frames_are_held_against_the_grid_of_the_manifest(site: Site, shape: tup
         assert expected.startswith(str(shape))
         assert actual == (str(array.shape) if array.flags.c_contiguous else "Fortran order")
         if any(array is other for other in others):
-            assert hint == f"axes are x, y, z, with {x} × {y} × {z} voxels, in C order"
+            assert hint == f"Expected axis order x, y, z, with {x} × {y} × {z} voxels, in C order"
         else:
             made = eval(HINTED.match(hint)[1], {"grid": array, "numpy": np})  # type: ignore[index]
             assert made.shape == shape

@@ -1,8 +1,8 @@
 // A sequence's page while its run is in progress: one stream of events refreshes the live parts.
 //
 // `#standing` has the stream's URL and the id of the shown labels. Parts marked `data-live-part` are fetched again with
-// it. The whole page is reloaded, unless a dialog is open, if other labels become active or another run is followed
-// (`data-run`), because the run's log and buttons are elsewhere on the page.
+// it. If other labels become active or another run is followed (`data-run`), the whole page is reloaded, unless a
+// dialog is open. The run's log and buttons are elsewhere on the page.
 
 import { followStream } from "../event_stream.js";
 import { toast } from "../notices.js";

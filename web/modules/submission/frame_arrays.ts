@@ -33,7 +33,7 @@ function stepsTo([x, y, z]: Shape): Record<string, string> {
 /** The code that turns a frame of the actual shape or order into the expected shape. */
 export function shapeHint(expected: Shape, found: string): string {
   const step = stepsTo(expected)[found];
-  return step ? `axes are x, y, z: ${step}` : `axes are x, y, z, with ${expected.join(" × ")} voxels, in C order`;
+  return step ? `Expected axis order x, y, z: ${step}` : `Expected axis order x, y, z, with ${expected.join(" × ")} voxels, in C order`;
 }
 
 /** The faults of the arrays, the number of frames whose values were read, and the number that cannot be read here. */

@@ -35,7 +35,7 @@ export async function readDirectory(file: Blob, most: number): Promise<Member[]>
     throw new Fault("too_large", `a directory of at most ${limit_bytes} bytes`, `${end.directory_bytes} bytes`);
   }
   if (end.entries * RECORD_BYTES > end.directory_bytes || end.directory_offset + end.directory_bytes > file.size) {
-    throw new Fault("truncated", `${end.entries} directory records inside the file`, `${end.directory_bytes} bytes of them`);
+    throw new Fault("truncated", `${end.entries} directory records inside the file`, `${end.directory_bytes} bytes of directory records`);
   }
   const members = await parsed(bytes, end);
   refuseOverlap(members, end.directory_offset);

@@ -103,6 +103,6 @@ function same(narrow: End, meant: End): End {
     agrees(narrow.entries, meant.entries, 0xffff) &&
     agrees(narrow.directory_bytes, meant.directory_bytes, 0xffffffff) &&
     agrees(narrow.directory_offset, meant.directory_offset, 0xffffffff);
-  if (!isSame) throw new Fault("unsupported_zip", "the same in both end records", "two that differ");
+  if (!isSame) throw new Fault("unsupported_zip", "equal values in both end records", "different values");
   return meant;
 }

@@ -41,6 +41,6 @@ function refuseOtherName(path: DataView | undefined, name: string): void {
   const file = told.subarray(told.lastIndexOf(0x2f) + 1);
   const own = new TextEncoder().encode(name.slice(name.lastIndexOf("/") + 1));
   if (file.length !== own.length || file.some((byte, index) => byte !== own[index])) {
-    throw new Fault("unsupported_zip", `one name for ${name}`, "another in an extra field");
+    throw new Fault("unsupported_zip", `one name for ${name}`, "another name in an extra field");
   }
 }

@@ -32,7 +32,7 @@ function shareLegend(entries: readonly (readonly [string, string])[], counts: re
     return make("li", {}, swatch(fill), make("span", {}, name), make("span", { class: "viewer-share" }, share));
   });
   const list = make("ul", { class: "legend" }, ...items);
-  return make("div", { class: "viewer-legend" }, list, ...(total ? [make("span", { class: "viewer-share" }, "of this frame's voxels")] : []));
+  return make("div", { class: "viewer-legend" }, list, ...(total ? [make("span", { class: "viewer-share" }, "shares of this frame's voxels")] : []));
 }
 
 /** The legend of the colours of points, from the first value to the last. */
