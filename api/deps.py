@@ -294,7 +294,7 @@ def _by_session(platform: Platform, secret: str) -> Caller:
 
 
 def check_csrf(request: Request, caller: Caller) -> None:
-    """Raises `CsrfError` if a browser's request changes data without the CSRF token of its session."""
+    """Check that a browser's unsafe request has the CSRF token of its session. Raises `CsrfError`."""
     if not caller.is_session or request.method in SAFE:
         return
     offered = request.headers.get("x-csrf-token", "")

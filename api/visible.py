@@ -54,7 +54,7 @@ def sequences_of(caller: Caller) -> Select[SequenceRow]:
 
 
 def sequence_of(session: Session, caller: Caller, sequence_id: str) -> SequenceRow:
-    """Raises `NotFoundError`."""
+    """Return one of the caller's sequences. Raises `NotFoundError`."""
     return _only(session, sequences_of(caller).where(SequenceRow.id == sequence_id), "sequence", sequence_id)
 
 
@@ -64,7 +64,7 @@ def sequences_shown_to(caller: Caller) -> Select[SequenceRow]:
 
 
 def sequences_shown(user_id: str | BindParameter[str] | None) -> Select[SequenceRow]:
-    """As `sequences_shown_to`, to a user or to whom the parameter names; all of them to None, an administrator."""
+    """Select as `sequences_shown_to`, for a user id or a bound parameter; None, an administrator, selects all."""
     everything = select(SequenceRow).where(SequenceRow.deleted_ns.is_(None))
     if user_id is None:
         return everything
@@ -92,20 +92,20 @@ def hiding(session: Session, sequence_id: str) -> str:
 
 
 def calibration_of(session: Session, caller: Caller, calibration_id: str) -> CalibrationRow:
-    """Raises `NotFoundError`."""
+    """Return one of the caller's calibrations. Raises `NotFoundError`."""
     mine = theirs(select(CalibrationRow), caller, CalibrationRow.owner_id)
     return _only(session, mine.where(CalibrationRow.id == calibration_id), "calibration", calibration_id)
 
 
 def recording_of(session: Session, caller: Caller, sequence_id: str, recording_id: str) -> Recording:
-    """Raises `NotFoundError`."""
+    """Return a recording of one of the caller's sequences. Raises `NotFoundError`."""
     sequence = sequence_of(session, caller, sequence_id)
     of_sequence = select(Recording).where(Recording.sequence_id == sequence.id, Recording.id == recording_id)
     return _only(session, of_sequence, "recording", recording_id)
 
 
 def export_of(session: Session, caller: Caller, sequence_id: str, export_id: str) -> Export:
-    """Raises `NotFoundError`."""
+    """Return an export of one of the caller's sequences. Raises `NotFoundError`."""
     sequence = sequence_of(session, caller, sequence_id)
     of_sequence = select(Export).where(Export.sequence_id == sequence.id, Export.id == export_id)
     return _only(session, of_sequence, "export", export_id)
@@ -124,27 +124,27 @@ def exports_shown_to(session: Session, caller: Caller, sequence_id: str) -> Sele
 
 
 def readable_export(session: Session, caller: Caller, sequence_id: str, export_id: str) -> Export:
-    """Raises `NotFoundError`."""
+    """Return an export that the caller may read. Raises `NotFoundError`."""
     shown = exports_shown_to(session, caller, sequence_id).where(Export.id == export_id)
     return _only(session, shown, "export", export_id)
 
 
 def label_comparison_of(session: Session, caller: Caller, sequence_id: str, comparison_id: str) -> LabelComparison:
-    """Raises `NotFoundError`."""
+    """Return a comparison of one of the caller's sequences. Raises `NotFoundError`."""
     sequence = sequence_of(session, caller, sequence_id)
     of_sequence = select(LabelComparison).where(LabelComparison.sequence_id == sequence.id)
     return _only(session, of_sequence.where(LabelComparison.id == comparison_id), "label comparison", comparison_id)
 
 
 def label_set_of(session: Session, caller: Caller, sequence_id: str, label_set_id: str) -> LabelSet:
-    """Raises `NotFoundError`."""
+    """Return a label set of one of the caller's sequences. Raises `NotFoundError`."""
     sequence = sequence_of(session, caller, sequence_id)
     of_sequence = select(LabelSet).where(LabelSet.sequence_id == sequence.id)
     return _only(session, of_sequence.where(LabelSet.id == label_set_id), "label set", label_set_id)
 
 
 def job_of(session: Session, caller: Caller, job_id: str) -> Job:
-    """Raises `NotFoundError`."""
+    """Return one of the caller's jobs. Raises `NotFoundError`."""
     return _only(session, theirs(select(Job), caller, Job.owner_id).where(Job.id == job_id), "job", job_id)
 
 
@@ -195,7 +195,7 @@ def benchmarks_of(caller: Caller) -> Select[Benchmark]:
 
 
 def benchmark_of(session: Session, caller: Caller, name: str) -> Benchmark:
-    """Raises `NotFoundError`."""
+    """Return a benchmark that the caller may view. Raises `NotFoundError`."""
     return _only(session, benchmarks_of(caller).where(Benchmark.name == name), "benchmark", name)
 
 
@@ -206,7 +206,7 @@ def phase_at(session: Session, caller: Caller, benchmark: str, phase: str) -> Ph
 
 
 def phase_id_at(session: Session, caller: Caller, benchmark: str, phase: str) -> str:
-    """As `phase_at`, the id alone, by a statement that is kept. Raises `NotFoundError`."""
+    """Return the id of the phase as `phase_at`, by a cached statement. Raises `NotFoundError`."""
     rows = _phase_ids(caller.is_visitor).rows(session, {"benchmark": benchmark, "phase": phase})
     return str(rows[0].id) if rows else phase_at(session, caller, benchmark, phase).id
 
@@ -219,7 +219,7 @@ def _phase_ids(is_visitor: bool) -> KeptSelect:
 
 
 def phase_of(session: Session, phase_id: str) -> Phase:
-    """Raises `NotFoundError`."""
+    """Return a phase by its id. Raises `NotFoundError`."""
     return _known(session.get(Phase, phase_id), "phase", phase_id)
 
 
@@ -230,7 +230,7 @@ def teams_of(caller: Caller) -> Select[Team]:
 
 
 def team_of(session: Session, caller: Caller, team_id: str) -> Team:
-    """Raises `NotFoundError`."""
+    """Return one of the caller's teams. Raises `NotFoundError`."""
     return _only(session, teams_of(caller).where(Team.id == team_id), "team", team_id)
 
 
@@ -248,7 +248,7 @@ def submissions_of(caller: Caller) -> Select[SubmissionRow]:
 
 
 def submission_of(session: Session, caller: Caller, submission_id: str) -> SubmissionRow:
-    """Raises `NotFoundError`."""
+    """Return a submission of one of the caller's teams. Raises `NotFoundError`."""
     return _only(session, submissions_of(caller).where(SubmissionRow.id == submission_id), "submission", submission_id)
 
 

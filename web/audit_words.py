@@ -171,6 +171,6 @@ def _rows(session: Session, row: Any, ids: set[str]) -> Iterable[Any]:
 
 
 def _gone(line: AuditLine) -> Thing:
-    """By what the entry itself holds."""
+    """Return the object from the entry's own facts."""
     named = next((line.facts[key] for key in ("name", "filename", "method", "format") if line.facts.get(key)), "")
     return Thing(str(named) or line.subject_id[-8:])

@@ -51,7 +51,7 @@ def shown(request: Request, answer: Response) -> Response:
 
 
 def _is_known(request: Request) -> bool:
-    """Whether some page has an address of this form."""
+    """Return whether a page has an address of this form."""
     return "route" in request.scope
 
 

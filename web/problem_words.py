@@ -55,7 +55,7 @@ def grouped(problems: Iterable[FileProblem]) -> list[ProblemGroup]:
 
 
 def _advice(code: str, problems: Sequence[FileProblem]) -> str:
-    """For a shape or layout, what makes the first one that was found the right one."""
+    """Return the advice; for a shape or layout, the fix of the first problem."""
     if code not in ("bad_shape", "other_layout"):
         return ADVICE.get(code, UNKNOWN)
     hint = hint_of(code, problems[0].expected, problems[0].actual)

@@ -45,7 +45,7 @@ class Nav:
     also: tuple[str, ...] = ()
 
     def holds(self, path: str) -> bool:
-        """Whether the page is one of this link's."""
+        """Return whether the page belongs to this link."""
         return path.startswith((self.path.rsplit("/", 1)[0] or self.path, *self.also))
 
 

@@ -120,7 +120,7 @@ SPANS = (("d", 86_400), ("h", 3600), ("min", 60), ("s", 1))
 
 
 def size(n_bytes: float | None) -> str:
-    """`2.5 GB`."""
+    """Return a size as `2.5 GB`."""
     if n_bytes is None:
         return DASH
     value, unit = float(n_bytes), 0
@@ -130,7 +130,7 @@ def size(n_bytes: float | None) -> str:
 
 
 def span(seconds: float | None) -> str:
-    """`2 h 5 min`; below ten seconds with a decimal."""
+    """Return a duration as `2 h 5 min`; below ten seconds with a decimal."""
     if seconds is None:
         return DASH
     if seconds < 10:
@@ -152,19 +152,19 @@ def about(seconds: float | None) -> str:
 
 
 def distance(metres: float | None) -> str:
-    """`1.82 km`; below a kilometre in metres."""
+    """Return a distance as `1.82 km`; below a kilometre in metres."""
     if metres is None:
         return DASH
     return f"{metres:.0f} m" if metres < 999.5 else f"{metres / 1000:.2f} km"
 
 
 def percent(ratio: float | None, digits: int = 1) -> str:
-    """`29.1 %`."""
+    """Return a ratio as `29.1 %`."""
     return DASH if ratio is None else f"{100 * ratio:.{digits}f} %"
 
 
 def number(value: float | None) -> str:
-    """`12,345`."""
+    """Return a number as `12,345`."""
     if value is None:
         return DASH
     return f"{value:,}" if isinstance(value, int) else f"{value:,.2f}"
@@ -191,7 +191,7 @@ def short(identity: str | None) -> str:
 
 
 def by_harm(findings: Iterable[Any]) -> list[Any]:
-    """Findings, mappings or values, with the most harm to labels first; those of equal harm stay in their order."""
+    """Sort findings, mappings or values by harm to labels, the worst first; equal harm keeps the order."""
 
     def rank(one: Any) -> tuple[int, int]:
         code, severity = (one["code"], one["severity"]) if isinstance(one, Mapping) else (one.code, one.severity)
@@ -249,7 +249,7 @@ class PhaseName:
 
 
 def phase_names(session: Session, ids: Iterable[str]) -> Mapping[str, PhaseName]:
-    """Phase names by the phase's id; one statement."""
+    """Return phase names by the phase's id, by one statement."""
     joined = select(Phase.id, Benchmark.name, Benchmark.title, Phase.name).join(
         Benchmark, Benchmark.id == Phase.benchmark_id
     )
@@ -258,6 +258,6 @@ def phase_names(session: Session, ids: Iterable[str]) -> Mapping[str, PhaseName]
 
 
 def team_names(session: Session, ids: Iterable[str]) -> Mapping[str, str]:
-    """Team names by the team's id; one statement."""
+    """Return team names by the team's id, by one statement."""
     named = select(Team.id, Team.name).where(Team.id.in_(set(ids)))
     return {team_id: name for team_id, name in session.execute(named)}

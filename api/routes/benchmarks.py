@@ -45,7 +45,7 @@ class PhasePath:
         self.benchmark, self.phase, self._caller = benchmark_name, phase_name, caller
 
     def find(self, session: Session) -> Phase:
-        """Raises `NotFoundError`."""
+        """Return the phase. Raises `NotFoundError`."""
         return phase_at(session, self._caller, self.benchmark, self.phase)
 
     def find_id(self, session: Session) -> str:
@@ -73,14 +73,14 @@ def show_benchmark(benchmark_name: BenchmarkName, caller: Looker, platform: Plat
 
 @router.get(AT, summary="Show a phase", responses=refusals(404))
 def show_named_phase(at: AtPhase, platform: PlatformDep, response: Response) -> PhaseItem:
-    """Rules, dates, limits of a team, ground truth and metric, and visibility."""
+    """Return rules, dates, limits of a team, ground truth and metric, and visibility."""
     with platform.database.reading() as session:
         return _shown(session, at.find(session), response)
 
 
 @router.get("/phases/{phase_id}", summary="Show a phase by its id", responses=refusals(404))
 def show_phase(phase_id: IdPath, _caller: Reader, platform: PlatformDep, response: Response) -> PhaseItem:
-    """Equal to the phase by its names."""
+    """Return the phase as by its names."""
     with platform.database.reading() as session:
         return _shown(session, phase_of(session, phase_id), response)
 
@@ -126,7 +126,7 @@ def show_metric(at: AtPhase, metric: MetricName, platform: PlatformDep, form: Fo
     responses=VECTORS,
 )
 def download_metric_vectors(at: AtPhase, metric: MetricName, platform: PlatformDep, request: Request) -> Response:
-    """Grids with their scores, to check another implementation of the metric."""
+    """Return grids with their scores, to check another implementation of the metric."""
     with platform.database.reading() as session:
         at.find(session)
     named = f"{known_metric(metric).version}.vectors.zip"

@@ -116,7 +116,7 @@ def delete_dataset_import(import_id: IdPath, caller: Curator, platform: Platform
 
 
 def import_shown_to(session: Session, caller: Caller, import_id: str) -> DatasetImport:
-    """Raises `NotFoundError`."""
+    """Return an import that the caller may view. Raises `NotFoundError`."""
     mine = theirs(select(DatasetImport), caller, DatasetImport.owner_id).where(DatasetImport.id == import_id)
     row = session.scalars(mine).one_or_none()
     if row is None:

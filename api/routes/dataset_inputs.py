@@ -51,7 +51,7 @@ TAR = file_responses(MEDIA_TYPES["tar"])
 def create_dataset_inputs(
     dataset_name: DatasetName, body: ReasonBody, caller: Administrator, platform: PlatformDep, response: Response
 ) -> JobDetail:
-    """Jobs make the missing inputs of every sequence that still has its recording. Publishing does it once."""
+    """Make the missing inputs of every sequence that still has its recording, by jobs. Publishing does it once."""
     with platform.database.transaction() as session:
         dataset = dataset_of(session, dataset_name)
         run = start_version_inputs(session, dataset, caller.user_id)
@@ -89,7 +89,7 @@ def list_dataset_inputs(
 def download_dataset_input(
     dataset_name: DatasetName, sequence_name: SequenceName, _caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:
-    """Supports ranges; `sha256sum.txt` in the tar contains the checksums of all other files."""
+    """Return the tar; supports ranges. `sha256sum.txt` in it contains the checksums of all other files."""
     with platform.database.reading() as session:
         row_and_input = located_input(session, dataset_of(session, dataset_name), sequence_name)
         if row_and_input is None:

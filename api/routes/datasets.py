@@ -88,7 +88,7 @@ def show_dataset(
 def download_dataset_manifest(
     dataset_name: DatasetName, _caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:
-    """It lists the sequences, the statistics, and every file of train and val with its sha256."""
+    """Return the sequences, the statistics, and every file of train and val with its sha256."""
     with platform.database.reading() as session:
         row = dataset_of(session, dataset_name)
         blob = session.get_one(Blob, row.manifest_sha256)
@@ -106,7 +106,7 @@ def download_dataset_manifest(
 def download_dataset_part(
     dataset_name: DatasetName, part: OpenPart, _caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:
-    """Supports ranges; `sha256sum.txt` in the tar contains the checksums of all other files."""
+    """Return the tar; supports ranges. `sha256sum.txt` in it contains the checksums of all other files."""
     with platform.database.reading() as session:
         row, located = locate_part(session, dataset_of(session, dataset_name), part)
     stored = stored_files(platform.store, located)

@@ -146,7 +146,7 @@ async def _streamed(
         return subject, follower.look(subject)
 
     def check_shown() -> bool:
-        """Raises `UnauthenticatedError`."""
+        """Return whether the subject is still visible. Raises `UnauthenticatedError`."""
         now = identify_again(request)
         with platform.database.lookups() as session:
             try:

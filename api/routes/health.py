@@ -46,7 +46,7 @@ def show_readiness(request: Request, response: Response) -> Readiness:
 def may_read_metrics(
     request: Request, _bearer: Annotated[HTTPAuthorizationCredentials | None, Security(bearer, scopes=WATCHERS)]
 ) -> None:
-    """Raises `UnauthenticatedError` or `ForbiddenError` for all but the monitoring token and administrators."""
+    """Accept the monitoring token and administrators. Raises `UnauthenticatedError` or `ForbiddenError` for others."""
     expected = platform_of(request).settings.api.metrics_token.get_secret_value().split()
     offered = request.headers.get("authorization", "").partition(" ")[2]
     if any([compare_digest(offered.encode(), credential.encode()) for credential in expected]):

@@ -56,7 +56,7 @@ def set_email(body: EmailBody, caller: AccountHolder, platform: PlatformDep) -> 
 
 @router.post("/email/verification", summary="Verify your e-mail address", responses=refusals(409))
 def verify_email(body: EmailSecretBody, caller: AccountHolder, platform: PlatformDep) -> EmailItem:
-    """Requires the secret of the mailed link."""
+    """Verify the address with the secret of the mailed link."""
     with platform.database.transaction() as session:
         row = email_addresses.verify(session, caller.user_id, body.secret)
         audit.record(session, caller, "notifications.email_verified", caller.user_id)

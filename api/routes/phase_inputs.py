@@ -73,7 +73,7 @@ def list_phase_inputs(phase_id: IdPath, _caller: Reader, platform: PlatformDep, 
 def download_phase_input(
     phase_id: IdPath, sequence_name: SequenceName, _caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:
-    """Supports ranges; `sha256sum.txt` in the tar contains the checksums of all other files."""
+    """Return the tar; supports ranges. `sha256sum.txt` in it contains the checksums of all other files."""
     with platform.database.reading() as session:
         row = session.get(PhaseInput, (phase_of(session, phase_id).id, sequence_name))
         if row is None:

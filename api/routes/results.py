@@ -50,7 +50,7 @@ def show_results(
 def show_breakdown(
     submission_id: IdPath, by: ByQuery, caller: Looker, platform: PlatformDep, score: ScoreQuery = None
 ) -> BreakdownAnswer:
-    """For a hidden phase, only after its end."""
+    """Return the groups; for a hidden phase, only after its end."""
     with platform.database.reading() as session:
         seen = known_score(session, caller, submission_id, score)
         return breakdown_answer(seen, by, breakdown(seen, by))
@@ -60,7 +60,7 @@ def show_breakdown(
 def show_provenance(
     submission_id: IdPath, caller: Looker, platform: PlatformDep, score: ScoreQuery = None
 ) -> ProvenanceAnswer:
-    """Hashes, versions, signature and times."""
+    """Return hashes, versions, signature and times."""
     with platform.database.reading() as session:
         return provenance_answer(provenance(known_score(session, caller, submission_id, score)))
 

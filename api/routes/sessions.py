@@ -121,7 +121,7 @@ def _count_try(request: Request, platform: Platform, name: str) -> SignInTry:
 
 
 def give_cookie(response: Response, opened: SessionSecrets, settings: Settings) -> None:
-    """Hand a browser the secret of its session."""
+    """Set the session's secret as a cookie of the browser."""
     lasts_s = int(settings.api.session_s)
     secure = is_https(settings)
     response.set_cookie(COOKIE, opened.secret, lasts_s, path="/", secure=secure, httponly=True, samesite="lax")
@@ -129,7 +129,7 @@ def give_cookie(response: Response, opened: SessionSecrets, settings: Settings) 
 
 
 def is_https(settings: Settings) -> bool:
-    """Whether browsers reach us by https, so that cookies are for that alone."""
+    """Return whether the public URL is https, so that cookies are Secure."""
     return settings.api.url.startswith("https://")
 
 

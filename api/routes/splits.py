@@ -31,7 +31,7 @@ router = APIRouter(prefix="/splits", tags=["dataset"])
 
 @router.get("", summary="Show the draft splits and the verdicts of the rules", responses=refusals())
 def show_splits(caller: Reader, platform: PlatformDep, response: Response) -> SplitsAnswer:
-    """Administrators see all sequences with the verdicts, other users only their own sequences."""
+    """Return all sequences with the verdicts to administrators, and only their own sequences to other users."""
     with platform.database.reading() as session:
         current = current_splits(session)
         seen = labelled_sequences(session, sequences_of(caller))
@@ -44,7 +44,7 @@ def show_splits(caller: Reader, platform: PlatformDep, response: Response) -> Sp
 def put_splits(
     body: SplitsBody, caller: Administrator, platform: PlatformDep, request: Request, response: Response
 ) -> SplitsAnswer:
-    """Replaces all splits at once. 422 names every broken rule; the response contains warnings."""
+    """Replace all splits at once. 422 names every broken rule; the response contains warnings."""
     split = Split(tuple(body.train), tuple(body.val), tuple(body.test))
     with platform.database.transaction() as session:
         row = lock_splits(session)
@@ -62,7 +62,7 @@ def put_splits(
 
 @router.post("/verdicts", summary="Check splits against the rules", responses=refusals())
 def judge_splits(body: SplitsToJudge, _caller: Administrator, platform: PlatformDep) -> VerdictsAnswer:
-    """Returns the verdict of every rule. Saves nothing."""
+    """Return the verdict of every rule. Saves nothing."""
     split = Split(tuple(body.train), tuple(body.val), tuple(body.test))
     with platform.database.reading() as session:
         revision = current_splits(session).revision
@@ -73,7 +73,7 @@ def judge_splits(body: SplitsToJudge, _caller: Administrator, platform: Platform
 
 @router.post("/proposal", summary="Propose splits of given sizes", responses=refusals(409))
 def propose_splits(body: ProposalBody, caller: Administrator, platform: PlatformDep) -> ProposalAnswer:
-    """Returns balanced splits that keep every rule, or the rules that conflict. Saves nothing."""
+    """Return balanced splits that keep every rule, or the rules that conflict. Saves nothing."""
     from stone.splits.proposal import propose
 
     left_out = set(body.leave_out)

@@ -55,6 +55,6 @@ def download_composition(
 
 
 def _record_of(platform: Platform, caller: Caller, dataset: str | None) -> Record:
-    """Raises `NotFoundError`."""
+    """Return the record. Raises `NotFoundError`."""
     with platform.database.reading() as session:
         return composition_record(session, caller, dataset)

@@ -48,7 +48,7 @@ def create_team(body: TeamBody, caller: Participant, platform: PlatformDep) -> T
 
 @router.get("", summary="List your teams, newest first")
 def list_teams(caller: Reader, query: PageDep, platform: PlatformDep) -> Page[TeamItem]:
-    """Administrators see all teams."""
+    """List your teams; administrators see all teams."""
     with platform.database.reading() as session:
         rows = page(session, teams_of(caller), Team.id.desc(), query)
         return Page[TeamItem](items=team_items(session, rows.rows), next=rows.next)
@@ -111,7 +111,9 @@ def withdraw_invitation(team_id: IdPath, invitation_id: IdPath, caller: Particip
 def remove_member(
     team_id: IdPath, member: MemberName, caller: Participant, platform: PlatformDep, reason: ReasonQuery = ""
 ) -> None:
-    """Scored submissions stay with the team, and the member still counts as its member in their phases."""
+    """Remove the member. Scored submissions stay with the team, and the member still counts as its member in their
+    phases.
+    """
     with platform.database.transaction() as session:
         team = team_of(session, caller, team_id)
         if member != caller.name:
@@ -132,7 +134,7 @@ def change_captain(team_id: IdPath, body: CaptainBody, caller: Participant, plat
 
 
 def _lead(session: Session, caller: Caller, team: Team, act: tuple[str, str, dict[str, str]]) -> None:
-    """Note what the captain does, or an administrator with a reason. Raises `not_captain`, `reason_missing`."""
+    """Record an act of the captain, or of an administrator with a reason. Raises `not_captain`, `reason_missing`."""
     name, reason, facts = act
     teams.lock_team(session, team.id)
     if caller.is_administrator and teams.captain(session, team.id) != caller.user_id:

@@ -46,7 +46,7 @@ def list_tokens(caller: Reader, query: PageDep, platform: PlatformDep) -> Page[T
 
 @router.delete("/current", status_code=204, summary="Revoke the calling token", responses=refusals(409))
 def revoke_current_token(caller: Anybody, platform: PlatformDep) -> None:
-    """Requires no scope. All tokens that it created are revoked too."""
+    """Revoke the calling token, which requires no scope, and all tokens that it created."""
     if caller.is_session:
         raise ApiError("conflict", "a session is not a token; sign out with DELETE /sessions/current")
     _revoke(platform, caller, caller.credential_id)
@@ -68,7 +68,7 @@ def authority_of_caller(session: Session, caller: Caller, longest_s: float) -> A
 
 
 def _revoke(platform: Platform, caller: Caller, token_id: str) -> None:
-    """Raises `NotFoundError`."""
+    """Revoke the token. Raises `NotFoundError`."""
     with platform.database.transaction() as session:
         if tokens.revoke(session, caller.user_id, token_id) is None:
             raise NotFoundError("token", token_id)

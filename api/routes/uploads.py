@@ -106,7 +106,7 @@ async def create_upload(
 async def create_upload_by_form(
     request: Request, platform: PlatformDep, caller: Former, response: Response
 ) -> UploadItem:
-    """For example `curl -F file=@run.mcap -F purpose=recording -F target_id=…`."""
+    """Store the file, for example by `curl -F file=@run.mcap -F purpose=recording -F target_id=…`."""
     upload = await accept_form(request, platform, caller)
     response.headers["Location"] = f"{request.url.path.removesuffix('/form')}/{upload.id}"
     return upload_item(upload, upload.length_bytes)
@@ -169,7 +169,7 @@ async def override_upload_method(
     caller: Uploader,
     x_http_method_override: Annotated[str, Header(description="Intended method: PATCH or DELETE.")] = "",
 ) -> Response:
-    """For clients behind networks that block both methods (tus 1.0, X-HTTP-Method-Override)."""
+    """Apply PATCH or DELETE for clients behind networks that block both methods (tus 1.0, X-HTTP-Method-Override)."""
     if x_http_method_override == "PATCH":
         return await append_to_upload(upload_id, request, platform, caller)
     if x_http_method_override == "DELETE":

@@ -83,7 +83,7 @@ def list_user_tokens(user_id: IdPath, _caller: Administrator, query: PageDep, pl
 def revoke_user_token(
     user_id: IdPath, token_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep
 ) -> None:
-    """Requests with the token then return 401."""
+    """Revoke the token, so that requests with it return 401."""
     with platform.database.transaction() as session:
         name = tokens.revoke(session, user_id, token_id)
         if name is None:
@@ -98,7 +98,7 @@ def revoke_user_token(
 def revoke_user_credentials(
     user_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep
 ) -> RevokedItem:
-    """Requests with them then return 401. The calling credential and the password stay.
+    """Revoke them, so that requests with them return 401. The calling credential and the password stay.
 
     If another token created the calling token, both end. Approved programs that have not fetched their token get none.
     Unused invitations into teams and links in e-mails end too.
@@ -112,7 +112,7 @@ def revoke_user_credentials(
 
 
 def _hashed(password: Password | None, name: str) -> str | None:
-    """Slow, so before the transaction."""
+    """Return the hash of the password; slow, so it must run before the transaction."""
     return None if password is None else passwords.hash_password(password.get_secret_value(), name)
 
 

@@ -148,7 +148,7 @@ def _column(name: str, value: Any) -> tuple[str, Any]:
 
 
 def ns_of(moment: datetime) -> int:
-    """Exactly: a float would lose what is below a microsecond of the sum."""
+    """Return exact nanoseconds, because a float would lose digits below a microsecond."""
     passed = moment - EPOCH
     return ((passed.days * 86_400 + passed.seconds) * 10**6 + passed.microseconds) * 1000
 

@@ -52,11 +52,7 @@ class ReceivedUpload:
 async def receive_body(
     request: Request, platform: Platform, upload: tuple[str, str], piece: UploadChunk
 ) -> ReceivedUpload:
-    """Take the request's body into the upload (id, owner's id); the upload as it is then.
-
-    Raises what `receive`, `UploadReceiver.write` and `UploadReceiver.end` raise, `receive_timeout`,
-    `ClientDisconnect`.
-    """
+    """Write the request's body into the upload (id, owner's id), and return the upload."""
     reception = await in_thread(receive, platform, *upload, piece)
     if reception is None:
         return await in_thread(_received, platform, lambda: find(platform.database, *upload))

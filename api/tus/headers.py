@@ -83,7 +83,7 @@ def declared_by(request: Request, length_bytes: int, *, is_part: bool = False) -
 
 
 def upload_headers(upload: Upload, offset_bytes: int) -> dict[str, str]:
-    """Response headers about an upload: its offset, and when it expires."""
+    """Return the response headers about an upload: its offset, and its expiry."""
     headers = {"Upload-Offset": str(offset_bytes), "Upload-Length": str(upload.length_bytes)}
     if upload.state in ("open", "complete"):
         headers["Upload-Expires"] = formatdate(upload.expires_ns / 1e9, usegmt=True)
@@ -105,7 +105,7 @@ def _checksum(request: Request) -> Checksum | None:
 
 
 def _metadata(header: str) -> dict[str, str]:
-    """Comma-separated pairs of a key and a base64 value. Raises `bad_tus_header`, `BadMetadataError`."""
+    """Return the comma-separated pairs of a key and a base64 value. Raises `bad_tus_header`, `BadMetadataError`."""
     if len(header) > LONGEST_METADATA:
         raise ApiError(
             "bad_tus_header", f"Upload-Metadata is {header[:80]!r}; expected at most {LONGEST_METADATA} characters"

@@ -41,7 +41,7 @@ class JobSpan:
 
 
 def admin_job_items(session: Session, jobs: Listing[Job]) -> list[AdminJobItem]:
-    """Jobs as the administrator's list shows them; names are two statements for all."""
+    """Return jobs as the administrator's list shows them; two statements read all names."""
     owners = _names(session, User.id, User.name, {job.owner_id for job in jobs})
     sequences = _names(session, SequenceRow.id, SequenceRow.name, {job.sequence_id for job in jobs if job.sequence_id})
     return [
@@ -72,10 +72,7 @@ def admin_job_detail(session: Session, job: Job) -> AdminJobDetail:
 
 
 def job_counts(session: Session, levelled: Select[Job], flat: Select[Job]) -> JobCounts:
-    """Numbers of jobs by state, of those that a list may show.
-
-    `levelled` are the jobs of the list whatever their state, `flat` the same ones and those within runs.
-    """
+    """Return the number of jobs by state among those that a list may show."""
     by_state = levelled.with_only_columns(Job.state, func.count()).group_by(Job.state)
     counts = {state: count for state, count in session.execute(by_state)}
     dead = session.scalar(flat.with_only_columns(func.count()).where(DEAD)) or 0

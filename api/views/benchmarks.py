@@ -32,7 +32,7 @@ from stone.scoring.metric import METRICS, Metric
 
 
 def benchmark_items(session: Session, rows: Sequence[Benchmark]) -> list[BenchmarkItem]:
-    """Benchmarks as a list shows them; the phases of all are one statement."""
+    """Return benchmarks as a list shows them; one statement reads the phases of all."""
     of_these = select(Phase.benchmark_id, Phase.name).where(Phase.benchmark_id.in_([row.id for row in rows]))
     names: dict[str, list[str]] = {}
     for benchmark_id, name in session.execute(of_these.order_by(Phase.name)):
@@ -79,7 +79,7 @@ def metric_item(session: Session, phase: Phase, version: str) -> MetricItem:
 
 
 def known_metric(version: str) -> Metric:
-    """Raises `NotFoundError`."""
+    """Return the metric of this version. Raises `NotFoundError`."""
     if version not in METRICS:
         raise NotFoundError("metric", version)
     return METRICS[version]

@@ -76,7 +76,7 @@ def board_answer(board: Board, viewer: Viewer) -> LeaderboardAnswer:
 
 
 def history_answer(session: Session, phase: Phase, track: Track) -> HistoryAnswer:
-    """When the board of a track changed."""
+    """Return the changes of a track's board."""
     return HistoryAnswer(
         benchmark=session.get_one(Benchmark, phase.benchmark_id).name,
         phase=phase.name,

@@ -15,10 +15,7 @@ from stone.sensors.calibration_diff import difference
 
 
 def changes(platform: Platform, caller: Caller, calibration_id: str, against: str | None) -> CalibrationDiffItem:
-    """From `against` to the calibration; without it from the version before, from itself for the first.
-
-    Raises `NotFoundError`, what `calibration_reading.read_stored` raises.
-    """
+    """Return the changes from `against` (default: the previous version, or itself for the first) to the calibration."""
     with platform.database.reading() as session:
         row = calibration_of(session, caller, calibration_id)
         earlier = version_before(session, row) or row if against is None else calibration_of(session, caller, against)

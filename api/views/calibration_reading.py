@@ -98,7 +98,9 @@ def read_stored(store: Store, object_key: str, filename: str) -> Calibration:
 
 
 def validity(valid_from: datetime | None, valid_to: datetime | None) -> Validity:
-    """Raises `CalibrationRefusedError` for a time that never is, or that nanoseconds since 1970 do not reach."""
+    """Return the validity. Raises `CalibrationRefusedError` if it is empty or outside the range of nanoseconds since
+    1970.
+    """
     interval = Validity(*(None if moment is None else _since_1970_ns(moment) for moment in (valid_from, valid_to)))
     reached = [moment_ns for moment_ns in (interval.from_ns, interval.to_ns) if moment_ns is not None]
     if any(not 0 <= moment_ns < 2**63 for moment_ns in reached):

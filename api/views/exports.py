@@ -20,7 +20,7 @@ ARCHIVE_TYPES = tuple(MEDIA_TYPES.values())
 
 
 def export_items(session: Session, sequence_id: str, exports: Listing[Export]) -> list[ExportItem]:
-    """Exports of one sequence as a list shows them."""
+    """Return exports of one sequence as a list shows them."""
     labels = counting_labels(session, sequence_id)
     jobs = {job.id: job for job in session.scalars(select(Job).where(Job.id.in_([row.job_id for row in exports])))}
     return [_item(row, jobs[row.job_id], labels.id if labels else "") for row in exports]

@@ -68,7 +68,7 @@ def _progress_of_row(session: Session, row: Row[Any]) -> Progress:
 
 
 def job_items(session: Session, jobs: Sequence[Job]) -> list[JobItem]:
-    """Jobs as a list shows them; the progress of all runs among them is one statement, and so are their estimates."""
+    """Return jobs as a list shows them; one statement reads the progress of all runs, and one their estimates."""
     runs = [job.id for job in jobs if not job.queue]
     counts = {root: (done, total) for root, done, total in session.execute(COUNTED, {"runs": runs})} if runs else {}
     left = _time_left(session, jobs)
@@ -95,7 +95,7 @@ def _glance(session: Session, job: Job, counts: tuple[int, int]) -> Progress:
 
 
 def job_item(job: Job, progress: Progress, left_s: int | None) -> JobItem:
-    """`left_s` is the estimate of `services/domain/runs/estimates.py`."""
+    """Return the job; `left_s` is the estimate of `services/domain/runs/estimates.py`."""
     return JobItem(**job_facts(_said_of(job), progress, left_s))
 
 

@@ -38,7 +38,7 @@ def label_set_items(session: Session, sequence_id: str, rows: Listing[LabelSet])
 
 
 def comparison_items(session: Session, rows: Listing[LabelComparison]) -> list[LabelComparisonItem]:
-    """Comparisons as a list shows them."""
+    """Return comparisons as a list shows them."""
     jobs = {job.id: job for job in session.scalars(select(Job).where(Job.id.in_([row.job_id for row in rows])))}
     return [_item(row, jobs[row.job_id]) for row in rows]
 
@@ -49,13 +49,13 @@ def pair_picture(store: Store, pair: StoredPair, colours: ColourName) -> bytes:
 
 
 def pair_differences(store: Store, pair: StoredPair) -> bytes:
-    """`STD1` of where A and B differ. Raises `grid_unreadable`."""
+    """Return `STD1` of the differences between A and B. Raises `grid_unreadable`."""
     return _differences(store, pair)
 
 
 @lru_cache(maxsize=HELD_PICTURES)
 def frame_voxels_of(store: Store, file: StoredLabelFile) -> bytes:
-    """`STV1` of a frame of any label set. Raises `grid_unreadable`."""
+    """Return `STV1` of a frame of any label set. Raises `grid_unreadable`."""
     return voxels_bytes(*stored_grids(store, file.object_key, file.span))
 
 

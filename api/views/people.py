@@ -41,7 +41,7 @@ def user_item(row: User) -> UserItem:
 
 
 def user_of(session: Session, user_id: str, is_locked: bool = False) -> User:
-    """Raises `NotFoundError`."""
+    """Return the user. Raises `NotFoundError`."""
     user = session.get(User, user_id, with_for_update=is_locked)
     if user is None:
         raise NotFoundError("user", user_id)

@@ -27,23 +27,23 @@ PREVIEW_TYPES = ("image/png", "image/jpeg", "application/json", "text/html")
 
 
 def previews_of_recording(session: Session, recording: Recording) -> list[PreviewItem]:
-    """Previews of a recording by name."""
+    """Return the previews of a recording by name."""
     return _items(session.scalars(_of_recording(recording)))
 
 
 def previews_of_sequence(session: Session, sequence_id: str, labels: LabelSet | None) -> list[PreviewItem]:
-    """Previews by name: those of the run that made the labels that count, else of the newest run."""
+    """Return the previews by name: those of the run that made the active labels, else of the newest run."""
     recipe = None if labels is None else labels.recipe
     return _items(_PREVIEWS.rows(session, {"sequence": sequence_id, "recipe": recipe}))
 
 
 def recording_preview(session: Session, recording: Recording, name: str) -> StoredFile:
-    """Raises `NotFoundError`."""
+    """Return a preview of the recording. Raises `NotFoundError`."""
     return _file(session, _of_recording(recording), name, recording.filename)
 
 
 def sequence_preview(session: Session, sequence: SequenceRow, labels: LabelSet | None, name: str) -> StoredFile:
-    """Raises `NotFoundError`."""
+    """Return a preview of the sequence. Raises `NotFoundError`."""
     return _file(session, _of_sequence(session, sequence, labels), name, sequence.name)
 
 

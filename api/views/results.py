@@ -36,7 +36,7 @@ def viewer_for(session: Session, caller: Caller) -> Viewer:
 
 
 def known_submission(session: Session, viewer: Viewer, submission_id: str) -> SubmissionRow:
-    """Raises `NotFoundError`."""
+    """Return a submission that the viewer may see. Raises `NotFoundError`."""
     submission = submission_seen(session, viewer, submission_id)
     if submission is None:
         raise NotFoundError("submission", submission_id)
@@ -44,7 +44,7 @@ def known_submission(session: Session, viewer: Viewer, submission_id: str) -> Su
 
 
 def known_score(session: Session, caller: Caller, submission_id: str, score_id: str | None) -> ScoreView:
-    """Raises `NotFoundError`, `NotScoredError`, `ScoreMissingError`."""
+    """Return a score that the caller may see. Raises `NotFoundError`, `NotScoredError`, `ScoreMissingError`."""
     viewer = viewer_for(session, caller)
     return seen_score(session, viewer, known_submission(session, viewer, submission_id), score_id)
 

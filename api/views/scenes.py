@@ -99,12 +99,12 @@ def labels_file(session: Session, caller: Caller, token: str, version: str | Non
 
 
 def frame_voxels(store: Store, labels: StoredFile) -> bytes:
-    """`STV1` of these labels. Raises `grid_unreadable`."""
+    """Return `STV1` of these labels. Raises `grid_unreadable`."""
     return _made(store, labels, _placed_voxels)
 
 
 def frame_picture(store: Store, labels: StoredFile, colours: ColourName) -> bytes:
-    """These labels from above, a PNG. Raises `grid_unreadable`."""
+    """Return these labels from above as a PNG. Raises `grid_unreadable`."""
     return recoloured(_made(store, labels, picture_bytes), colours)
 
 

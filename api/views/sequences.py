@@ -91,7 +91,7 @@ def _facts(row: Sequence[Any], labels: tuple[dict[str, Any], str | None]) -> dic
 
 
 def sequence_items(session: Session, sequences: Iterable[SequenceRow], caller: Caller = VISITOR) -> list[SequenceItem]:
-    """Sequences as a list shows them, in the order in which they come."""
+    """Return sequences as a list shows them, in the given order."""
     session.flush()
     ids = [row.id for row in sequences]
     rows = _of_ids(caller.is_administrator, places_for(len(ids))).rows(
@@ -109,7 +109,7 @@ def _of_ids(is_administrator: bool, places: int) -> KeptSelect:
 
 @cache
 def _label_sets(places: int) -> KeptSelect:
-    """`LABELS` and the smallest picture, by ids."""
+    """Return `LABELS` and the smallest picture, by ids."""
     named = (Artefact.label_set_id == LabelSet.id, Artefact.name.in_(PICTURES))
     picture = select(func.max(Artefact.name)).where(*named).scalar_subquery()  # the thumbnail, if there is one
     return KeptSelect(select(*LABELS, picture).where(LabelSet.id.in_(numbered_parameters(places))))
@@ -141,7 +141,7 @@ def sequence_detail(session: Session, sequence: SequenceRow, caller: Caller = VI
 
 
 def shown_sequence_detail(session: Session, caller: Caller, sequence_id: str) -> SequenceDetail:
-    """As `sequence_detail`, of one that the caller may look at, by statements that are kept. Raises `NotFoundError`."""
+    """Return `sequence_detail` of a sequence that the caller may view, by cached statements. Raises `NotFoundError`."""
     kept = _shown_one(caller.is_administrator)
     rows = kept.rows(session, {"sequence": sequence_id, "caller": caller.user_id})
     if not rows:

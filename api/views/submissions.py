@@ -29,7 +29,7 @@ SHOWN = 100
 
 
 def submission_items(session: Session, rows: Sequence[SubmissionRow]) -> list[SubmissionItem]:
-    """Submissions as a list shows them; the progress of all their runs is one statement."""
+    """Return submissions as a list shows them; one statement reads the progress of all their runs."""
     runs = [row.job_id for row in rows if row.state in LIVE and row.job_id]
     jobs = session.scalars(select(Job).where(Job.id.in_(runs))).all() if runs else []
     progress = {item.id: SubmissionProgress.of(item.progress) for item in job_items(session, jobs)}

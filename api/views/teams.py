@@ -10,7 +10,7 @@ from services.runtime.orm import PhaseTeam, Team, TeamMember, User
 
 
 def team_items(session: Session, rows: Sequence[Team]) -> list[TeamItem]:
-    """Teams with the names of their members and the phases they take part in: two statements for all of them."""
+    """Return teams with the names of their members and their phases, by two statements for all teams."""
     ids = [row.id for row in rows]
     joined = select(TeamMember.team_id, User.name, TeamMember.is_owner).join(User, User.id == TeamMember.user_id)
     members: dict[str, list[str]] = {}

@@ -13,7 +13,7 @@ from services.runtime.orm import Dataset, GroundTruthRow, Job, Phase, Reported
 
 
 def truth_items(session: Session, phase: Phase, rows: Sequence[GroundTruthRow]) -> list[TruthItem]:
-    """Ground truths of one phase."""
+    """Return ground truths of one phase."""
     pair = evaluation_versions.active(session, phase.id)
     return [_item(session, row, pair is not None and pair.truth_id == row.id) for row in rows]
 

@@ -179,7 +179,7 @@ def verdict(answer: ComparisonAnswer, names: Names) -> ComparisonVerdict:
 
 
 def signed(difference: float) -> str:
-    """`+1.13`, in points of per cent."""
+    """Return a difference as `+1.13`, in percentage points."""
     points = 100 * difference
     return f"{MINUS if points < 0 else '+'}{abs(points):.2f}"
 

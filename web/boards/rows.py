@@ -98,7 +98,7 @@ class ShownBoard:
 
     @property
     def asked(self) -> dict[str, str]:
-        """The query of this board, where it differs from the one shown first."""
+        """The parameters of this board's query that differ from the default."""
         answer = self.answer
         given = {"track": answer.track, "entries": answer.entries, "sort": self.sort}
         usual = {"track": "all", "entries": "best", "sort": "rank"}
@@ -201,7 +201,7 @@ def _number_of(note: str | None, notes: Sequence[str]) -> int:
 
 
 def _sorted(rows: Sequence[BoardRow], sort: Sort) -> list[BoardRow]:
-    """Ratios and times falling, danger rising, unknown values last; methods by the alphabet."""
+    """Sort ratios and times falling, danger rising, unknown values last; methods alphabetically."""
     if sort == "rank":
         return list(rows)
     if sort == "method":
@@ -310,7 +310,7 @@ def timeline(shown: ShownBoard, changes: Sequence[ChangeItem]) -> BoardTimeline:
 
 
 def _steps(stops: Sequence[TimelineStop]) -> tuple[CurveStep, ...]:
-    """Level until the next stop, then up or down to it."""
+    """Return steps: level until the next stop, then up or down to it."""
     steps: list[CurveStep] = []
     for stop, following in pairwise(stops):
         if stop.y is not None:

@@ -39,7 +39,7 @@ def predict_line(benchmark: str, phase: str) -> str:
 
 
 def submission_steps(at: StepsPlace) -> tuple[SubmissionStep, ...]:
-    """From nothing to a scored submission; every name is quoted as a shell needs it."""
+    """Return the steps from nothing to a scored submission; every name is quoted for the shell."""
     return tuple(_steps(at))
 
 

@@ -33,7 +33,7 @@ def show_data(request: Request, caller: Looker, platform: PlatformDep, at: AtPha
 
 @router.get("/rules")
 def show_rules(request: Request, caller: Looker, platform: PlatformDep, at: AtPhase) -> HTMLResponse:
-    """Dates, quotas, what a prediction may use, who sees what."""
+    """Show dates, quotas, allowed inputs and visibility."""
     with platform.database.reading() as session:
         known = _head(session, at.find(session))
     return page(request, caller, "boards/rules.html", **known)

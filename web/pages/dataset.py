@@ -85,7 +85,7 @@ def _versions(session: Session, cursor: str | None) -> tuple[list[DatasetItem], 
 
 
 def _parts(record: Record) -> list[dict[str, Any]]:
-    """Train, val, test, then what is in none, with the share of the frames and T, P and N of each."""
+    """Return train, val, test and the unassigned rest, with the share of the frames and T, P and N of each."""
     rows = {row["key"]: row for row in record["parts"]}
     total = record["total"]["frames"] or 1
     return [
@@ -225,7 +225,7 @@ def _stripes(ratios: Mapping[str, Any] | None, top_px: float, side_px: float) ->
 
 
 def _halves(words: list[str]) -> tuple[Heading, ...]:
-    """Day and night over the lights that are theirs, which stand beside each other."""
+    """Return the headings day and night over their neighbouring columns of light."""
     headings = list[Heading]()
     for half in HALVES:
         at = [index for index, word in enumerate(words) if DAYLIGHT.get(word) == half]

@@ -83,7 +83,7 @@ def _provenance(seen: ScoreView) -> ProvenanceAnswer | None:
 
 
 def _stands(seen: ScoreView) -> bool:
-    """Whether it is on the board, neither withdrawn nor hidden."""
+    """Return whether the submission is on the board, neither withdrawn nor hidden."""
     return seen.submission.withdrawn_ns is None and seen.submission.hidden_ns is None
 
 

@@ -111,7 +111,7 @@ def track(at: AtSequence, caller: Looker) -> HTMLResponse:
 
 @router.get("/calibration")
 def calibration(at: AtSequence, caller: Looker) -> HTMLResponse:
-    """With what the sensors are placed, and whether the points lie where the pictures say."""
+    """Show the calibration of the labels, and whether LiDAR points coincide with the pictures."""
     status, table = _with_table(at, caller)
     with at.platform.database.reading() as session:
         calibrations = choosable(session, caller, status)

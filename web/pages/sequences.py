@@ -51,7 +51,7 @@ class SequenceFilterForm:
         return any((self.name, self.environment, self.illumination, self.whose))
 
     def narrowed(self, statement: Select[SequenceRow], caller: Caller) -> Select[SequenceRow]:
-        """Upper and lower case of a name are the same here; the API's `name` is a prefix to the letter."""
+        """Filter by a part of the name in any case; the API's `name` is an exact prefix."""
         filters = SequenceFilters(
             environment=self.environment or None,
             illumination=self.illumination or None,
@@ -121,7 +121,7 @@ def uploads_begun(session: Session, sequence_ids: Sequence[str]) -> Sequence[Upl
 
 
 def is_rerun_failed(item: SequenceItem, runs: SequenceRuns) -> bool:
-    """Whether it has labels, and its last labelling, which was to replace them, did not succeed."""
+    """Return whether the sequence has labels, and its last labelling, which was to replace them, did not succeed."""
     return item.labels is not None and is_troubled(item, runs)
 
 

@@ -84,6 +84,6 @@ def splits(request: Request, caller: Curator, platform: PlatformDep) -> HTMLResp
 
 
 def columns_of(shown: SplitsAnswer) -> list[Column]:
-    """Train, val, test and what is in none."""
+    """Return the columns train, val, test and none."""
     parts = [Column(part, part.capitalize(), key, getattr(shown, part)) for key, part in enumerate(PARTS, start=1)]
     return [*parts, Column("", "Unassigned", 0, shown.unassigned)]

@@ -71,7 +71,7 @@ def own_teams(session: Session, phase: Phase, caller: Caller) -> list[Team]:
 
 
 def _drafts(session: Session, phase: Phase, caller: Caller) -> list[SubmissionDetail]:
-    """Submissions the caller announced and has not finished, newest first."""
+    """Return the caller's unfinished drafts, newest first."""
     mine = submissions_of(caller).where(SubmissionRow.user_id == caller.user_id, SubmissionRow.phase_id == phase.id)
     newest = mine.where(SubmissionRow.state == "draft").order_by(SubmissionRow.id.desc()).limit(MOST_DRAFTS)
     return [submission_detail(session, row) for row in session.scalars(newest)]

@@ -72,6 +72,6 @@ def _newest_comparison(session: Session, sequence_id: str) -> str | None:
 
 
 def _modules(request: Request) -> list[str]:
-    """URLs of the viewer's first modules, so that a browser need not find them one file after the other."""
+    """Return URLs of the viewer's first modules, so that a browser can load them in parallel."""
     assets: Assets = request.app.state.pages.assets
     return [assets.url(path) for path in assets.files if path.startswith(PRELOADED) and path not in LATER]

@@ -13,7 +13,7 @@ MOST_COLUMNS = 500
 
 
 def line(x: Floats, y: Floats) -> str:
-    """`M x y L …`, thinned to what can be seen; nothing for no points. A lone point is a dot (round caps show it)."""
+    """Return `M x y L …`, thinned to the visible detail; empty for no points. A single point is a dot (round caps)."""
     return " ".join(_run(*thinned(x[start:stop], y[start:stop])) for start, stop in known_runs(y))
 
 
@@ -32,7 +32,7 @@ def band(x: Floats, lower: Floats, upper: Floats) -> str:
 
 
 def known_runs(y: Floats) -> list[tuple[int, int]]:
-    """(first, after the last) of each run without NaN."""
+    """Return (first, after the last) of each run without NaN."""
     is_known = np.concatenate([[False], ~np.isnan(y), [False]]).astype(np.int8)
     edges = np.flatnonzero(np.diff(is_known))
     return [(int(start), int(stop)) for start, stop in zip(edges[::2], edges[1::2], strict=True)]

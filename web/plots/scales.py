@@ -83,7 +83,7 @@ def tick_text(value: float, step: float) -> str:
 
 
 def duration_text(value_ns: float) -> str:
-    """`12 ms`, `−37 s`: a signed time in the unit that suits it, three digits at most."""
+    """Return a signed time in a suitable unit, at most three digits: `12 ms`, `−37 s`."""
     for size_ns, unit in ((1e9, "s"), (1e6, "ms"), (1e3, "µs")):
         if abs(value_ns) >= size_ns * 0.9995:
             text = f"{abs(value_ns) / size_ns:.3g}"

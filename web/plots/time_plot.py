@@ -100,7 +100,7 @@ def time_plot(
 
 
 def stacked_shares(times_s: Floats, counts: Floats, styles: Sequence[str]) -> tuple[Curve, ...]:
-    """Counts (N, C) at N times as shares of each time, one filled band per column, the first at the bottom."""
+    """Return counts (N, C) at N times as shares of each time, one filled band per column, the first at the bottom."""
     total = np.maximum(counts.sum(axis=1, keepdims=True), 1.0)
     edges = np.concatenate([np.zeros((len(counts), 1)), np.cumsum(counts / total, axis=1)], axis=1)
     rows = np.unique(np.linspace(0, len(times_s) - 1, min(len(times_s), int(WIDTH))).round().astype(int))

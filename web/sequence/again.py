@@ -31,7 +31,7 @@ class RunChoices:
 
     @property
     def body(self) -> dict[str, Any]:
-        """The request to process with these choices, as the API takes it."""
+        """Return the request to process with these choices, as the API accepts it."""
         topics = {"odometry_topic": self.odometry_topic, "lidar_topic": self.lidar_topic}
         grid = {"grid": self.grid} if self.grid in GRIDS else {}
         chosen = {"profile": self.profile, "parameters": dict(self.parameters), **grid}
@@ -39,7 +39,7 @@ class RunChoices:
 
     @property
     def has_details(self) -> bool:
-        """Whether a field is filled in that is one click behind."""
+        """Whether a field in the folded details is filled in."""
         return bool(self.odometry_topic or self.lidar_topic or self.parameters or self.grid != PAPER.name)
 
 

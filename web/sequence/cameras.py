@@ -9,7 +9,7 @@ from web.sequence.topic_choices import MOST_READ
 
 
 def has_cameras(session: Session, sequence_id: str, table: FrameTable | None) -> bool | None:
-    """By the labels' frames, else by the recordings that were read; None while neither is known."""
+    """Return whether there are cameras, by the labels' frames, else by the registered recordings; None if unknown."""
     if table is not None and len(table):
         return bool(table.cameras)
     registered = Recording.sequence_id == sequence_id, Recording.state == "registered"

@@ -55,7 +55,7 @@ class FrameTable:
 
     @property
     def times_s(self) -> Floats:
-        """Since the first frame."""
+        """Seconds since the first frame."""
         first_ns = self.stamps_ns[0] if len(self) else 0
         return np.asarray((self.stamps_ns - first_ns) / NS_PER_S, np.float64)
 

@@ -151,7 +151,7 @@ def _apart(marks: Iterable[PlotTick]) -> tuple[PlotTick, ...]:
 
 
 def _offset_scale(topics: Iterable[Mapping[str, Any]]) -> Scale:
-    """Always holds zero, with room beside the outermost."""
+    """Return a scale that always contains zero, with a margin at the outermost offset."""
     ends = [0.0]
     for topic in topics:
         if topic.get("offset_ns") is not None:
@@ -163,7 +163,7 @@ def _offset_scale(topics: Iterable[Mapping[str, Any]]) -> Scale:
 
 
 def _drift_scale(topics: Iterable[Mapping[str, Any]]) -> Scale:
-    """Symmetric, and never narrower than what is steady."""
+    """Return a symmetric scale that contains at least the steady part."""
     reaches = [1.2 * DRIFT_LIMIT_PPM]
     reaches += [abs(float(topic["drift_ppm"])) * 1.1 for topic in topics if topic.get("drift_ppm") is not None]
     _, most = nice_ends(0.0, max(reaches), 3)
@@ -288,7 +288,7 @@ def spark_of(values: Sequence[float], base: float | None = None) -> Spark | None
 
 
 def strip(covered: Sequence[float]) -> tuple[CoverageBar, ...]:
-    """Even bins as bars; equal neighbours are one, empty ones none."""
+    """Return even bins as bars; equal neighbours are merged, empty bins left out."""
     bars = list[CoverageBar]()
     each = 1000 / max(1, len(covered))
     for index, share in enumerate(round(float(value), 2) for value in covered):
@@ -327,7 +327,7 @@ def _rtk(rtk: Mapping[str, Any] | None, span_s: float) -> RtkSummary | None:
 
 
 def _words(at_s: Sequence[float], words: Sequence[str], span_s: float) -> tuple[PlotSpan, ...]:
-    """Consecutive samples of one word as one span, each lasting until the next."""
+    """Return consecutive samples of one word as one span, each lasting until the next."""
     ends = [*at_s[1:], span_s]
     spans, start = list[PlotSpan](), 0
     for index, word in enumerate(words):

@@ -82,7 +82,7 @@ def state_of(sequence: SequenceItem, runs: SequenceRuns) -> str:
 
 
 def is_troubled(sequence: SequenceItem, runs: SequenceRuns) -> bool:
-    """Whether the last labelling did not succeed, and the labels that count, if any, are older than it."""
+    """Return whether the last labelling did not succeed, and the active labels, if any, are older."""
     run = runs.labelling
     if run is None or run.state not in ("failed", "cancelled"):
         return False

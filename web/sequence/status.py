@@ -99,7 +99,7 @@ class SequenceStatus:
 
     @property
     def is_alive(self) -> bool:
-        """Whether it is being labelled, or waits for it."""
+        """Whether the sequence is being labelled or queued for it."""
         return self.run is not None and self.run.state not in TERMINAL
 
     @property
@@ -119,7 +119,7 @@ class SequenceStatus:
 
 
 def sequence_status_of(session: Session, caller: Caller, sequence_id: str) -> SequenceStatus:
-    """Raises `NotFoundError`."""
+    """Return the status. Raises `NotFoundError`."""
     row = shown_sequence(session, caller, sequence_id)
     shown = sequence_detail(session, row, caller)
     is_own = caller.is_administrator or row.owner_id == caller.user_id
@@ -140,7 +140,7 @@ def sequence_status_of(session: Session, caller: Caller, sequence_id: str) -> Se
 
 
 def may_change_own(caller: Caller) -> bool:
-    """Whether the caller may change sequences of their own, as the API's routes decide it."""
+    """Return whether the caller may change their own sequences, by the rules of the API's routes."""
     return "upload" in caller.scopes and roles.allows(caller.role, ("curator",))
 
 

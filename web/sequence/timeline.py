@@ -36,7 +36,7 @@ class FrameTimeline:
 
 
 def timeline_of(table: FrameTable, token: str | None) -> FrameTimeline | None:
-    """At the frame of this token; without one, or with one of other labels, in the middle. None without frames."""
+    """Return the timeline at the frame of this token, else in the middle; None without frames."""
     if not len(table):
         return None
     index = table.tokens.index(token) if token in table.tokens else len(table) // 2

@@ -72,7 +72,7 @@ def track_of(table: FrameTable) -> TrackView | None:
 
 
 def speeds_m_s(table: FrameTable) -> Floats:
-    """(N,); NaN at the ends of a lone frame and where the neighbours are `PAUSE_S` apart."""
+    """Return speeds (N,) in m/s; NaN for a single frame and between neighbours `PAUSE_S` apart."""
     if len(table) < 2:
         return np.full(len(table), np.nan)
     before = np.maximum(np.arange(len(table)) - 1, 0)
@@ -84,12 +84,12 @@ def speeds_m_s(table: FrameTable) -> Floats:
 
 
 def speaks_of_rtk(table: FrameTable) -> bool:
-    """Whether the source of the poses has a state of RTK at all: odometry has none."""
+    """Return whether the source of the poses has an RTK status; odometry has none."""
     return not all(word in UNSAID for word in table.rtk)
 
 
 def is_sure(table: FrameTable) -> NDArray[np.bool_]:
-    """(N,) whether the position was as good as it gets; where a source never speaks of RTK, always."""
+    """Return whether each position (N,) was as good as possible; always true for a source without RTK status."""
     if not speaks_of_rtk(table):
         return np.ones(len(table), np.bool_)
     return np.array([word in SURE for word in table.rtk], np.bool_)
@@ -139,7 +139,7 @@ def plots_of(table: FrameTable, speeds: Floats) -> tuple[Plot, ...]:
 
 
 def excluded_spans(table: FrameTable) -> tuple[PlotSpan, ...]:
-    """Excluded stamps, one mark each; those before the first and after the last frame at the edges."""
+    """Return the excluded stamps, one mark each; those before the first and after the last frame at the edges."""
     if not len(table) or not table.excluded:
         return ()
     span_s = float(table.times_s[-1])
@@ -148,7 +148,7 @@ def excluded_spans(table: FrameTable) -> tuple[PlotSpan, ...]:
 
 
 def _series(times_s: Floats, values: Floats, style: str = "curve", name: str = "") -> PlotSeries:
-    """With a break in each pause."""
+    """Return a series with a break in each pause."""
     pauses = np.flatnonzero(np.diff(times_s) > PAUSE_S) + 1
     return PlotSeries(np.insert(times_s, pauses, times_s[pauses]), np.insert(values, pauses, np.nan), style, name)
 
@@ -171,7 +171,7 @@ def _at(point_m: Floats) -> str:
 
 
 def _grid(corner: Floats, size: Floats, square_m: float) -> str:
-    """Lines at whole squares of the map."""
+    """Return lines at whole squares of the map."""
     (left, top), (right, bottom) = corner, corner + size
     across = np.arange(np.ceil(left / square_m), np.floor(right / square_m) + 1) * square_m
     down = np.arange(np.ceil(top / square_m), np.floor(bottom / square_m) + 1) * square_m

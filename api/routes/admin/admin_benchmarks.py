@@ -35,7 +35,7 @@ router = APIRouter(prefix="/admin", tags=["benchmarks"])
 def create(
     body: NewBenchmarkBody, caller: Administrator, platform: PlatformDep, response: Response
 ) -> CreatedBenchmark:
-    """It evaluates a dataset version, in the given phases (default: `val` and `test`)."""
+    """Create a benchmark of a dataset version, in the given phases (default: `val` and `test`)."""
     with platform.database.transaction() as session:
         benchmark = create_benchmark(session, body.asked(caller.user_id))
         phases = _phases(session, benchmark, body)
@@ -75,7 +75,7 @@ def add_phase(
     platform: PlatformDep,
     response: Response,
 ) -> PhaseDetail:
-    """`findings` contain warnings if its labels are not as hidden as intended."""
+    """Add the phase; `findings` contain warnings if its labels are not as hidden as intended."""
     with platform.database.transaction() as session:
         benchmark = benchmark_of(session, caller, benchmark_name)
         phase = _phase(session, benchmark, body, body.dataset)
@@ -89,7 +89,7 @@ def add_phase(
 def show_admin_phase(
     phase_id: IdPath, _caller: Administrator, platform: PlatformDep, response: Response
 ) -> PhaseDetail:
-    """For example, labels may have become public since the phase was created."""
+    """Return the phase with its findings: for example, labels may have become public since it was created."""
     with platform.database.reading() as session:
         phase = phase_of(session, phase_id)
         return set_head(response, phase_detail(session, phase), tag=phase.revision)

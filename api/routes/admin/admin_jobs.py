@@ -106,7 +106,7 @@ def count_jobs(_caller: Administrator, platform: PlatformDep, filters: AdminFilt
 
 @router.post("/jobs/acts", summary="Cancel, terminate or retry many runs", responses=refusals(403))
 def steer_jobs(body: JobActsBody, caller: Administrator, platform: PlatformDep) -> Page[JobActItem]:
-    """Applies one act to the runs of many jobs. Each run is changed or refused on its own, with its own result."""
+    """Apply one act to the runs of many jobs. Each run is changed or refused on its own, with its own result."""
     return whole(act_on_each(platform, caller, body))
 
 
@@ -135,7 +135,7 @@ def list_any_job_log(
 def steer_job(
     job_id: IdPath, act: JobAct, body: ReasonBody, caller: Administrator, platform: PlatformDep
 ) -> AdminJobDetail:
-    """`cancel` stops it at its next step, `terminate` stops its processes, `retry` queues it again."""
+    """Apply the act: `cancel` stops it at its next step, `terminate` stops its processes, `retry` queues it again."""
     with platform.database.transaction() as session:
         root_id = job_of(session, caller, job_id).root_id
         run = control_run(session, platform, caller, act, root_id, body.reason)
@@ -160,7 +160,9 @@ def list_queues(_caller: Administrator, platform: PlatformDep) -> Page[QueueItem
 def switch_queue(
     queue: QueueName, act: QueueAct, body: ReasonBody, caller: Administrator, platform: PlatformDep
 ) -> QueueItem:
-    """`pause`: no job starts. `drain`: queued jobs run, no job is added. `resume`: normal operation."""
+    """Switch the queue. `pause`: no job starts. `drain`: queued jobs run, no job is added. `resume`: normal
+    operation.
+    """
     if queue not in QUEUES:
         raise NotFoundError("queue", queue)
     with platform.database.transaction() as session:
@@ -173,7 +175,7 @@ def switch_queue(
 
 @router.get("/workers", summary="List the workers and their jobs", responses=refusals(403))
 def list_workers(_caller: Administrator, platform: PlatformDep) -> WorkersAnswer:
-    """From the database, with the availability of the broker."""
+    """Return the workers in the database, and the availability of the broker."""
     is_reachable = all(count is not None for count in pending_wake_ups_of(platform).values())
     with platform.database.reading() as session:
         workers, running = worker_items(session, platform.settings), running_items(session)

@@ -78,7 +78,7 @@ def show_rescore_diff(
     response: Response,
     form: Form = "json",
 ) -> RescoreDiffAnswer | PlainTextResponse:
-    """Changes of ranks and values, as JSON or as a page; the ETag is the If-Match of `activate`."""
+    """Return the changes of ranks and values, as JSON or as a page; the ETag is the If-Match of `activate`."""
     with platform.database.reading() as session:
         rescore = rescore_of(session, phase_id, rescore_id)
         tag = etag(board_revision(session, rescore.phase_id))
@@ -99,7 +99,7 @@ def activate_rescore(
     platform: PlatformDep,
     request: Request,
 ) -> ActivationItem:
-    """Switches the whole board to the new pair at once; the old board stays readable by `as_of`."""
+    """Switch the whole board to the new pair at once; the old board stays readable by `as_of`."""
     with platform.database.transaction() as session:
         rescore = rescore_of(session, phase_id, rescore_id)
         lock_phase(session, phase_id)

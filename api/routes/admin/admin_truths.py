@@ -59,7 +59,7 @@ def list_ground_truths(
 def list_reported_results(
     phase_id: IdPath, _caller: Administrator, platform: PlatformDep, response: Response
 ) -> Page[ReportedItem]:
-    """By method and modality. You can send the list back unchanged."""
+    """Return the rows by method and modality. You can send the list back unchanged."""
     with platform.database.reading() as session:
         items = [reported_item(row) for row in reported_in(session, phase_of(session, phase_id).id)]
     return set_head(response, whole(items), tag=reported_tag(items))

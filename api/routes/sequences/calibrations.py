@@ -35,14 +35,14 @@ NameQuery = Annotated[str | None, Query(pattern=PLAIN, max_length=100)]
 
 
 async def refuse_other_types(request: Request) -> None:
-    """Raises `unsupported_media_type` for a body that is no form."""
+    """Refuse a body that is no form. Raises `unsupported_media_type`."""
     given = request.headers.get("content-type", "")
     if given.partition(";")[0].strip().lower() != FORM:
         raise unsupported_media_type(given, FORM)
 
 
 async def requested_validity(valid_from: Moment = None, valid_to: Moment = None) -> Validity:
-    """Raises `CalibrationRefusedError` for a time that never is."""
+    """Return the requested validity. Raises `CalibrationRefusedError` if it is empty."""
     return calibration_reading.validity(valid_from, valid_to)
 
 
@@ -64,7 +64,9 @@ def create_calibration(
     response: Response,
     validity: ValidityDep,
 ) -> CalibrationItem:
-    """201 for a new version of its name, 200 if the same content already exists with these times."""
+    """Store the calibration: 201 for a new version of its name, 200 if the same content already exists with these
+    times.
+    """
     with calibration_reading.receive(file.file, file.filename or "") as path:
         read = replace(calibration_reading.read(path), validity=validity)
         prepared = blobs.prepare(platform.store, platform.database, path)
@@ -113,5 +115,5 @@ def download_calibration(calibration_id: IdPath, caller: Reader, platform: Platf
 def compare_calibrations(
     calibration_id: IdPath, caller: Reader, platform: PlatformDep, against: AgainstQuery = None
 ) -> CalibrationDiffItem:
-    """Returns how far each sensor moved and turned from `against` to this calibration, and the changes of its lens."""
+    """Return how far each sensor moved and turned from `against` to this calibration, and the changes of its lens."""
     return changes(platform, caller, calibration_id, against)

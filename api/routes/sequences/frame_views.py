@@ -75,7 +75,7 @@ def download_camera_picture(
 def download_point_cloud(
     token: TokenPath, caller: Looker, platform: PlatformDep, request: Request, version: VersionQuery = None
 ) -> Response:
-    """At most 40,000 points in the ego frame; 404 `no_playback` without a playback."""
+    """Return at most 40,000 points in the ego frame; 404 `no_playback` without a playback."""
     served = played_file(platform, (caller, token, version), cloud_file)
     return answer_bytes(request, replace(served, media_type=CLOUD))
 

@@ -65,7 +65,7 @@ def list_frames(sequence_id: IdPath, caller: Looker, platform: PlatformDep, quer
     responses=file_responses("application/json"),
 )
 def download_report(sequence_id: IdPath, caller: Looker, platform: PlatformDep, request: Request) -> Response:
-    """It contains the sources and parameters of the labels, the quality of the poses, and the findings."""
+    """Return the sources and parameters of the labels, the quality of the poses, and the findings."""
     return _artefact(request, platform, caller, sequence_id, "report.json")
 
 
@@ -92,7 +92,7 @@ def download_grid(sequence_id: IdPath, caller: Looker, platform: PlatformDep, re
 def download_synchronised_sequence(
     sequence_id: IdPath, caller: Looker, platform: PlatformDep, request: Request
 ) -> Response:
-    """With the recording, `stone export` converts it to other formats."""
+    """Return the sequence; with its recording, `stone export` converts it to other formats."""
     return _artefact(request, platform, caller, sequence_id, "sequence.npz")
 
 
@@ -116,7 +116,7 @@ def download_preview(
     request: Request,
     colours: ColoursQuery = "default",
 ) -> Response:
-    """`bev.png` shows the labels from above, `overlay_CAM_FRONT.jpg` the LiDAR points on a camera image.
+    """Return a preview: `bev.png` shows the labels from above, `overlay_CAM_FRONT.jpg` LiDAR points on a camera image.
 
     Overlays belong to the run that made the active labels, or to the last run if there are no labels.
     """
@@ -131,7 +131,7 @@ def download_preview(
 
 
 def _artefact(request: Request, platform: Platform, caller: Caller, sequence_id: str, name: str) -> Response:
-    """Answer with a file of the newest labels, called after the sequence. Raises `NotFoundError`."""
+    """Return a file of the newest labels, named after the sequence. Raises `NotFoundError`."""
     with platform.database.reading() as session:
         sequence = shown_sequence(session, caller, sequence_id)
         file = artefact_file(session, sequence, newest_label_set(session, sequence.id), name)

@@ -84,7 +84,7 @@ def show_roles(
     platform: PlatformDep,
     choices: Choices = [],  # noqa: B006
 ) -> RolesAnswer:
-    """Resolves the topics with the platform's profile and the given choices (`topic=PART=NAME`).
+    """Resolve the topics with the platform's profile and the given choices (`topic=PART=NAME`).
 
     Saves nothing. 409 until the recording is registered.
     """

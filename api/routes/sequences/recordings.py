@@ -90,7 +90,7 @@ def download_recording_preview(
     platform: PlatformDep,
     request: Request,
 ) -> Response:
-    """`cameras.jpg`, `sweep.png`, `track.png`, `quality.html` (page) or `quality.json` (for programs)."""
+    """Return `cameras.jpg`, `sweep.png`, `track.png`, `quality.html` (page) or `quality.json` (for programs)."""
     with platform.database.reading() as session:
         recording = recording_of(session, caller, at.sequence_id, at.recording_id)
         file = recording_preview(session, recording, at.name)

@@ -53,7 +53,9 @@ def download_scene_cameras(
     request: Request,
     version: PlaybackQuery = None,
 ) -> Response:
-    """They place the pictures of the playback over the labels; 404 `no_playback` without a playback."""
+    """Return the poses and rays that place the playback's pictures over the labels; 404 `no_playback` without a
+    playback.
+    """
     return answer_bytes(request, played_cameras(platform, (caller, sequence_id, version)))
 
 

@@ -125,7 +125,7 @@ def assign_calibration(
     request: Request,
     response: Response,
 ) -> SequenceDetail:
-    """Later runs use it; existing labels keep theirs."""
+    """Assign the calibration for later runs; existing labels keep theirs."""
     with platform.database.transaction() as session:
         sequence = lock_sequence(session, sequence_of(session, caller, sequence_id).id)
         if "if-match" in request.headers:
@@ -156,7 +156,7 @@ def _change(sequence: SequenceRow, changes: Mapping[str, Any]) -> None:
 
 
 def _refuse_renaming(session: Session, sequence: SequenceRow) -> None:
-    """Raises `conflict` where frame tokens carry the old name already."""
+    """Refuse a new name if frame tokens already contain the old one. Raises `conflict`."""
     labels = select(LabelSet.id).where(LabelSet.sequence_id == sequence.id)
     runs = select(Job.id).where(Job.sequence_id == sequence.id, Job.kind == PROCESS, Job.state.not_in(TERMINAL))
     if session.scalar(labels.limit(1)) or session.scalar(runs.limit(1)):
@@ -166,7 +166,7 @@ def _refuse_renaming(session: Session, sequence: SequenceRow) -> None:
 
 
 def _refuse_revealing_truth(session: Session, sequence: SequenceRow) -> None:
-    """Raises `hidden_truth`."""
+    """Refuse to make hidden ground truth public. Raises `hidden_truth`."""
     if where := hiding(session, sequence.id):
         raise ApiError(
             "hidden_truth",

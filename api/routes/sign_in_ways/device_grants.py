@@ -64,8 +64,8 @@ def decide_device_grant(body: DeviceDecision, caller: AccountHolder, request: Re
 
 @router.post("/token", status_code=201, summary="Fetch the token of an approved program", responses=refusals(403))
 def take_device_token(body: DeviceTokenBody, response: Response, platform: PlatformDep) -> IssuedToken:
-    """400 `authorization_pending` until a person decides; 429 `slow_down` if the client polls too often. The token is
-    returned once.
+    """Return the token, once: 400 `authorization_pending` until a person decides; 429 `slow_down` if the client polls
+    too often.
     """
     with platform.database.transaction() as session:
         polled = device_grants.poll(session, body.device_code.get_secret_value(), platform.settings.api.token_s)
@@ -78,7 +78,7 @@ def take_device_token(body: DeviceTokenBody, response: Response, platform: Platf
 
 
 def _issued(polled: DevicePoll) -> IssuedToken:
-    """Raises `authorization_pending`, `slow_down`, `access_denied`, `expired_token`."""
+    """Return the token. Raises `authorization_pending`, `slow_down`, `access_denied`, `expired_token`."""
     if polled.state == "slow_down":
         wait_s = device_grants.INTERVAL_S
         sentence = f"this program polled less than {wait_s} s ago; poll again in {wait_s} s"

@@ -98,7 +98,7 @@ def _read_cookie(kept: str) -> tuple[CodeRequest | None, str]:
 
 
 def _url64(text: str) -> str:
-    """Letters that a cookie's value may hold as they are."""
+    """Return the text in characters that a cookie's value may contain."""
     return urlsafe_b64encode(text.encode()).rstrip(b"=").decode()
 
 

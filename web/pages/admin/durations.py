@@ -61,7 +61,7 @@ def durations(
 
 
 def durations_of(jobs: Iterable[tuple[str, str, int, int]], zone: tzinfo = UTC) -> tuple[KindDurations, ...]:
-    """By kind, of (kind, state, started_ns, finished_ns); the kind that took longest in all stands first."""
+    """Return durations by kind, from (kind, state, started_ns, finished_ns); the kind with the longest total first."""
     taken, failed = defaultdict[str, list[tuple[int, float]]](list), defaultdict[str, int](int)
     for kind, state, started_ns, finished_ns in jobs:
         if state == "succeeded":

@@ -83,7 +83,7 @@ class JobSearch:
         return any(given) or self.order not in ("", "newest")
 
     def in_days(self, zone: tzinfo) -> Select[Job]:
-        """Jobs created from the day `since` to the day `until`, both included, in the reader's zone."""
+        """Select jobs created from the day `since` to the day `until`, both included, in the reader's zone."""
         statement = select(Job)
         if self.since:
             statement = statement.where(Job.created_ns >= _begins_ns(self.since, zone))
@@ -93,7 +93,7 @@ class JobSearch:
 
 
 def _begins_ns(day: str, zone: tzinfo, days: int = 0) -> int:
-    """When the day begins, or the one so many days later; a day beyond its month's end counts on into the next."""
+    """Return the start of the day plus `days`; a day beyond its month's end counts into the next month."""
     year, month, number = map(int, day.split("-"))
     begins = datetime(year, month, 1) + timedelta(days=number - 1 + days)
     return int(begins.replace(tzinfo=zone).timestamp()) * 10**9
