@@ -42,7 +42,7 @@ export async function bytes(path: string, signal?: AbortSignal): Promise<Uint8Ar
   return new Uint8Array(await answer.arrayBuffer());
 }
 
-/** The answer; where the session has ended, once more after the reader has signed in again. */
+/** Returns the response; if the session has ended, the one after the reader has signed in again. */
 async function ask(method: string, path: string, init: RequestInit): Promise<Response> {
   const sentWith = csrfToken();
   try {

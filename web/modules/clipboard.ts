@@ -1,6 +1,6 @@
-// Text on the clipboard, also where the browser keeps the clipboard from pages (plain HTTP).
+// Copies text, even if the browser denies pages the clipboard API (plain HTTP).
 
-/** Put the text on the clipboard; throws where the browser lets no page copy. */
+/** Copies the text to the clipboard; throws if the browser denies it. */
 export async function putOnClipboard(text: string): Promise<void> {
   try {
     await navigator.clipboard.writeText(text);

@@ -8,7 +8,7 @@ const DEFAULT = "default";
 export function installColours(): void {
   const choice = document.querySelector<HTMLSelectElement>("[data-colours-switch]");
   if (!choice) return;
-  choice.value = chosen(); // a browser keeps what a form had before it was reloaded
+  choice.value = chosen(); // browsers restore form values on reload
   choice.addEventListener("change", () => {
     document.cookie = `${COOKIE}=${choice.value}; Path=/; Max-Age=31536000; SameSite=Lax`;
     if (choice.value === DEFAULT) delete document.documentElement.dataset["colours"];

@@ -5,7 +5,7 @@ export function count(n: number): string {
   return n.toLocaleString("en-US");
 }
 
-/** With so many decimals, and no sign before zero. */
+/** The value with this number of decimals, and no sign before zero. */
 export function fixed(value: number, decimals: number): string {
   return (Number(value.toFixed(decimals)) || 0).toFixed(decimals);
 }

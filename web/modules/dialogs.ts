@@ -1,4 +1,4 @@
-// Dialogs: `data-opens="id"` opens one, `data-closes` leaves it; Escape and the backdrop leave it too.
+// Dialogs: `data-opens="id"` opens a dialog, `data-closes` closes it; Escape and the backdrop close it too.
 
 export function installDialogs(): void {
   document.addEventListener("click", (event) => {

@@ -4,7 +4,7 @@ import { type Problem, RefusedError } from "./api.js";
 
 const SHOWN = 10;
 
-/** Say in `place` why it was refused: the sentence, and the first findings. */
+/** Shows the reason of a refusal in `place`: the sentence, and the first findings. */
 export function sayProblem(place: HTMLElement, problem: Problem): void {
   const sentence = document.createElement("p");
   sentence.textContent = problem.detail || problem.title;

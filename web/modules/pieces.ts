@@ -60,7 +60,7 @@ export class CheckedPieces {
     piece?.catch(() => undefined); // the consumer of the piece gets the error
   }
 
-  /** The bytes that are counted are the ones that are sent: a piece is read once. */
+  /** Reads a piece once, so that the hashed bytes are the sent ones. */
   async #read(start: number, end: number): Promise<Piece> {
     const bytes = new Uint8Array(await this.file.slice(start, end).arrayBuffer());
     const hex = (await hashwasm.createSHA256()).init().update(bytes).digest();

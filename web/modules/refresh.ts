@@ -11,7 +11,7 @@ import htmx from "htmx.org";
 const SLOWEST_MS = 30_000;
 const owed = new Set<string>();
 
-/** Fetch this page again and put the part `selector` in the place of the one that is shown. */
+/** Fetches this page again and replaces the part `selector`. */
 export async function refresh(selector: string): Promise<void> {
   const shown = document.querySelector<HTMLElement>(selector);
   if (!shown) return;

@@ -21,10 +21,7 @@ export function csrfToken(): string {
   return meta("csrf-token")?.content ?? "";
 }
 
-/**
- * Whether a refused request may be sent again, since there is a session now. `sentWith` is the CSRF token that it was
- * sent with.
- */
+/** Whether a refused request may be sent again because there is a session again. `sentWith` is its CSRF token. */
 export async function again(problem: Problem, sentWith: string): Promise<boolean> {
   const isEnded = problem.status === 401 && problem.code !== "wrong_password";
   if (!(isEnded || problem.code === "csrf") || !meta("user-id")) return false;
@@ -53,7 +50,7 @@ function taken({ user_id, csrf_token }: Session): boolean {
   return true;
 }
 
-/** Ask the reader to sign in; whether that was done. */
+/** Opens the sign-in dialog; resolves with whether the reader signed in. */
 async function signedIn(): Promise<boolean> {
   const template = document.querySelector<HTMLTemplateElement>("template#session-ended");
   const dialog = template?.content.firstElementChild?.cloneNode(true);

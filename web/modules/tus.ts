@@ -21,7 +21,7 @@ export interface Opened {
   offset_bytes: number;
 }
 
-/** Announce a file; `said` is purpose, target_id, sha256. Throws `RefusedError`. */
+/** Announces a file with purpose, target_id and sha256. Throws `RefusedError`. */
 export async function createUpload(file: File, said: Record<string, string>, key: string): Promise<Opened> {
   const metadata = Object.entries({ filename: file.name, ...said }).map(([name, text]) => `${name} ${base64(text)}`);
   const answer = await asked("POST", AT, {

@@ -96,7 +96,7 @@ class Tail {
     }
   }
 
-  /** Fetch and show what came since; how many lines. */
+  /** Fetches and shows newer lines; returns their number. */
   async #more(): Promise<number> {
     const query = new URLSearchParams({ limit: String(AT_ONCE), ...(this.#after ? { after: this.#after } : {}) });
     const page = await call<LogPage>("GET", `${this.section.dataset["log"]}?${query.toString()}`);

@@ -100,12 +100,12 @@ function walk(event: KeyboardEvent): void {
   show();
 }
 
-/** Draw what is picked: after a choice, and after every refresh of the list. */
+/** Draws the selection: after a choice, and after every refresh of the list. */
 function show(): void {
   for (const box of boxes()) {
     const isPicked = picked.has(idOf(box));
     if (box.checked !== isPicked) box.checked = isPicked;
-    if (isPicked) mark(box, true); // its state may be another since
+    if (isPicked) mark(box, true); // its state may have changed
     box.closest("tr")?.toggleAttribute("data-is-picked", isPicked);
   }
   const all = document.querySelector<HTMLInputElement>("[data-pick-all]");
@@ -159,7 +159,7 @@ async function go(asking: HTMLDialogElement): Promise<void> {
   }
 }
 
-/** All done: close and say so; else keep those that were refused selected, and say of each why. */
+/** If all succeeded, closes and reports it; else keeps the refused ones selected, each with its reason. */
 function tell(asking: HTMLDialogElement, outcomes: Outcome[]): void {
   const refused = outcomes.filter((one) => one.failure);
   for (const one of outcomes) if (!one.failure) picked.delete(one.job_id);

@@ -1,4 +1,4 @@
-// The slider of a board's history: each stop is a link of the list below it, whose board is put in the place of this one.
+// The slider of a board's history: each stop is a link of the list below it, whose board replaces this one.
 
 import { refresh } from "../refresh.js";
 
@@ -19,7 +19,7 @@ export function installHistory(): void {
   });
 }
 
-/** Say when the chosen stop is, and what happened then. */
+/** Shows the time of the chosen stop and its changes. */
 function tell(slider: HTMLInputElement, said: HTMLOutputElement, stops: readonly HTMLLIElement[]): void {
   const stop = stops[slider.valueAsNumber];
   const when = stop?.querySelector("time")?.textContent ?? "";
@@ -30,7 +30,7 @@ function tell(slider: HTMLInputElement, said: HTMLOutputElement, stops: readonly
   slider.setAttribute("aria-valuetext", sentence);
 }
 
-/** Put the stop's board in the place of this one; the address becomes its own, so that it can be passed on. */
+/** Replaces the board by the stop's; the URL follows, so that it can be shared. */
 async function show(stop: HTMLLIElement | undefined): Promise<void> {
   const link = stop?.querySelector("a");
   if (!link) return;

@@ -1,4 +1,4 @@
-// Which sequence is in which part, as values: moves make new arrangements, so that each can be undone.
+// The part of each sequence, as values: moves create new arrangements, so that each can be undone.
 
 /** A part of the splits; "" is none. */
 export type Part = "train" | "val" | "test" | "";
@@ -54,7 +54,7 @@ export function moved(arrangement: Arrangement, ids: Iterable<string>, part: Par
   return next;
 }
 
-/** The arrangement in which the sequences are where the lists say; those in no list are in none. */
+/** The arrangement of these lists; sequences in no list are unassigned. */
 export function arranged(ids: Iterable<string>, lists: Lists): Arrangement {
   const parts = new Map<string, Part>();
   for (const part of ["train", "val", "test"] as const) for (const id of lists[part]) parts.set(id, part);

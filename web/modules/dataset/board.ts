@@ -45,7 +45,7 @@ export class Board {
     first?.scrollIntoView({ block: "nearest" });
   }
 
-  /** Show the cards that hold every one of the words. */
+  /** Shows the cards that contain every word; returns their number. */
   filter(text: string): number {
     const words = text.toLowerCase().split(/\s+/).filter(Boolean);
     let shown = 0;
@@ -122,7 +122,7 @@ export class Board {
     event.preventDefault();
   }
 
-  /** Move the card away and go on with the one after it, so that a column is sorted key by key. */
+  /** Moves the card and selects the next one, so that a column is sorted key by key. */
   private sort(card: HTMLElement, part: Part): void {
     const taken = new Set(this.takenWith(card));
     const here = shownIn(listAt(card));
@@ -161,7 +161,7 @@ export class Board {
     if (card && event.target instanceof HTMLSelectElement) this.move(this.takenWith(card), partOf(event.target.value));
   }
 
-  /** Make this card the one that Tab comes to. */
+  /** Makes this card the board's tab stop. */
   private rove(card: HTMLElement | null): void {
     if (!card) return;
     for (const other of [...this.cards.values(), ...this.drives.heads()]) setStops(other, other === card);
@@ -233,7 +233,7 @@ function listAt(card: HTMLElement): Element | null {
   return card.closest("[data-cards]");
 }
 
-/** The cards that can be seen: not those of folded drives. */
+/** The visible cards, without those of folded drives. */
 function shownIn(list: Element | null): HTMLElement[] {
   return [...(list?.querySelectorAll<HTMLElement>(".split-card") ?? [])].filter((card) => !card.closest("[hidden]"));
 }

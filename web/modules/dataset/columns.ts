@@ -6,7 +6,7 @@ import type { EditorState } from "./editor_state.js";
 
 const NAMES = ["traversable", "potentially", "non-traversable"] as const;
 
-/** Say in each column's head what is in it. */
+/** Shows in each column's head the content of the column. */
 export function headColumns(board: HTMLElement, state: EditorState): void {
   const parts = (["train", "val", "test"] as const).flatMap((part) => state.within(part));
   const assigned_s = totalsOf(parts).duration_s;

@@ -11,7 +11,7 @@ document.addEventListener("click", (event) => {
   if (text) void copy(text);
 });
 
-/** To the clipboard; where the browser lets no page copy, the text is shown to be copied by hand. */
+/** Copies to the clipboard; if the browser denies it, shows the text to be copied by hand. */
 async function copy(text: string): Promise<void> {
   try {
     await putOnClipboard(text);

@@ -1,7 +1,7 @@
-// Drives on the board: the sequences of a drive that are in one column lie folded below one card, which moves the drive.
+// Drives on the board: the sequences of a drive in one column are folded below one card, which moves the drive.
 //
-// A drive has a group in each column that holds one of its sequences. The server renders those of the saved splits; a
-// group moves with its sequences, and is copied if the drive is torn.
+// A drive has a group in each column with one of its sequences. The server renders those of the saved splits; a group
+// moves with its sequences, and is copied if the drive is split.
 
 import { count, counted } from "../counts.js";
 import { type Part, PARTS, totalsOf } from "./arrangement.js";
@@ -21,7 +21,7 @@ export class Drives {
     root.addEventListener("click", (event) => this.unfold(event));
   }
 
-  /** The sequences that a card stands for: its own, or all of its drive, also those in other columns. */
+  /** The sequences of a card: its own, or all of its drive, including those in other columns. */
   idsOf(card: HTMLElement): readonly string[] {
     const id = card.dataset["id"];
     return id === undefined ? (this.members.get(card.dataset["heads"] ?? "") ?? []) : [id];
@@ -49,7 +49,7 @@ export class Drives {
     return group?.querySelector("[data-members]") ?? column;
   }
 
-  /** Have a group in each column that holds a sequence of a drive. */
+  /** Creates a group in each column with a sequence of a drive. */
   place(state: EditorState, listOf: (part: Part) => Element | null): void {
     for (const [name, ids] of this.members) {
       const parts = PARTS.filter((part) => ids.some((id) => state.current.get(id) === part));
@@ -65,7 +65,7 @@ export class Drives {
     }
   }
 
-  /** Drop the groups that hold nothing, and have the others say what they hold. */
+  /** Removes empty groups, and updates the texts of the others. */
   describe(state: EditorState, listOf: (part: Part) => Element | null): void {
     for (const group of this.root.querySelectorAll<HTMLElement>(".split-drive")) {
       const held = [...group.querySelectorAll<HTMLElement>("[data-members] > .split-card")].map((card) => card.dataset["id"] ?? "");
@@ -74,7 +74,7 @@ export class Drives {
     }
   }
 
-  /** Show what cards show below the folded head: whether any is marked, whether all are picked or filtered out. */
+  /** Shows the state of folded cards in the head: any marked, all selected or filtered out. */
   reflect(): void {
     for (const group of this.root.querySelectorAll<HTMLElement>(".split-drive")) {
       const cards = [...group.querySelectorAll<HTMLElement>("[data-members] > .split-card")];
@@ -109,7 +109,7 @@ export class Drives {
   }
 }
 
-/** Put an element among those of a list, which are in the order of their names. */
+/** Inserts an element into a list sorted by name. */
 export function seatByName(list: Element, element: HTMLElement): void {
   const name = element.dataset["name"] ?? "";
   const next = [...list.children].find((other) => other !== element && ((other as HTMLElement).dataset["name"] ?? "").localeCompare(name) > 0);
@@ -118,7 +118,7 @@ export function seatByName(list: Element, element: HTMLElement): void {
 
 let copies = 0;
 
-/** A folded group of the same drive that holds nothing. */
+/** An empty folded group of the same drive. */
 function copyOf(group: HTMLElement | undefined): HTMLElement | undefined {
   const copy = group?.cloneNode(true) as HTMLElement | undefined;
   const list = copy?.querySelector<HTMLElement>("[data-members]");

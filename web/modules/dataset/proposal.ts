@@ -102,7 +102,7 @@ function sentenceOf(found: Proposal, moves: number): string {
   return found.is_feasible ? `${moved} ${proven}` : `These rules cannot all be satisfied. This proposal violates the fewest; ${moved.toLowerCase()}`;
 }
 
-/** Time and classes of each part beside those of the whole, to see that they are alike. */
+/** Time and class shares of each part beside those of the whole, for comparison. */
 function shares(found: Proposal): HTMLElement {
   const table = make("div", { className: "shares" });
   for (const name of ["whole", ...SIZED] as const) {

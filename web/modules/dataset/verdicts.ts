@@ -32,7 +32,7 @@ export class Verdicts {
   private findings: readonly Finding[] = [];
   private isEmpty = true;
   private chosen = "";
-  /** Whether the platform would take the splits as they stand. */
+  /** Whether the platform would accept the splits. */
   canBePut = false;
 
   constructor(

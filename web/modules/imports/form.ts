@@ -30,7 +30,7 @@ function install(form: HTMLFormElement): void {
     const name = form.querySelector<HTMLInputElement>("[name=name]");
     if (name && !name.value) name.value = nameOf(pathOf(form).split("/").at(-1) ?? "", name);
   });
-  if (fileOf(form, "archive").files?.length || pathOf(form)) chosen(form); // a browser that came back to this page kept it
+  if (fileOf(form, "archive").files?.length || pathOf(form)) chosen(form); // the browser restored the form
   form.querySelector("#stop")?.addEventListener("click", () => sending?.abort());
   form.addEventListener("submit", (event) => {
     event.preventDefault();
@@ -55,7 +55,7 @@ function install(form: HTMLFormElement): void {
   }
 }
 
-/** Ask for the import of the archive, which is uploaded unless it is in place; the import's id. */
+/** Starts the import of the archive, after an upload unless it is in place; returns the import's id. */
 async function imported(form: HTMLFormElement, values: FormData, signal: AbortSignal): Promise<string> {
   const classes = await classesOf(values);
   const path = pathOf(form);
@@ -104,7 +104,7 @@ async function classesOf(values: FormData): Promise<string | null> {
   return file.text();
 }
 
-/** An archive is there: its name is proposed for the import, and what cannot be imported is shown at once. */
+/** Proposes the archive's name for the import, and shows at once why an archive cannot be imported. */
 function chosen(form: HTMLFormElement): void {
   const file = fileOf(form, "archive").files?.[0];
   const path = pathOf(form);

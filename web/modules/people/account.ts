@@ -1,4 +1,4 @@
-// One's own account: a new token's secret is shown once; a new password is typed twice.
+// The own account: a new token's secret is shown once; a new password is typed twice.
 
 import { showOnce } from "./once.js";
 
@@ -12,7 +12,7 @@ document.addEventListener("acted", (event) => {
   if (!(form instanceof HTMLFormElement) || !form.hasAttribute("data-issues") || !(event instanceof CustomEvent)) return;
   const issued = event.detail as Issued;
   form.reset();
-  form.closest("dialog")?.close(); // first, so that the focus goes where the secret is
+  form.closest("dialog")?.close(); // first, so that the focus moves to the secret
   document.querySelector("[data-of-tokens]")?.toggleAttribute("hidden", issued.name === undefined);
   showOnce(issued.secret, issued.name === undefined ? "Your webhook's secret" : `Your new token: ${issued.name}`);
 });

@@ -18,7 +18,7 @@ document.addEventListener("acted", (event) => {
   const password = valueOf(form, "password");
   const name = form.dataset["name"] ?? valueOf(form, "name");
   form.reset();
-  form.closest("dialog")?.close(); // first, so that the focus goes where the password is
+  form.closest("dialog")?.close(); // first, so that the focus moves to the password
   if (password) showOnce(password, `New password of ${name}`);
 });
 

@@ -1,7 +1,7 @@
-// One frame at a time: the slider, the keys and the player choose; pictures, numbers and the address follow.
+// One frame at a time: the slider, the keys and the player choose it; pictures, numbers and the URL follow.
 //
-// Pictures are shown together once all of a frame have come, so that cameras never show different moments; the frames
-// after it are fetched ahead.
+// The pictures of a frame are shown together once all are loaded, so that cameras never show different moments; the
+// next frames are fetched ahead.
 
 import { withColours } from "../colours.js";
 import { Player } from "./player.js";
@@ -126,7 +126,7 @@ class FramePage {
     for (let step = 1; step <= AHEAD; step += 1) void this.fetched(this.index + step);
   }
 
-  /** All pictures of the frame, decoded; one that fails is shown as the browser shows what is missing. */
+  /** Resolves with all pictures of the frame decoded; a failed one is shown as broken by the browser. */
   private fetched(index: number): Promise<void> {
     const token = this.points.tokens[index];
     if (token === undefined) return Promise.resolve();

@@ -34,7 +34,7 @@ function follow(part: HTMLElement, address: string): void {
   document.addEventListener("close", () => isOwed && freshen(), true); // close of a dialog
 }
 
-/** Everything that moves, of one answer. The first event brings what happened since the page was made. */
+/** Fetches all live parts in one response. The first event covers changes since the page was made. */
 async function fetchAgain(): Promise<void> {
   const live = Array.from(document.querySelectorAll<HTMLElement>("[data-live-part][id]"), (part) => `#${part.id}`);
   const others = ["#word", ...live].map((selector) => `${selector}:outerMorph`).join(",");
@@ -53,7 +53,7 @@ function renew(): void {
   else location.reload();
 }
 
-/** At most every so often, and once more for what came meanwhile. */
+/** Runs at most once per interval, and once more for events in between. */
 function calmly(act: () => Promise<void>): () => void {
   let isBusy = false;
   let isAsked = false;

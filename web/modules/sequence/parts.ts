@@ -1,6 +1,6 @@
 // Shared code of a sequence's page: finding its parts, reading their data, drawing a cursor.
 
-/** The one element that the page has for this selector. Throws where the page lacks it: a fault of ours. */
+/** The element for this selector. Throws if the page lacks it, which is our fault. */
 export function part<E extends Element = HTMLElement>(root: ParentNode, selector: string): E {
   const found = root.querySelector<E>(selector);
   if (!found) throw new Error(`the page has no ${selector}`);

@@ -1,4 +1,4 @@
-// The clock of a timeline: frames follow each other as they did on the robot, times a speed.
+// The clock of a timeline: frames follow each other at the robot's pace, times a speed.
 
 /** Plays through frames at `times_s`; `show` is called for each that is due and resolves once it is seen. */
 export class Player {
@@ -17,7 +17,7 @@ export class Player {
     return this.isOn;
   }
 
-  /** Play on from this frame; from the last one, from the start. */
+  /** Plays from this frame; from the last frame, from the start. */
   play(index: number): void {
     const from = index >= this.times_s.length - 1 ? 0 : index;
     this.isOn = true;

@@ -2,7 +2,7 @@
 //
 // Codes and bounds are those of the platform's own reader (services/eval); a test compares both.
 
-/** Why an archive or a file in it would be refused. */
+/** The reason to refuse an archive or a file in it. */
 export class Fault extends Error {
   constructor(readonly code: string, readonly expected: string, readonly actual: string) {
     super(`${code}: expected ${expected}, found ${actual}`);
@@ -24,7 +24,7 @@ export class Bytes {
     return this.file.size;
   }
 
-  /** The bytes [offset, offset + count), fewer where the file ends. */
+  /** The bytes [offset, offset + count), fewer at the end of the file. */
   async at(offset: number, count: number): Promise<DataView> {
     const stop = Math.min(offset + count, this.size);
     if (offset >= stop) return new DataView(new ArrayBuffer(0));

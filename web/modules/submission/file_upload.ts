@@ -98,7 +98,7 @@ async function described(draft: Submission, entry: Entry): Promise<Submission> {
   return { ...changed, upload_id: draft.upload_id };
 }
 
-/** The upload of the draft that is on its way, or a new one. */
+/** The draft's unfinished upload, or a new one. */
 async function opened(draft: Submission, file: File, sha256: string): Promise<Opened> {
   const begun = draft.upload_id ? await findUpload(draft.upload_id) : null;
   return begun ?? createUpload(file, { purpose: "submission", target_id: draft.id, sha256 }, newKey());

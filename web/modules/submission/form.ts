@@ -29,7 +29,7 @@ function install(form: HTMLFormElement): void {
     if (state.file && !state.why && !state.sending) void send(state.file, kind);
   });
   form.querySelector("#stop")?.addEventListener("click", () => state.sending?.abort());
-  if (fileOf(form).files?.length) void chosen(); // a browser that came back to this page kept it
+  if (fileOf(form).files?.length) void chosen(); // the browser restored the form
 
   async function chosen(): Promise<void> {
     const file = fileOf(form).files?.[0] ?? null;
@@ -39,7 +39,7 @@ function install(form: HTMLFormElement): void {
     show();
     if (!file) return;
     const why = await looked(form, file, manifest, () => state.file === file);
-    if (state.file !== file) return; // another one was chosen meanwhile
+    if (state.file !== file) return; // another file was chosen meanwhile
     state.why = why;
     show();
   }
@@ -62,7 +62,8 @@ function install(form: HTMLFormElement): void {
   }
 }
 
-/** Look at the zip, and show what was found; why it cannot be sent, empty if it can. `isWanted`: no other was chosen. */
+/** Checks the zip and shows the result; returns the reason why it cannot be sent, or "". `isWanted`: no other file was
+ * chosen. */
 async function looked(form: HTMLFormElement, file: File, manifest: Promise<Manifest>, isWanted: () => boolean): Promise<string> {
   const place = form.querySelector<HTMLElement>("#verdict");
   const most_bytes = Number(form.dataset["mostBytes"]);
@@ -131,7 +132,7 @@ function showQuota(form: HTMLFormElement): void {
   for (const card of document.querySelectorAll<HTMLElement>("[data-quota]")) card.hidden = team !== undefined && card.dataset["quota"] !== team;
 }
 
-/** The field itself lies over the place to drop on; this only shows that it would take what is held over it. */
+/** The field covers the drop area; this only highlights it during a drag. */
 function installDrop(form: HTMLFormElement): void {
   const drop = form.querySelector<HTMLElement>("#drop");
   for (const name of ["dragenter", "dragover"]) drop?.addEventListener(name, () => drop.toggleAttribute("data-over", true));

@@ -1,7 +1,7 @@
-// The arrays of all frames before any is sent: name, type, shape and order by their headers, then the values.
+// Checks the arrays of all frames before any is sent: name, type, shape and order by their headers, then the values.
 //
-// The platform reads every frame again; the codes are its own (stone_submissions/npz_frame.py). Nothing but literals is
-// read, and no stream is followed beyond its bound.
+// The platform reads every frame again and uses the same codes (stone_submissions/npz_frame.py). Only literals are
+// parsed, and no stream is read beyond its bound.
 
 import { Bytes, Fault, plain } from "./archive.js";
 import type { Problem, Shape } from "./frames.js";
@@ -17,7 +17,7 @@ const HIGHEST_LABEL = 3;
 /** Bytes of voxels that are read, a few seconds' work; beyond, only the values of every n-th frame are read. */
 const MOST_VALUES_BYTES = 2 ** 31;
 const BYTE_TYPES = ["|u1", "u1", "<u1", ">u1"];
-/** How to make a frame of the expected shape of one that was found, by what was found: as stone_submissions/errors.py. */
+/** The steps to the expected shape, by the actual one: as stone_submissions/errors.py. */
 function stepsTo([x, y, z]: Shape): Record<string, string> {
   return {
     [`(${z}, ${x}, ${y})`]: "grid.transpose(1, 2, 0) if your axes are z, x, y; grid.transpose(2, 1, 0) if they are z, y, x",
@@ -110,7 +110,7 @@ async function refuseArray(npz: Blob, array: Member, size: Shape, readsValues: b
   if (readsValues) refuseValues(pieces, at + length, voxelsOf(size));
 }
 
-/** The voxels begin at byte `start`: there are as many as the grid has, and none is beyond the highest class. */
+/** Checks the voxels from byte `start` on: their number is the grid's, and none exceeds the highest class. */
 function refuseValues(pieces: readonly Uint8Array[], start: number, voxels: number): void {
   let at = 0;
   let highest = 0;

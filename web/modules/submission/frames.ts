@@ -14,7 +14,7 @@ const TOKEN = /^[0-9a-f]{32}$/;
 /** How many voxels a frame has along x, y and z. */
 export type Shape = readonly [number, number, number];
 
-/** Which frames a submission must hold: by sequence, in the manifest's order; and the shape of their grid. */
+/** The frames of a submission by sequence, in the manifest's order, and the shape of their grid. */
 export interface Manifest {
   shape: Shape;
   sequences: Map<string, string[]>;

@@ -1,4 +1,4 @@
-// How far sending is: a bar, what is done now, and the rate and time left of the last seconds.
+// Progress of an upload: a bar, the bytes sent, and rate and time left from the last seconds.
 
 import type { Heard } from "./file_upload.js";
 import { sized } from "./verdict.js";

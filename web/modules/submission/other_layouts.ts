@@ -24,9 +24,9 @@ export function isRubbish(name: string): boolean {
 }
 
 /**
- * The problems, with one in the place of all that another layout explains, and one of all files of a file manager.
+ * The problems, with a single one for all files in another layout, and one for all files of a file manager.
  *
- * `found` is how many frames were found, `names` are those that problems quote as they are.
+ * `found` is the number of valid frames, `names` are the names that problems quote unchanged.
  */
 export function explained(problems: Problem[], found: number, names: ReadonlySet<string>): Problem[] {
   const strangers = problems.filter(({ code }) => code === "unexpected_file").map(({ file }) => file);

@@ -23,7 +23,7 @@ const SAID: Record<string, [string, string]> = {
   not_npz: ["file that is not npz", "files that are not npz"],
 };
 
-/** Show the verdict in `place`, in the place of what it showed; `arrays` once they are checked. */
+/** Shows the verdict in `place`; `arrays` once they are checked. */
 export function showVerdict(place: HTMLElement, file: File, manifest: Manifest, verdict: Verdict, arrays?: ArrayCheck): void {
   const head = part("div", "verdict-head");
   head.dataset["tone"] = verdict.problems.length ? "bad" : "good";
@@ -93,7 +93,7 @@ function strips(manifest: Manifest, { frames }: Verdict): HTMLElement {
   return list;
 }
 
-/** At most `MOST_CELLS` cells; one that stands for several frames is there only where all of them are. */
+/** At most `MOST_CELLS` cells; a cell for several frames is filled only if all of them are present. */
 function strip(isThere: boolean[], label: string): SVGElement {
   const cells = Math.min(isThere.length, MOST_CELLS);
   const drawn = element("svg", { viewBox: `0 0 ${cells} 1`, preserveAspectRatio: "none", role: "img", "aria-label": label, class: "strip-bar" });
@@ -112,7 +112,7 @@ function holds(isThere: boolean[], cell: number, cells: number): boolean {
   return isThere.slice(from, to).every(Boolean);
 }
 
-/** The problems by code, as they were found: how many, and the first of them. */
+/** The problems by code, in the order of occurrence: the number, and the first of them. */
 function kinds(problems: readonly Problem[]): [string, number, Problem[]][] {
   const by_code = new Map<string, Problem[]>();
   for (const problem of problems) {

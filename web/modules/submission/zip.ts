@@ -16,7 +16,7 @@ const [STORED, DEFLATED] = [0, 8];
 const BY_UNIX = [3, 19];
 const [LINK, KIND] = [0o120000, 0o170000];
 
-/** One file of an archive, as the directory announces it. */
+/** One file of an archive, as declared in the directory. */
 export interface Member {
   name: string;
   method: number;
@@ -85,7 +85,7 @@ function memberOf(record: DataView, variable: DataView): Member {
   return { name, method, packed_bytes, unpacked_bytes, offset };
 }
 
-/** The values, those that are 0xFFFFFFFF replaced, in this order, by the field's. */
+/** The values; those equal to 0xFFFFFFFF are replaced, in this order, by the field's. */
 function widened(values: number[], field: DataView, name: string): number[] {
   const needed = values.filter((value) => value === 0xffffffff).length;
   if (field.byteLength < 8 * needed) throw new Fault("truncated", `${needed} zip64 values for ${name}`, "fewer");
@@ -93,7 +93,7 @@ function widened(values: number[], field: DataView, name: string): number[] {
   return values.map((value) => (value === 0xffffffff ? wide(field, (at += 8)) : value));
 }
 
-/** No two members share bytes, and the first begins the file. */
+/** Refuses archives whose members share bytes, or whose first member does not start the file. */
 function refuseOverlap(members: readonly Member[], directory_offset: number): void {
   let limit = directory_offset;
   for (const member of [...members].sort((one, other) => other.offset - one.offset)) {

@@ -1,4 +1,4 @@
-// The end record of a zip, narrow or wide (zip64): where its directory is and how many files it announces.
+// The end record of a zip, narrow or wide (zip64): the position of its directory and the declared number of files.
 //
 // Source: PKWARE APPNOTE 6.3.10, §4.3.14-4.3.16. The same checks as stone_files/zip_directory.py.
 

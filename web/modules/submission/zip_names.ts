@@ -1,4 +1,4 @@
-// Names in a zip: in UTF-8 where that is announced, else in code page 437; and the extra fields that may rename.
+// Names in a zip: in UTF-8 if declared, else in code page 437; and the extra fields that may rename.
 
 import { Fault } from "./archive.js";
 

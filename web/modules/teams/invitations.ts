@@ -38,7 +38,7 @@ function show(secret: string): void {
   shown.scrollLeft = 0;
 }
 
-/** To the clipboard; where the browser lends none (no TLS), the text is selected to be copied by hand. */
+/** Copies to the clipboard; if the browser denies it (no TLS), selects the text to be copied by hand. */
 async function copy(text: string): Promise<void> {
   try {
     await navigator.clipboard.writeText(text);

@@ -96,7 +96,7 @@ function bagOf(name: string, files: File[]): Bag {
   return { name: isSeveral || !only ? name : only.name, files: ordered, trouble, code: trouble && "bad_recording_files" };
 }
 
-/** The bag with what the first bytes of its files say: a file of another kind is refused before it is sent. */
+/** The bag after a check of its files' first bytes: other kinds of files are refused before they are sent. */
 export async function lookedInto(bag: Bag): Promise<Bag> {
   for (const file of bag.trouble ? [] : bag.files.filter(({ name }) => BAG_FILE.test(name))) {
     const hasWal = bag.files.some(({ name, size }) => name === `${file.name}-wal` && size > 0);

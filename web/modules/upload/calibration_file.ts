@@ -1,4 +1,4 @@
-// A calibration file at a page: sent to be checked and kept, and its line among what was dropped.
+// A calibration file on a page: sent to be checked and stored, with a line in the list of dropped files.
 
 import { call, RefusedError } from "../api.js";
 import { findingOf } from "./row.js";
@@ -43,7 +43,7 @@ export function calibrationLine(file: File): HTMLLIElement {
   return item;
 }
 
-/** Say in its line that it was kept, and what was noticed; `next` is what that means here. */
+/** Shows in its line that it was stored, and the findings; `next` is the consequence on this page. */
 export function showKept(item: HTMLLIElement, file: File, kept: Kept, next = ""): void {
   const noticed = kept.findings.length ? "Findings:" : "All checks passed.";
   const line = `${kept.name}, version ${kept.version}: ${kept.sensors.length} sensors, format ${kept.format}. ${next}${noticed}`;
@@ -51,7 +51,7 @@ export function showKept(item: HTMLLIElement, file: File, kept: Kept, next = "")
   draw(item, file.name, { state: "ready", words: "added", line, link: `/calibrations/${kept.id}`, findings });
 }
 
-/** Say in its line why it was refused. */
+/** Shows in its line why it was refused. */
 export function showRefused(item: HTMLLIElement, file: File, error: unknown): void {
   const findings = reasonsOf(error).map(({ code, sentence }) => findingOf(code, "error", sentence));
   draw(item, file.name, { state: "refused", words: "refused", line: "Not added. Fix the file and drop it again.", findings });

@@ -1,7 +1,7 @@
-// The sha256 sums of files that were counted before, so that a page that was loaded again need not count for minutes.
+// A cache of sha256 sums, so that a reloaded page need not hash for minutes.
 //
-// A sum is known by name, size and time of change. Should it be wrong all the same, the platform refuses the file, since
-// it counts for itself; then the sum is forgotten.
+// The key is name, size and modification time. If a cached sum is wrong, the platform's own hash differs and it refuses
+// the file; then the sum is dropped.
 
 const KEY = "stone-sha256";
 const MOST = 500;
@@ -37,7 +37,7 @@ function store(sums: Record<string, string>): void {
   try {
     localStorage.setItem(KEY, JSON.stringify(sums));
   } catch {
-    // no room, or none allowed: then it is counted again
+    // storage is full or denied; the sum is computed again next time
   }
 }
 

@@ -1,4 +1,4 @@
-// Calibrations that are dropped together with bags: kept, and given to the sequences that those bags become.
+// Calibrations dropped together with bags: stored, and assigned to the sequences of those bags.
 
 import { call } from "../api.js";
 import { refresh } from "../refresh.js";

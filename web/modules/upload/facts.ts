@@ -21,10 +21,10 @@ export function mountFacts(form: HTMLFormElement): void {
     chosenFor = "";
     choose(form, select.value, "");
   });
-  if (select) choose(form, select.value, ""); // a browser that came back to this page kept it
+  if (select) choose(form, select.value, ""); // the browser restored the form
 }
 
-/** Add a calibration to those that can be chosen, and choose it; whether there is such a form. */
+/** Adds a calibration to the choices and selects it; returns whether there is such a form. */
 export function chooseCalibration(form: HTMLFormElement | null, { id, name, version }: Kept): boolean {
   const select = form && calibrationOf(form);
   if (!select) return false;

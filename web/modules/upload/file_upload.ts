@@ -46,7 +46,7 @@ export interface Heard {
 const counting = new Lane(1);
 const sending = new Lane(3);
 
-/** The sha256 of the file; counted once, one file at a time. */
+/** The sha256 of the file; computed once, one file at a time. */
 export function summed(file: File, heard: Heard, signal: AbortSignal): Promise<string> {
   const known = knownSum(file);
   if (known) {
@@ -60,7 +60,7 @@ export function summed(file: File, heard: Heard, signal: AbortSignal): Promise<s
   }, signal);
 }
 
-/** Send the file, or what of it is not there yet; the id of the complete upload. Throws what is refused. */
+/** Sends the missing bytes of the file; returns the id of the complete upload. Throws refusals. */
 export function sent(file: File, sha256: string, purpose: Purpose, heard: Heard, signal: AbortSignal): Promise<string> {
   const away = (problem: Problem, wait_ms: number): void => heard.away(problem, wait_ms);
   return sending.run(() => patiently(async () => {
@@ -94,7 +94,7 @@ function created(file: File, sha256: string, purpose: Purpose): Promise<Opened> 
 
 /** An Idempotency-Key of a request that is meant once. */
 export function freshKey(): string {
-  return crypto.randomUUID?.() ?? `${Date.now()}-${Math.random()}`; // not there where the site is plain HTTP
+  return crypto.randomUUID?.() ?? `${Date.now()}-${Math.random()}`; // missing on plain HTTP sites
 }
 
 /** All of a list, page by page. */

@@ -6,7 +6,7 @@
 const FIRST_BYTES = 512;
 const SHOWN_BYTES = 16;
 const PIECE_BYTES = 2 ** 20;
-const MOST_ZEROS_BYTES = 64 * 2 ** 20; // behind more of them the platform looks
+const MOST_ZEROS_BYTES = 64 * 2 ** 20; // files with more zeros are left to the platform
 const MCAP = "\x89MCAP0\r\n";
 const ROS1 = "#ROSBAG V2.0\n";
 const SQLITE = "SQLite format 3\0";
@@ -39,7 +39,7 @@ export async function refusalOf(file: File, hasWal: boolean): Promise<string> {
   return `${file.name} is not an MCAP, SQLite or ROS 1 bag (${quoted}); it looks like ${looksLike(first)}`;
 }
 
-/** An MCAP ends as it begins: one whose beginning is damaged is known by its end, zeros behind it or not. */
+/** Whether the file ends like an MCAP, ignoring zeros behind it, because a damaged MCAP may lack its beginning. */
 async function endsAsMcap(file: File): Promise<boolean> {
   for (let stop = file.size; stop > 0; stop -= PIECE_BYTES) {
     if (file.size - stop >= MOST_ZEROS_BYTES) return true;

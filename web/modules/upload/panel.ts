@@ -1,4 +1,4 @@
-// A place where bags are dropped, and the list of what becomes of them (`parts/uploading.html`, `uploader`).
+// The drop area for bags, and the list of their transfers (`parts/uploading.html`, `uploader`).
 
 import { valuesOf } from "../acts.js";
 import { call } from "../api.js";
@@ -182,7 +182,7 @@ export class Panel {
     try {
       this.#begun = await unfinished(this.#sequenceId);
     } catch {
-      return; // the platform is away; the lines say so
+      return; // the platform is unreachable; the rows show it
     }
     const isShown = (one: Unfinished): boolean =>
       !this.#lines.some(({ transfer }) => begunOf(transfer.bag, [one]));
@@ -210,7 +210,7 @@ export class Panel {
   }
 }
 
-/** Have what is dropped on `place` taken by `take`; the place shows that it would. */
+/** Passes files dropped on `place` to `take`, and highlights `place` during a drag. */
 export function listenForDrops(place: HTMLElement | null, take: (found: Found[]) => void): void {
   place?.addEventListener("dragover", (event) => {
     event.preventDefault();

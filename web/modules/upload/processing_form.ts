@@ -35,10 +35,10 @@ export function mountProcessing(form: HTMLFormElement): void {
     void start(form);
   });
   form.addEventListener("change", () => showDefaults(form));
-  showDefaults(form); // a browser that came back to this page kept the profile
+  showDefaults(form); // the browser restored the profile
 }
 
-/** An empty field shows what the chosen profile uses. */
+/** Shows the chosen profile's defaults in empty fields. */
 function showDefaults(form: HTMLFormElement): void {
   const profile = String(new FormData(form).get("profile") ?? "");
   for (const field of form.querySelectorAll<HTMLInputElement>("[data-parameter]")) field.placeholder = field.dataset[profile] ?? field.placeholder;

@@ -58,7 +58,7 @@ export async function sealed(
   return call("POST", `/api/v1/sequences/${sequenceId}/recordings`, body, { "Idempotency-Key": key });
 }
 
-/** Look until it is registered or refused. Throws `RefusedError` where the job ended without either. */
+/** Polls until it is registered or refused. Throws `RefusedError` if the job ended with neither. */
 export async function read(
   recording: Recording,
   sequenceId: string,

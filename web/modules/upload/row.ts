@@ -50,7 +50,7 @@ export class Row {
     return this.element.querySelector<HTMLButtonElement>(`[data-act-row="${act}"]`);
   }
 
-  /** Show it as it stands; no more than a few times a second, but a change of phase at once. */
+  /** Updates the row a few times a second at most, and at once for a change of phase. */
   show(): void {
     const { phase } = this.transfer();
     if (phase !== this.#shown) {
@@ -129,7 +129,7 @@ export function findingOf(code: string, severity: string, message: string): HTML
   return item;
 }
 
-/** Codes of findings have a page each, but for those of published datasets. */
+/** Links the code to its page; codes of published datasets have none. */
 function linked(code: string, coded: HTMLElement): HTMLElement {
   if (!/^[A-Z]{3}-\d{3}$/.test(code) || code.startsWith("DST-")) return coded;
   const link = Object.assign(document.createElement("a"), { className: "code", href: `/codes/${code}` });

@@ -1,4 +1,4 @@
-// How fast, and how long still: over the last seconds, so that a pause is forgotten soon.
+// Rate and time left, over the last seconds, so that a pause is forgotten soon.
 
 const WINDOW_MS = 6000;
 
@@ -8,7 +8,7 @@ export class Speed {
 
   mark(bytes: number, at_ms = performance.now()): void {
     const last = this.#marks.at(-1);
-    if (last && bytes < last.bytes) this.#marks.length = 0; // it went back to what the platform has
+    if (last && bytes < last.bytes) this.#marks.length = 0; // it fell back to the platform's offset
     this.#marks.push({ at_ms, bytes });
     while (this.#marks.length > 2 && at_ms - (this.#marks[0]?.at_ms ?? 0) > WINDOW_MS) this.#marks.shift();
   }

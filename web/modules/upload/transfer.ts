@@ -61,7 +61,7 @@ export class Transfer implements Heard {
     this.#stop?.abort();
   }
 
-  /** Begin, or go on; ends when it is registered, refused or paused. */
+  /** Starts or resumes; resolves when it is registered, refused or paused. */
   async start(): Promise<void> {
     if (this.isUnderWay || this.phase === "registered" || this.bag.trouble) return;
     const stop = new AbortController();

@@ -30,7 +30,7 @@ export function begunOf(bag: Bag, begun: readonly Unfinished[]): Unfinished | un
   return begun.find(({ upload }) => bag.files.some((file) => file.name === upload.filename && file.size === upload.length_bytes));
 }
 
-/** Show them in `place`, with a way to give each up; `again` is called when one was. */
+/** Shows them in `place`, each with a button to discard it; then `again` is called. */
 export function showUnfinished(place: HTMLElement, begun: readonly Unfinished[], again: () => void): void {
   place.hidden = !begun.length;
   const title = Object.assign(document.createElement("h3"), { textContent: "Unfinished" });

@@ -1,4 +1,4 @@
-// The pictures of a frame by its cameras, with what each sees of the labels: fetched and cast together.
+// The camera pictures of a frame, with the labels visible in each: fetched and cast together.
 
 import { bytes } from "../api.js";
 import { messageOf } from "../errors.js";
@@ -11,7 +11,7 @@ import type { SceneFacts } from "./scene.js";
 export const VIEW_PX = { still: [320, 200], playing: [160, 100], enlarged: [640, 400] } as const;
 const KEPT_AROUND = 2;
 
-/** By camera in the order of `scene.playback.cameras`: its picture, null where it took none, and its view of the labels. */
+/** For each camera of `scene.playback.cameras`: its picture, null if it took none, and its view of the labels. */
 export interface CameraFrame {
   index: number;
   pictures: (HTMLImageElement | null)[];
@@ -33,7 +33,7 @@ export class CameraFrames {
 
   constructor(private readonly asking: Asking, private readonly scene: SceneFacts) {}
 
-  /** Ends when the lenses are known; a sentence where the pictures can be shown, but not the labels in them. */
+  /** Resolves when the lenses are loaded, with a sentence if pictures can be shown, but not the labels in them. */
   async open(): Promise<string | null> {
     const { sequence_id, playback, frames } = this.scene;
     if (!playback.has_rays) return "These pictures were made by an earlier release, before labels could be drawn in them.";
@@ -49,7 +49,8 @@ export class CameraFrames {
     }
   }
 
-  /** Ends once all pictures of the frame are decoded and its labels are cast into them; the worker must hold the frame. */
+  /** Resolves once all pictures of the frame are decoded and its labels are cast into them; the worker must hold the
+   * frame. */
   async take(index: number, wish: CameraWish): Promise<CameraFrame> {
     const [pictures, views] = await Promise.all([this.picturesOf(index), this.viewsOf(index, wish)]);
     return { index, pictures, views };

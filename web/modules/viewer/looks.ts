@@ -12,7 +12,7 @@ export type Span = [number | null, number | null];
 
 export interface Look {
   mode: Mode;
-  /** Bit c is set where class c is shown. */
+  /** Bit c is set if class c is shown. */
   classes: number;
   unseen: Unseen;
   /** Shown heights, metres above the robot's wheels; absent: all. */
@@ -62,7 +62,7 @@ export function percent(confidence: number, kind: number): string {
   return `${kind === 1 ? 100 : Math.min(99, Math.round((100 * confidence) / CERTAIN))} %`;
 }
 
-/** Metres around what the robot drove on. */
+/** Range of elevation in metres around the driven track. */
 export function elevationRange(scene: SceneFacts): [number, number] {
   const mean = scene.reference?.mean[0] ?? 0;
   const half = Math.max(2, 3 * Math.sqrt(scene.reference?.covariance[0][0] ?? 0));
@@ -80,7 +80,7 @@ export function ticksOf(mode: Mode, scene: SceneFacts): [string, string, string]
   return [low, (low + high) / 2, high].map((value) => `${fixed(value, 1)} m`) as [string, string, string];
 }
 
-/** The half-open span holds the value; an absent one holds all. */
+/** Whether the half-open span contains the value; an absent span contains all. */
 export function isWithin(span: Span | undefined, value: number): boolean {
   const [low, high] = span ?? [null, null];
   return (low === null || value >= low) && (high === null || value < high);

@@ -1,6 +1,6 @@
-// Ramps of colour that grow evenly lighter: viridis for measures, its upper three quarters for confidence and points, inferno for D²
-// (Smith and van der Walt, 2015). Doubtful voxels would look like holes on a dark page in the lowest quarter, weak points
-// would not be seen.
+// Ramps of colour with even lightness: viridis for measures, its upper three quarters for confidence and points,
+// inferno for D² (Smith and van der Walt, 2015). In the lowest quarter, doubtful voxels would look like holes on a dark
+// page, and weak points would be invisible.
 //
 // Polynomials of degree six fitted to the published tables (M. Zucker), rows by power, columns red, green, blue.
 
@@ -25,7 +25,7 @@ const INFERNO: Rgb[] = [
   [25.13112, -12.24267, -23.07033],
 ];
 
-/** Each ramp's table, and where it begins and how far it goes in it. */
+/** Each ramp's table, and its start and length within it. */
 const RAMPS = { viridis: [VIRIDIS, 0, 1], lighter: [VIRIDIS, 0.25, 0.75], inferno: [INFERNO, 0.15, 0.8] } as const;
 export type RampName = keyof typeof RAMPS;
 

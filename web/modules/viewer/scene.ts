@@ -31,7 +31,7 @@ export interface PlaybackFacts {
   has_radars: boolean;
 }
 
-/** A label set as the API lists those of a sequence. */
+/** A label set as in the API's list. */
 export interface LabelSetFacts {
   id: string;
   profile: string;
@@ -45,7 +45,7 @@ export interface SceneFacts {
   label_set_id: string;
   /** A comparison of two label sets, whose differences can be shown; set by the page. */
   comparison_id?: string;
-  /** The page was opened for the differences; else they are one of the colours that can be chosen. */
+  /** Whether the page was opened for the differences; else they are one of the selectable colours. */
   starts_with_difference?: boolean;
   profile: string;
   grid: Grid;

@@ -1,4 +1,4 @@
-// The viewer of one sequence: stage, timeline, panel and readout, put together.
+// The viewer of one sequence: combines stage, timeline, panel and readout.
 
 import { call } from "../api.js";
 import { messageOf } from "../errors.js";
@@ -29,7 +29,7 @@ const FULL = "M4 4h6v2H6v4H4zM14 4h6v6h-2V6h-4zM4 14h2v4h4v2H4zM18 14h2v6h-6v-2h
 export interface Options {
   start: number;
   isCompact: boolean;
-  /** The frame is kept in the page's address. */
+  /** Whether the page's URL contains the frame. */
   isAddressed: boolean;
 }
 
@@ -92,7 +92,7 @@ export class Viewer {
     performance.mark("first-voxel");
     void this.offerSecond();
     await this.cameras?.open(this.options.start, this.begins.enlarged);
-    if (this.choices.layers.sensors) await this.world.choose(); // now it is known where cameras stood
+    if (this.choices.layers.sensors) await this.world.choose(); // the camera poses are now loaded
   }
 
   /** Shows the frame and updates its texts; a refusal is shown in the picture. */
@@ -132,7 +132,7 @@ export class Viewer {
     this.note();
   }
 
-  /** To who may see them, the other label sets of the sequence. */
+  /** Offers the other label sets of the sequence to users who may see them. */
   private async offerSecond(): Promise<void> {
     const panel = this.host.querySelector(".viewer-choices fieldset");
     if (!panel || this.host.dataset["labelSets"] === undefined) return;
@@ -231,7 +231,7 @@ export class Viewer {
     this.stage.canvas.focus();
   }
 
-  /** The large picture is closed; else the crosshair and what is selected. */
+  /** Closes the large picture; else the crosshair and the selection. */
   private leave(): void {
     if (this.cameras?.enlarged) this.cameras.enlarge(null);
     else if (this.aiming.isOn || !this.readout.element.hidden) this.drop();

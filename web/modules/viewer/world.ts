@@ -1,4 +1,4 @@
-// Everything on the stage of one scene, and how it follows the robot from frame to frame.
+// Everything on the stage of one scene; it follows the robot from frame to frame.
 
 import { Matrix4, type Object3D, Quaternion, Vector3 } from "three";
 import { bytes } from "../api.js";
@@ -20,11 +20,11 @@ import { VoxelBlock, VoxelPaint } from "./drawing/voxel_layer.js";
 
 /** So far beyond the corners of the frame's grid the terrain is fetched. */
 const KNOWN_BEYOND_M = 9;
-/** A radar detection is drawn so much larger than a point of the LiDAR. */
+/** Size of a radar detection relative to a LiDAR point. */
 const RADAR_RATIO = 3;
 const SURFACE_REACH_M = 80;
 const START_DISTANCE_M = 34;
-/** Beyond every height; graphics cards need not know infinity. */
+/** Larger than every height; graphics cards may lack infinity. */
 const FAR_M = 1e9;
 /** From above the camera is so far away, in sides of the grid. */
 const ABOVE_RATIO = 62 / 51.2;
@@ -35,7 +35,7 @@ export class World {
   index = 0;
   /** Another sweep is shown. */
   clouded: () => void = () => undefined;
-  /** So many tiles of the whole run are drawn. */
+  /** Called with the number of drawn tiles of the whole run. */
   tiled: (done: number, of: number) => void = () => undefined;
   private readonly paint = new VoxelPaint();
   private readonly frame = new VoxelBlock(this.paint);
@@ -137,7 +137,7 @@ export class World {
     return this.cloud.range;
   }
 
-  /** Colours or what is left out changed. */
+  /** Applies changed colours or filters. */
   relook(): void {
     this.paint.paint(this.choices.look.mode);
     this.store.looking({ ...this.choices.look });

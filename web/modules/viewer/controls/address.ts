@@ -10,7 +10,7 @@ import { POINT_COLOURS, type PointColour } from "../drawing/sweeps.js";
 import type { Mode, Span, Unseen } from "../looks.js";
 import type { SceneFacts } from "../scene.js";
 
-/** Heading and pitch against the robot's, distance, and the target as the robot stands. */
+/** Heading and pitch relative to the robot, distance, and the pivot in the robot's frame. */
 export type Viewpoint = [number, number, number, number, number, number];
 
 export interface Standing {
@@ -18,7 +18,7 @@ export interface Standing {
   choices: Choices;
   /** The channel shown large. */
   enlarged: string | null;
-  /** Null: from behind, as the viewer begins. */
+  /** Null: the default view from behind. */
   at: Viewpoint | null;
 }
 
@@ -63,7 +63,7 @@ function isThere(mode: Mode, scene: SceneFacts): boolean {
   return mode === "class" || (scene.tiles.length > 0 && !isImported(scene));
 }
 
-/** The address of what is shown, from one that may say other things; `first` is how the viewer begins without it. */
+/** The URL of the current view, from another URL; `first` are the viewer's defaults. */
 export function written(from: URL, { token, choices, enlarged, at }: Standing, first: Choices): URL {
   const address = new URL(from);
   const put = (key: string, value: string | null): void => {

@@ -4,7 +4,7 @@ import type { CameraView } from "../data/camera_views.js";
 import type { Rgb, Theme } from "../drawing/theme.js";
 
 const ALPHA = 115;
-/** A voxel of fewer pixels than this (of a view of 320 × 200) is ringed, so that it is found. */
+/** A voxel with fewer pixels than this (of a view of 320 × 200) gets a ring, so that it is visible. */
 const SMALL_RATIO = 30 / (320 * 200);
 const RING_RATIO = 14 / 320;
 

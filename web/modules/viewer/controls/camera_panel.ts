@@ -12,7 +12,7 @@ import { paletteOf } from "../drawing/theme.js";
 import type { Stage } from "../drawing/stage.js";
 import type { SceneFacts } from "../scene.js";
 
-/** A frame waits so long for its pictures; then it is shown, and they follow. */
+/** Longest wait of a frame for its pictures; then it is shown, and they follow. */
 const PATIENCE_MS = 1500;
 /** Views are coarse while frames play, and fine once none came for so long. */
 const RESTS_AFTER_MS = 250;
@@ -22,7 +22,7 @@ const IN_PREPARATION = "The camera pictures are being prepared; reload the page 
 export interface CameraActs {
   picked: (id: number) => void;
   unknown: (why: string) => void;
-  /** The camera that is shown large is another one, or none. */
+  /** Called when another camera, or none, is shown large. */
   enlarged: () => void;
 }
 
@@ -61,7 +61,7 @@ export class CameraPanel {
     return this.strip.enlarged === null ? null : this.scene.playback.cameras[this.strip.enlarged]!;
   }
 
-  /** Begins with this frame, which the worker holds by now, and with this camera large. */
+  /** Starts with this frame, which the worker must hold, and with this camera large. */
   async open(index: number, enlarged: string | null): Promise<void> {
     const { cameras } = this.scene.playback;
     if (!cameras.length) return;

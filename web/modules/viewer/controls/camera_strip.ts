@@ -32,7 +32,7 @@ class CameraTile {
     this.element = make("figure", { class: "viewer-camera" }, this.button, caption);
   }
 
-  /** Picture and labels change in one go. */
+  /** Changes picture and labels together. */
   put(picture: HTMLImageElement | null, view: CameraView | null, where: string): void {
     this.picture?.remove();
     this.picture = picture;
@@ -73,7 +73,7 @@ export class CameraStrip {
   /** The 3D view shows another frame than these pictures. */
   private isLate = false;
 
-  /** `channels` as the frames have them; they stand in the order of `rig`. */
+  /** `channels` are in the order of the frames; they are shown in the order of `rig`. */
   constructor(private readonly channels: string[], rig: string[], private readonly frames: number, private readonly acts: StripActs) {
     this.tiles = channels.map((channel, camera) => {
       const words = namesOf(channel);
@@ -135,7 +135,7 @@ export class CameraStrip {
     return !this.said.hidden;
   }
 
-  /** A sentence below the pictures, with what can be done about it. */
+  /** Shows a sentence below the pictures, with a button for the remedy. */
   say(sentence: string | null, act?: HTMLElement): void {
     this.said.hidden = sentence === null;
     this.said.replaceChildren(sentence ?? "", ...(act ? [" ", act] : []));

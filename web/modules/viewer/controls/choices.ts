@@ -18,7 +18,7 @@ export interface Choices {
   range: Span;
   /** Size of a point, relative to its default size. */
   size: number;
-  /** The label set that is drawn over the one that counts; null: none. */
+  /** The label set drawn over the active one; null: none. */
   second: LabelSetFacts | null;
   cameras: CameraChoice;
   follows: boolean;
@@ -49,7 +49,7 @@ const MODES: [Mode, string][] = [
 const DIFFERENCE: [Mode, string] = ["difference", "Difference of A and B"];
 const UNSEEN: [Unseen, string][] = [["fade", "Faded"], ["show", "Same as observed"], ["hide", "Hidden"]];
 const POINTS: [PointColour, string][] = [["intensity", "Intensity"], ["height", "Height above the ground under the robot"], ["time", "Age, sweeps of the last second"]];
-/** The smallest, the largest, and the step between them, times the usual one. */
+/** The smallest, the largest, and the step between them, relative to the default size. */
 export const POINT_SIZES = [0.5, 4, 0.5] as const;
 const CAMERAS: [CameraChoice, string][] = [["labels", "Shown with labels"], ["plain", "Shown without labels"], ["off", "Hidden"]];
 const CLASSES: [number, string, string][] = [[1, "Traversable", "fill-t"], [2, "Potentially", "fill-p"], [3, "Non-traversable", "fill-n"]];

@@ -1,4 +1,4 @@
-// Elements of the page, made in one line.
+// Helpers that create elements of the page.
 
 type Child = Node | string;
 
@@ -31,7 +31,7 @@ export function icon(path: string): SVGSVGElement {
   return drawing;
 }
 
-/** A button of a drawing and, beside it, a word that its label begins with or holds. */
+/** A button with a drawing and a word, which is the start or a part of its label. */
 export function button(label: string, word: string, drawn: string, act: () => void): HTMLButtonElement {
   const attributes = { type: "button", class: "quiet small viewer-icon", "aria-label": label, title: label };
   const element = make("button", attributes, icon(drawn), make("span", {}, word));

@@ -1,4 +1,4 @@
-// Why a voxel has its class, in words: the distance to what the robot drove, and which property sets it apart.
+// Explains the class of a voxel: its distance from the driven ground, and the property that differs most.
 
 import { fixed } from "../../counts.js";
 import type { Found } from "../data/lookup.js";
@@ -39,12 +39,13 @@ function isLocal(scene: SceneFacts): boolean {
   return scene.profile === "local" || isOneSided(scene);
 }
 
-/** Profile field: only ground that is higher, steeper or rougher than the driven ground counts, and D² holds the vehicle's limits. */
+/** Whether only higher, steeper or rougher ground than the driven ground counts (profile field); D² then includes the
+ * vehicle's limits. */
 function isOneSided(scene: SceneFacts): boolean {
   return scene.profile === "field";
 }
 
-/** One or two sentences. */
+/** The explanation in one or two sentences. */
 export function reason(picked: Picked, scene: SceneFacts): string {
   const source = isImported(scene) ? "" : "; its label comes from the whole run";
   const unseen = picked.seen ? "" : ` Not observed by this frame's LiDAR${source}.`;
@@ -131,7 +132,7 @@ function degrees(rad: number): string {
   return `${(rad * DEGREE).toFixed(0)}°`;
 }
 
-/** Roughness is the log of a mean square in m²: its root in millimetres is what one can picture. */
+/** The root of the mean square in millimetres, because the stored log of m² is hard to picture. */
 function roughness_mm(log_m2: number): string {
   return `${(1000 * Math.exp(log_m2 / 2)).toFixed(0)} mm`;
 }

@@ -31,7 +31,7 @@ export function choose(picker: HTMLElement, value: string): void {
   picker.querySelector("select")!.value = value;
 }
 
-/** Two numbers, lower and upper; an empty one is the bound that `usual` names. A span that holds nothing is not set. */
+/** Two fields, lower and upper; `usual` names the bound of an empty one. An empty span is not set. */
 export function span(label: string, [low, high]: Span, usual: string, set: (value: Span) => void): HTMLElement {
   const field = (end: string, value: number | null): HTMLInputElement =>
     make("input", { type: "number", step: "any", placeholder: usual, value: String(value ?? ""), "aria-label": `${label}, ${end}` });

@@ -1,7 +1,7 @@
-// The keys of the viewer, in words, and when they are the viewer's.
+// The keys of the viewer: their descriptions, and when they apply.
 //
-// On a page of its own the viewer has them wherever the focus is; the reader can restrict them to the 3D view
-// (WCAG 2.1.4), which their browser remembers.
+// On its own page the viewer gets them with any focus; the reader can restrict them to the 3D view (WCAG 2.1.4), which
+// the browser stores.
 
 import { make } from "./elements.js";
 
@@ -26,7 +26,7 @@ const OPERATED = "a, button, summary, input";
 /** Keys that a focused link, button, box or slider handles itself. */
 const OWN = [" ", "Enter", "Home", "End", "ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown"];
 
-/** Whether the key is the viewer's: neither entered somewhere, nor one that what has the focus needs itself. */
+/** Whether the key is for the viewer: not text input, nor a key that the focused element uses. */
 export function isFree(event: KeyboardEvent, host: Element): boolean {
   if (event.defaultPrevented || event.isComposing || event.ctrlKey || event.metaKey || event.altKey) return false;
   const target = event.target instanceof Element ? event.target : document.body;

@@ -47,7 +47,7 @@ export class Aiming {
     return true;
   }
 
-  /** Aim again where the crosshair is: the picture below it changed. */
+  /** Aims again at the crosshair, because the picture below it changed. */
   again(): void {
     if (this.isOn) this.aimAt(this.at.x, this.at.y);
   }

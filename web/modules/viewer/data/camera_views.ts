@@ -55,7 +55,7 @@ export class CameraRays {
     return ids;
   }
 
-  /** Those of a frame whose place and lens are known, `channels` as the playback names its cameras. */
+  /** The frusta of a frame's cameras with known pose and lens; `channels` are the names in the playback. */
   frusta(channels: readonly string[], frame: number): Frustum[] {
     const { cameras, frames, columns, rows, rays, egoFromCamera, hasPicture } = this.facts;
     return channels.slice(0, cameras).flatMap((channel, camera) => {

@@ -9,11 +9,11 @@ import type { Grid } from "./grid.js";
 
 /** Metres from the camera within which voxels are ignored, because the camera itself stands there. */
 const NEAR_M = 0.1;
-/** Sides of the blocks of columns that a ray leaps over where it meets nothing of them. */
+/** Log₂ of the side of the blocks of columns that a ray skips if it meets nothing in them. */
 const BLOCK_BITS = 3;
 const BLOCK = 1 << BLOCK_BITS;
 
-/** A word for each column of the grid: bit k of word i · Y + j is set where voxel (i, j, k) is. */
+/** A word for each column of the grid: bit k of word i · Y + j is set if voxel (i, j, k) is set. */
 export interface Columns {
   grid: Grid;
   words: Uint32Array;
@@ -67,7 +67,7 @@ export function castRays(columns: Columns, from: readonly [number, number, numbe
   }
 }
 
-/** The bounds of what is set, half-open: i from and to, j from and to, k from and to. */
+/** The half-open bounds of the set voxels: i from and to, j from and to, k from and to. */
 function boxOf({ grid, words }: Columns): Int32Array {
   const [across, along, high] = grid.shape;
   const box = Int32Array.of(across, 0, along, 0, high, 0);
@@ -96,7 +96,7 @@ function blocksOf({ grid: { shape: [across, along] }, words }: Columns): Uint32A
   return blocks;
 }
 
-/** The columns of one frame, ready for many rays. */
+/** The columns of one frame, prepared for many rays. */
 class Sights {
   private readonly blocks: Uint32Array;
   private readonly box: Int32Array;
@@ -156,7 +156,7 @@ class Sights {
   }
 }
 
-/** The first cell beyond the block that begins at `low`, as the ray goes. */
+/** The first cell along the ray beyond the block that starts at `low`. */
 function beside(low: number, step: number): number {
   return step > 0 ? low + BLOCK : low - 1;
 }

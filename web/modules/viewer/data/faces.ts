@@ -43,7 +43,7 @@ export function facesOf(solid: Solid): Faces {
   return drawing.done(groups);
 }
 
-/** Writes a key where a face of the side is seen: colour and the light in its corners. */
+/** Writes a key for each visible face of the side: colour and the light in its corners. */
 function expose(solid: Solid, side: Side, keys: Uint16Array): void {
   const { colours, strides } = solid;
   const out = side.out * strides[side.axis];
@@ -54,7 +54,7 @@ function expose(solid: Solid, side: Side, keys: Uint16Array): void {
   }
 }
 
-/** Two bits a corner (−−, +−, −+, ++): 3 in the open, less where neighbours stand around the corner. */
+/** Two bits per corner (−−, +−, −+, ++): 3 in the open, less with neighbours around the corner. */
 function lightOf(colours: Uint8Array, open: number, u: number, v: number): number {
   const [west, east, south, north] = [colours[open - u], colours[open + u], colours[open - v], colours[open + v]];
   const around = (a: unknown, b: unknown, corner: number): number =>
@@ -67,7 +67,7 @@ function lightOf(colours: Uint8Array, open: number, u: number, v: number): numbe
   );
 }
 
-/** Takes the keys away again, one quad for each rectangle of equal ones; only what is lit throughout is merged. */
+/** Replaces the keys by one quad for each rectangle of equal ones; only evenly lit faces are merged. */
 function merge(solid: Solid, side: Side, keys: Uint16Array, drawing: Drawing): void {
   const [su, sv] = [solid.strides[side.u], solid.strides[side.v]];
   for (const cell of solid.cells) {
@@ -126,7 +126,7 @@ class Drawing {
     this.quads++;
   }
 
-  /** The two triangles, cut along the diagonal whose ends are lit alike, so that shade does not lean. */
+  /** The two triangles, cut along the diagonal with equally lit ends, so that shades are symmetric. */
   private triangles(isOutward: boolean, light: number): number[] {
     const [a, b, c, d] = [0, 1, 2, 3].map((corner) => (light >> (2 * corner)) & 3) as [number, number, number, number];
     const ring = a + d > b + c ? [0, 1, 3, 0, 3, 2] : [0, 1, 2, 1, 3, 2];

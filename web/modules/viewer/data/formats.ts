@@ -62,7 +62,7 @@ export interface CameraFacts {
 
 export class FormatError extends Error {}
 
-/** Reads one array after another; its views are copies, so that none is unaligned. */
+/** Reads one array after another; copies them, so that none is unaligned. */
 class Reader {
   private at = 4;
   constructor(private readonly content: Uint8Array, magic: string) {
@@ -80,7 +80,7 @@ class Reader {
     this.at += bytes;
     return part;
   }
-  /** Bytes that the data of earlier releases does not have: zeros then. */
+  /** Bytes missing in data of earlier releases, as zeros. */
   added(bytes: number): Uint8Array {
     return this.at === this.content.length ? new Uint8Array(bytes) : new Uint8Array(this.take(bytes));
   }

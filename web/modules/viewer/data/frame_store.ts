@@ -1,4 +1,4 @@
-// Frames on their way to the picture: fetched ahead, kept while they are near, given up when the reader goes elsewhere.
+// Frames for the picture: fetched ahead, kept while near, and cancelled when the reader moves elsewhere.
 
 import { bytes } from "../../api.js";
 import type { Asking } from "./worker_client.js";
@@ -26,7 +26,7 @@ export class FrameStore {
     this.kept.clear();
   }
 
-  /** The frame; those around it that are still on their way and no longer near are given up. */
+  /** The frame; pending frames that are no longer near are cancelled. */
   take(index: number): Promise<Drawn> {
     for (const [other, controller] of this.fetching) {
       if (other < index - 1 || other > index + AHEAD) controller.abort();
@@ -34,7 +34,7 @@ export class FrameStore {
     return this.kept.get(index) ?? this.make(index);
   }
 
-  /** The next ones in this direction, one after the other. */
+  /** Fetches the next frames in this direction, one after the other. */
   async ahead(index: number, step: number): Promise<void> {
     const course = ++this.course;
     for (let n = 1; n <= AHEAD && course === this.course; n++) {
@@ -86,7 +86,7 @@ export class FrameStore {
     }
   }
 
-  /** Those farthest from where the reader is go first. */
+  /** Drops the frames farthest from the current one first. */
   private forget(index: number): void {
     const farthest = [...this.kept.keys()].sort((a, b) => Math.abs(b - index) - Math.abs(a - index));
     for (const other of farthest.slice(0, Math.max(0, this.kept.size - KEPT))) this.kept.delete(other);

@@ -1,6 +1,6 @@
-// The label grid around the robot, as the scene describes it: where its voxels lie, and which of them is at a place.
+// The label grid around the robot: the positions of its voxels, and the voxel at a place.
 //
-// A grid is aligned with the ego frame. The index of voxel (i, j, k) is its place in C order, its id 1 + that index.
+// A grid is aligned with the ego frame. The index of voxel (i, j, k) is its position in C order, its id 1 + that index.
 
 import type { Vector } from "../scene.js";
 

@@ -1,4 +1,4 @@
-// The labelled map as tiles: which voxel is at a place, and what the ground is like there.
+// The labelled map as tiles: the voxel at a place, and its terrain values.
 
 import type { Tile } from "./formats.js";
 import type { Values } from "../looks.js";
@@ -32,12 +32,12 @@ export class Tiles {
     return row < 0 ? null : found(near.tile, row);
   }
 
-  /** The voxel that holds the place in the map. */
+  /** The voxel of the map that contains the place. */
   holding(point: Vector): Found | null {
     return this.at(...(point.map((value) => Math.floor(value / this.voxel_m)) as Vector));
   }
 
-  /** The voxel at, or else the nearest one that touches, the place in the map. */
+  /** The voxel at the place in the map, else the nearest one that touches it. */
   near(point: Vector): Found | null {
     const [i, j, k] = point.map((value) => Math.floor(value / this.voxel_m)) as Vector;
     const exact = this.at(i, j, k);

@@ -1,4 +1,4 @@
-// The scene in numbers, in the worker: planes of frames, tiles of the map, and what is drawn or picked of them.
+// The scene in numbers, in the worker: planes of frames, tiles of the map, and the faces and picks made from them.
 
 import { type Faces, facesOf } from "./faces.js";
 import { CameraRays, type CameraView, type Frustum, type ViewSize } from "./camera_views.js";
@@ -29,11 +29,11 @@ export interface Picked {
   seen: boolean;
   scope: "frame" | "map";
   found: Found | null;
-  /** How it differs, where differences are shown. */
+  /** The kind of difference, if differences are shown. */
   difference: number | null;
 }
 
-/** Faces, how many voxels of each class (or difference) they stand for, and where they lie in the ego frame or the map. */
+/** Faces, the number of voxels of each class (or difference), and their position in the ego frame or the map. */
 export interface Drawn {
   faces: Faces;
   counts: number[];
@@ -92,7 +92,7 @@ export class Model {
     return { faces: facesOf(solid), counts, corner_m: grid.min_m, voxel_m: grid.voxel_m };
   }
 
-  /** A tile with voxels of 2^level lattice steps, each of the class that most of its own have. */
+  /** A tile with voxels of 2^level lattice steps, each with the majority class of its fine voxels. */
   drawTile(name: string, look: Look, level: number): Drawn {
     const tile = this.tiles.of(name);
     if (!tile?.i.length) throw new Error(`The tile ${name} is empty.`);
@@ -133,7 +133,7 @@ export class Model {
     return sizes.map((size) => {
       const ids = cameras.cast(columns, size, frame);
       const colours = new Uint8Array(ids.length);
-      let [last, same] = [0, 0]; // neighbours often see one voxel
+      let [last, same] = [0, 0]; // neighbouring pixels often see the same voxel
       for (let pixel = 0; pixel < ids.length; pixel++) {
         const id = ids[pixel]!;
         if (id === 0) continue;
@@ -267,7 +267,7 @@ function drawnDifferences(planes: Planes, look: Look): Drawn {
   return { faces: facesOf(solid), counts, corner_m: grid.min_m, voxel_m: grid.voxel_m };
 }
 
-/** The half-open range of the map's voxels that the tiles can hold, and one around it. */
+/** The half-open range of the map's voxels that the tiles can contain, with a margin of one. */
 function bounds(pieces: Piece[], voxel_m: number): [Vector, Vector] {
   const low = [0, 1, 2].map((axis) => Math.floor(Math.min(...pieces.map((one) => one.min_m[axis]!)) / voxel_m) - 1);
   const high = [0, 1, 2].map((axis) => Math.ceil(Math.max(...pieces.map((one) => one.max_m[axis]!)) / voxel_m) + 1);
@@ -287,7 +287,7 @@ function extent(tile: Tile, voxel: number): { low: Vector; size: Size } {
   };
 }
 
-/** One row for each coarse voxel, of the class that most of its own have. */
+/** One row for each coarse voxel, of the majority class of its fine voxels. */
 function* rowsShown(tile: Tile, voxel: number, solid: Solid, low: Vector): Generator<[number, Vector]> {
   const votes = voxel === 1 ? null : new Map<number, { at: Vector; rows: number[] }>();
   for (let row = 0; row < tile.i.length; row++) {

@@ -11,7 +11,7 @@ export interface Sight {
   high: Vector;
 }
 
-/** The first voxel within the bounds for which `stops` holds. */
+/** The first voxel within the bounds for which `stops` is true. */
 export function firstVoxel(sight: Sight, stops: (i: number, j: number, k: number) => boolean): Vector | null {
   const entered = entry(sight);
   if (entered === null) return null;
@@ -36,7 +36,7 @@ function nearest(next: Vector, step: Vector): 0 | 1 | 2 {
   return x <= y && x <= z ? 0 : y <= z ? 1 : 2;
 }
 
-/** How far along the line the bounds begin; null where it misses them. */
+/** The distance along the line to the bounds; null if it misses them. */
 function entry({ from, direction, low, high }: Sight): number | null {
   let [first, last] = [0, Infinity];
   for (const axis of [0, 1, 2] as const) {

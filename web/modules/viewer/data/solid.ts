@@ -2,7 +2,7 @@
 
 export type Size = readonly [number, number, number];
 
-/** Most cells of a block: a tile of 256 × 256 columns may be 200 m high. */
+/** Maximum number of cells of a block: a tile of 256 × 256 columns may be 200 m high. */
 const MOST_CELLS = 80_000_000;
 
 export class Solid {

@@ -1,4 +1,4 @@
-// The worker: decompresses, decodes, builds what is drawn, and answers which voxel a ray meets.
+// The worker: decompresses and decodes data, builds faces, and finds the voxel that a ray meets.
 
 import { decompress } from "../../../libraries/fzstd/esm/index.mjs";
 import { messageOf } from "../../errors.js";

@@ -1,5 +1,5 @@
-// The labels and the surface of the whole run, in tiles: near ones in full, far ones coarser, none beyond what a
-// device can hold.
+// The labels and the surface of the whole run, in tiles: near ones in full detail, far ones coarser, within a memory
+// limit.
 
 import { Group, type Mesh, type PerspectiveCamera } from "three";
 import { bytes } from "../../api.js";
@@ -15,7 +15,7 @@ const LEVELS_M = [60, 130, Infinity];
 const MOST_VOXELS = 700_000;
 const MOST_VOXELS_TOUCH = 250_000;
 
-/** So many tiles are on their way at once. */
+/** Number of tiles fetched at once. */
 const FETCHED_AHEAD = 4;
 
 interface Wanted {

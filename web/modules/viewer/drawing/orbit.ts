@@ -17,7 +17,7 @@ export class Orbit {
   yaw_rad = Math.PI;
   pitch_rad = 0.6;
   distance_m = 40;
-  /** With the page: one finger scrolls it, the wheel zooms only once the view has the focus. */
+  /** Cooperative gestures: one finger scrolls the page, and the wheel zooms only if the view has the focus. */
   isShy = false;
   /** The ground's height at a place: camera and target stay above it. */
   floor: (x: number, y: number) => number = () => -Infinity;
@@ -64,7 +64,7 @@ export class Orbit {
     this.act();
   }
 
-  /** Move over the ground: shares of the distance to the right and ahead, as the camera looks. */
+  /** Moves over the ground by shares of the distance to the right and ahead, relative to the camera. */
   slide(right: number, ahead: number): void {
     const [cos, sin] = [Math.cos(this.yaw_rad), Math.sin(this.yaw_rad)];
     this.target.x += this.distance_m * (-sin * right - cos * ahead);
@@ -72,7 +72,7 @@ export class Orbit {
     this.act();
   }
 
-  /** Looks so from now on, within what is allowed. */
+  /** Sets the view, within its limits. */
   stand(yaw_rad: number, pitch_rad: number, distance_m: number): void {
     this.yaw_rad = yaw_rad;
     this.pitch_rad = Math.min(HIGHEST_RAD, Math.max(LOWEST_RAD, pitch_rad));

@@ -12,7 +12,7 @@ import type { Theme } from "./theme.js";
 const AXIS_M = 0.35;
 /** So far from its camera the picture's edge is drawn. */
 const EDGE_M = 1.2;
-/** A name that would lie over an earlier one is left out: height, and width of a letter. */
+/** Height of a name, and width of a letter; a name that would overlap an earlier one is left out. */
 const [NAME_PX, LETTER_PX] = [18, 8];
 const AXES: [Vector, Vector][] = [[[1, 0, 0], [0.85, 0.16, 0.16]], [[0, 1, 0], [0.1, 0.6, 0.2]], [[0, 0, 1], [0.2, 0.4, 0.95]]];
 
@@ -35,7 +35,7 @@ export class SensorLayer implements Prop {
     this.group.matrixAutoUpdate = false;
   }
 
-  /** Sensors and what cameras see of a frame, where the robot stood. */
+  /** Shows the sensors and the fields of view of a frame, at the robot's pose. */
   show(frusta: readonly Frustum[], local_from_ego: Matrix4): void {
     const seen = new Map(frusta.map((one) => [one.channel, one]));
     const known = this.sensors.map(({ channel, ego_from_sensor }) => [channel, seen.get(channel)?.pose ?? ego_from_sensor] as const);
@@ -54,7 +54,7 @@ export class SensorLayer implements Prop {
     this.group.matrixWorldNeedsUpdate = true;
     this.shown = placed.map(([channel, pose]) => {
       const frustum = seen.get(channel);
-      const named = frustum ? toMap(pose, middleOf(frustum)) : pose.slice(0, 3); // names of cameras stand apart in their pictures
+      const named = frustum ? toMap(pose, middleOf(frustum)) : pose.slice(0, 3); // names of cameras are placed in their pictures
       return { element: make("span", {}, channel), place: new Vector3().fromArray(named).applyMatrix4(local_from_ego) };
     });
     this.names.replaceChildren(...this.shown.map(({ element }) => element));

@@ -8,7 +8,7 @@ bool isCut(float height) { return height < cut.x || height >= cut.y; }
 vec3 faded(vec3 colour, float away) { return mix(colour, paper, smoothstep(fade.x, fade.y, away)); }
 `;
 
-/** Corners as \`faces.ts\` packs them. Quads are widened by a hair, so that nothing shines through where they meet. */
+/** Corners as packed by \`faces.ts\`. Quads are widened minimally, so that nothing shines through their seams. */
 export const VOXEL_VERTEX = /* glsl */ `
 in uvec4 corner;
 uniform sampler2D palette;

@@ -9,7 +9,7 @@ const COARSEST_RATIO = 0.5;
 const SLOW_MS = 45;
 const RESTS_AFTER_MS = 220;
 
-ColorManagement.enabled = false; // tokens go to the screen as they are
+ColorManagement.enabled = false; // tokens are displayed unchanged
 
 /** An object on the stage with callbacks for theme changes, or before each drawn picture. */
 export interface Prop {

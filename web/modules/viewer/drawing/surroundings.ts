@@ -71,7 +71,7 @@ function ribbonOf(poses: Pose[], width_m: number, origin: Vector): BufferGeometr
   return new BufferGeometry().setAttribute("position", new BufferAttribute(places, 3)).setIndex(indices);
 }
 
-/** The robot as its footprint: a low body with a nose, where it stands. */
+/** The robot as its footprint: a low body with a nose, at its pose. */
 export class Robot implements Prop {
   readonly group = new Group();
   private readonly body = new MeshBasicMaterial();

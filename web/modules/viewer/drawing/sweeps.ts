@@ -1,4 +1,4 @@
-// Point clouds of frames, each where the robot stood: by intensity, by height, or by age among those of the last second.
+// Point clouds of frames, each at the robot's pose: by intensity, by height, or by age within the last second.
 
 import {
   BufferAttribute, BufferGeometry, DataTexture, GLSL3, Group, type Matrix4, type PerspectiveCamera, Points, ShaderMaterial, Vector2, Vector3,
@@ -43,7 +43,7 @@ export class SweepLayer implements Prop {
     };
   }
 
-  /** The cloud of a frame where the robot stood (`local_from_ego`, whose translation is the robot's place). */
+  /** Shows the cloud of a frame at the robot's pose (`local_from_ego`, whose translation is the robot's position). */
   show(index: number, stamp_ns: bigint, cloud: Cloud, local_from_ego: Matrix4): void {
     this.drop((one) => one.index === index);
     const geometry = new BufferGeometry();
@@ -81,7 +81,7 @@ export class SweepLayer implements Prop {
     if (newest) this.stand(newest.stamp_ns);
   }
 
-  /** Nothing is shown of what could not be fetched. */
+  /** Clears the layer if the cloud could not be fetched. */
   clear(): void {
     this.drop(() => true);
   }

@@ -1,4 +1,4 @@
-// Voxels on the stage: the faces of one block, with what its directions catch of the light.
+// Voxels on the stage: the faces of one block, lit by direction.
 
 import {
   BufferAttribute, BufferGeometry, DataTexture, GLSL3, Group, IntType, Matrix3, Mesh, MeshBasicMaterial, type PerspectiveCamera,
@@ -49,7 +49,7 @@ export class VoxelBlock {
   private readonly light = { value: [1, 1, 1, 1, 1, 1] };
   private high = new Vector3();
 
-  /** A second block over another one is hatched, and seen where their faces are the same. */
+  /** A second block over another one is hatched, and drawn over equal faces. */
   constructor(paint: VoxelPaint, isSecond = false) {
     this.material = new ShaderMaterial({
       ...(isSecond ? { polygonOffset: true, polygonOffsetFactor: -1, polygonOffsetUnits: -1 } : {}),
@@ -73,13 +73,13 @@ export class VoxelBlock {
     this.mesh.matrixWorldNeedsUpdate = true;
   }
 
-  /** Leaves out the directions that look away, and lights the others as the block stands. */
+  /** Skips the directions that face away, and lights the others by the block's orientation. */
   drawing(camera: PerspectiveCamera): void {
     this.mesh.updateWorldMatrix(true, false);
     const turned = new Matrix3().setFromMatrix4(this.group.matrixWorld);
     this.light.value = NORMALS.map((normal) => {
       const world = new Vector3(...normal).applyMatrix3(turned);
-      return 0.86 + 0.04 * world.z + 0.12 * Math.max(0, world.dot(SUN)); // never so dark that a class looks like another
+      return 0.86 + 0.04 * world.z + 0.12 * Math.max(0, world.dot(SUN)); // never so dark that a class resembles another
     });
     const eye = camera.position.clone().applyMatrix4(this.mesh.matrixWorld.clone().invert());
     const [x, y, z] = [eye.x, eye.y, eye.z];
