@@ -76,7 +76,7 @@ def _document(api: FastAPI) -> dict[str, Any]:
     )
     schemas = document.setdefault("components", {}).setdefault("schemas", {})
     schemas |= _problem_schemas()
-    for name in ("HTTPValidationError", "ValidationError"):  # FastAPI's own shape of a 422, unused here
+    for name in ("HTTPValidationError", "ValidationError"):
         schemas.pop(name, None)
     for path, method, operation in operations(document):
         _complete(path, method, operation)

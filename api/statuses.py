@@ -211,7 +211,7 @@ PROBLEM_TYPES = {
     "storage_full": ProblemType(507, "The new files would exceed the disk's reserve"),
     "store_full": ProblemType(507, "The store or its local cache is full"),
 }
-OF_OTHERS = {460: "Checksum Mismatch"}  # statuses that HTTP itself does not know
+OF_OTHERS = {460: "Checksum Mismatch"}  # statuses missing in http.HTTPStatus
 
 
 def phrase_of(status: int) -> str:

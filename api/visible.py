@@ -68,7 +68,7 @@ def sequences_shown(user_id: str | BindParameter[str] | None) -> Select[Sequence
     everything = select(SequenceRow).where(SequenceRow.deleted_ns.is_(None))
     if user_id is None:
         return everything
-    # Looked up for each public one; as EXISTS it would be answered from a table of all members, made for each list.
+    # A scalar subquery per public sequence: for EXISTS, the planner would build a table of all members for each list.
     hidden = hidden_truths().where(DatasetMember.sequence_id == SequenceRow.id).limit(1).scalar_subquery()
     is_shown = and_(SequenceRow.is_public, hidden.is_(None))
     return everything.where(or_(SequenceRow.owner_id == user_id, is_shown))

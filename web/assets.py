@@ -130,8 +130,5 @@ def _style_sheet() -> bytes:
     return b"\n".join(names[name].read_bytes() for name in ordered)
 
 
-# Errors of the pages themselves.
-
-
 def pages_not_built(missing: Path) -> Refused:
     return Refused("pages_not_built", f"{missing} is missing: the pages' modules are not built; run `make install`")

@@ -60,7 +60,7 @@ ROUTERS: tuple[APIRouter, ...] = (
     calibrations.router,
     codes.router,
     imports.router,
-    sequences.router,  # before a sequence's own page, which would take `new` for an id
+    sequences.router,  # before a sequence's own page, which would match `new` as an id
     viewer.router,
     benchmarks.router,
     benchmark_sections.router,
@@ -74,7 +74,7 @@ ROUTERS: tuple[APIRouter, ...] = (
     submissions.router,
     submission_form.router,
     teams.router,
-    sequence.router,  # after all that is below /sequences by a word: `new` is no id
+    sequence.router,
     sequence_own.router,
 )
 

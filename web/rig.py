@@ -134,7 +134,7 @@ def _mark(one: _PlacedMount, at: tuple[float, float], looks: tuple[float, float]
     name = one.mount.name
     label = name.removeprefix("CAM_").removeprefix("RADAR_").replace("_", " ").lower()
     if is_round and one.mount.kind in ("camera", "radar"):
-        label = ""  # it looks at the reader, or away; the other view names it
+        label = ""  # it points at or away from the viewer; the other view names it
     return Mark(name, label, one.mount.kind, x, y, wedge, x + out[0] * far, y + out[1] * far + 4.0, anchor)
 
 

@@ -228,9 +228,6 @@ FILTERS: Mapping[str, Callable[..., Any]] = {
 TESTS: Mapping[str, Callable[..., bool]] = {}
 
 
-# Names of phases and teams that rows mention by id.
-
-
 @dataclass(frozen=True)
 class PhaseName:
     """The name of a phase, and the URL of its pages."""

@@ -27,7 +27,7 @@ from services.runtime.database.rows import KeptSelect, Values, parameter
 from services.runtime.orm import Job, SequenceRow
 
 JSON_TYPE = "application/json"
-MOST_FORMS = 500  # cached forms of a list's statement
+MOST_FORMS = 500
 Item = Mapping[str, Any]
 T = TypeVar("T")
 

@@ -22,7 +22,7 @@ class RenamedPaths:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         path = _successor(scope["path"]) if scope["type"] == "http" else None
-        quoted = quote(path or "")  # quotes line breaks, which a header cannot contain
+        quoted = quote(path or "")
         if path is None:
             await self._app(scope, receive, send)
             return

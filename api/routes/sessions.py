@@ -87,7 +87,7 @@ def delete_other_sessions(caller: AccountHolder, platform: PlatformDep) -> None:
 
 @router.get("/me", summary="Show the caller and their permissions")
 async def show_caller(caller: Reader) -> MeItem:
-    # It is known already: a thread would be waited for longer than this takes.
+    # Async, because the caller is already identified and a thread would cost more than the call.
     return MeItem.of(caller, scopes=sorted(caller.scopes), csrf_token=caller.csrf_token or None)
 
 

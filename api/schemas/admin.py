@@ -183,9 +183,6 @@ class WorkersAnswer(Answer):
     is_broker_reachable: bool
 
 
-# Alarms and grants over the wire.
-
-
 MOST_SCORINGS = 10_000
 
 

@@ -16,9 +16,9 @@ ID_EXAMPLE = "019aa5b0c1d24f6e8a7b3c5d9e0f1a2b"
 SHA256_EXAMPLE = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
 MADE = "2026-05-03T09:12:44.120000Z"
 ID_PATTERN = "^[0-9a-f]{32}$"
-# No control characters, and none that is not seen or turns the text around it: a name would pass for another.
+# No control or invisible characters, nor text direction marks: a name could look like another.
 PLAIN = r"^[^\x00-\x1f\x7f-\x9f\u00ad\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb]*$"
-# The same with line feeds and tabs, for texts of several lines.
+# PLAIN plus line feeds and tabs, for texts of several lines.
 PROSE = r"^[^\x00-\x08\x0b-\x1f\x7f-\x9f\u00ad\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb]*$"
 
 IdText = Annotated[str, StringConstraints(pattern=ID_PATTERN)]

@@ -77,9 +77,6 @@ class PublishedDataset(DatasetDetail):
     findings: list[RuleItem]
 
 
-# Inputs of a dataset version over the wire: the sensor data that is trained on beside its labels.
-
-
 class DatasetInputItem(Answer):
     """The inputs of a sequence of train or val; its tar is at `inputs/{name}.tar` once the state is `ready`.
 

@@ -153,9 +153,6 @@ def ns_of(moment: datetime) -> int:
     return ((passed.days * 86_400 + passed.seconds) * 10**6 + passed.microseconds) * 1000
 
 
-# Inputs of a phase over the wire: the sensor data that participants predict from.
-
-
 class PhaseInputItem(Answer):
     """The inputs of one sequence; its tar is at `inputs/{name}.tar`."""
 

@@ -43,7 +43,7 @@ async def accept_creation(request: Request, platform: Platform, caller: Caller) 
     if upload.state == "complete":
         return upload
     if first is None:
-        return await in_thread(settle_if_whole, platform, upload)  # a file of no bytes
+        return await in_thread(settle_if_whole, platform, upload)  # an empty file
     return await _receive_first(request, platform, upload, first)
 
 

@@ -139,9 +139,6 @@ def _text(key: str, value: bytes) -> str:
         raise BadMetadataError(key, value.hex(), "UTF-8") from error
 
 
-# A route class that adds the tus version header to every response, refusals included.
-
-
 class TusRoute(APIRoute):
     """`APIRouter(route_class=TusRoute)`."""
 
@@ -155,9 +152,6 @@ class TusRoute(APIRoute):
             await send(message)
 
         await super().handle(scope, receive, say)
-
-
-# OpenAPI descriptions of the tus routes: headers, streamed bodies, refusals.
 
 
 def _headers(**described: str) -> dict[str, Any]:

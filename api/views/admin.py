@@ -198,7 +198,7 @@ def _backlogs(session: Session) -> dict[str, QueueBacklog]:
 
 def _ended_counts(session: Session, at_ns: int) -> dict[str, EndedJobCounts]:
     since_ns = at_ns - MINUTES * MINUTE_NS
-    lately = (  # a query of its own, in the index's order: without statistics SQLite would read the whole table
+    lately = (  # a separate query in the index's order: without statistics SQLite would read the whole table
         select(Job.queue, Job.state, Job.finished_ns)
         .where(Job.finished_ns >= since_ns)
         .order_by(Job.finished_ns.desc())

@@ -37,9 +37,6 @@ def acts_known(session: Session) -> list[str]:
     return list(session.scalars(select(acts.c.act).where(acts.c.act.is_not(None)).order_by(acts.c.act)))
 
 
-# Grants as the API shows them, and how teams stand in a phase.
-
-
 @dataclass(frozen=True)
 class TeamQuota:
     """A team that takes part, and what it may have scored now."""

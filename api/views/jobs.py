@@ -25,7 +25,7 @@ SAID = (
 """The columns of a job that `job_facts` reads."""
 _said_of = attrgetter(*(column.key for column in SAID))
 OWN_PROGRESS = (Job.stage, Job.done, Job.total, Job.progress_ns)
-# Built once: to build a statement for fifty ids costs more than to run it.
+# Built once, because building a statement for fifty ids costs more than running it.
 DONE = func.sum(case((Job.state == "succeeded", 1), else_=0))
 COUNTED = (
     select(Job.root_id, DONE, func.count())
@@ -49,7 +49,7 @@ def with_counts(page: Select[Job]) -> Select[Any]:
 
 def facts_of_rows(session: Session, rows: Sequence[Row[Any]]) -> list[dict[str, Any]]:
     """Return rows of `with_counts` as a list shows them; live jobs are read for the estimates."""
-    left = _time_left(session, cast("Sequence[Job]", rows))  # which have the columns that it reads
+    left = _time_left(session, cast("Sequence[Job]", rows))
     return [job_facts(row[: len(SAID)], _progress_of_row(session, row), left.get(row.id)) for row in rows]
 
 
@@ -61,7 +61,7 @@ def _time_left(session: Session, jobs: Sequence[Job]) -> Mapping[str, int]:
 
 def _progress_of_row(session: Session, row: Row[Any]) -> Progress:
     if row.queue:
-        return progress_of(session, cast("Job", row))  # which has the columns that it reads
+        return progress_of(session, cast("Job", row))
     counts: Sequence[Any] = row[-2:]
     done, total = map(int, counts)
     return Progress("", done, total)

@@ -155,9 +155,6 @@ def _record(store: Store, file: StoredFile) -> dict[str, Any]:
     return record
 
 
-# Downloads of a label set's artefact files.
-
-
 def artefact_file(session: Session, sequence: SequenceRow, labels: LabelSet | None, name: str) -> StoredFile | None:
     """Return a file of these labels, named after the sequence; None without labels or such a file."""
     if labels is None:

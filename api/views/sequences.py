@@ -67,7 +67,7 @@ def sequence_facts(session: Session, rows: Sequence[Row[Any]]) -> list[dict[str,
 
 
 def _facts(row: Sequence[Any], labels: tuple[dict[str, Any], str | None]) -> dict[str, Any]:
-    # All at once: one by one their names would be looked up for every row.
+    # Unpacked at once: access by name would be a lookup per row.
     id, owner_id, name, environment, illumination, region, platform, is_public, calibration_id, *glances = row
     recordings, run_id, run_kind, run_state, split, _, revision, created_ns = glances
     return {
@@ -111,7 +111,7 @@ def _of_ids(is_administrator: bool, places: int) -> KeptSelect:
 def _label_sets(places: int) -> KeptSelect:
     """Return `LABELS` and the smallest picture, by ids."""
     named = (Artefact.label_set_id == LabelSet.id, Artefact.name.in_(PICTURES))
-    picture = select(func.max(Artefact.name)).where(*named).scalar_subquery()  # the thumbnail, if there is one
+    picture = select(func.max(Artefact.name)).where(*named).scalar_subquery()
     return KeptSelect(select(*LABELS, picture).where(LabelSet.id.in_(numbered_parameters(places))))
 
 

@@ -9,7 +9,7 @@ from services.domain.datasets.statistics import CLASSES
 from stone.splits.composition import CatalogueEntry
 from stone.splits.splits import PARTS, RuleFinding, Split
 
-if TYPE_CHECKING:  # with it comes scipy's solver
+if TYPE_CHECKING:  # imports scipy's solver
     from stone.splits.proposal import PartShares, Proposal
 
 

@@ -75,9 +75,6 @@ def _move(row: MovedItem) -> str:
     return "up" if moved > 0 else "down" if moved < 0 else "same"
 
 
-# Sparklines: small SVG figures of counts.
-
-
 @dataclass(frozen=True)
 class SparkBar:
     """A bar from the ground up, in the figure's own units; `count` is what it stands for."""

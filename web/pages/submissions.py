@@ -74,6 +74,6 @@ def _total(session: Session, caller: Caller, row: SubmissionRow) -> RatiosItem |
         return None
     try:
         scored = results(session, viewer_for(session, caller), row)
-    except (NotScoredError, ScoreMissingError):  # scored by another evaluation version than the one in force
+    except (NotScoredError, ScoreMissingError):
         return None
     return RatiosItem(**scored.total)

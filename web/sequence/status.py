@@ -23,8 +23,6 @@ from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Job, LabelSet
 from web.sequence.sequence_states import RunTrouble, SequenceRuns, runs_of, state_of, trouble_of
 
-# The origin of labels that were not made here: the published dataset that they were imported from.
-
 
 @dataclass(frozen=True)
 class LabelOrigin:

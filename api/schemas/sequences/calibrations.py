@@ -113,9 +113,6 @@ class CalibrationDiffItem(Answer):
     robot: list[ValueChangeItem]
 
 
-# Profiles of topics, and what they resolve to, over the wire.
-
-
 TOPICS_EXAMPLE = {"lidar": "/lidar_points", "pose": "/novatel/oem7/inspvax", "CAM_FRONT": "/camera/front/image_raw"}
 Part = Annotated[str, StringConstraints(pattern=r"^(lidar|pose|imu|(CAM|RADAR)(_[A-Z0-9]+){1,4})$", max_length=64)]
 TopicName = Annotated[str, StringConstraints(pattern=PLAIN, min_length=1, max_length=LONGEST_TOPIC)]

@@ -24,8 +24,6 @@ from stone.splits.surroundings import (
 )
 from stone_files.joined_file import MOST_MEMBERS, MOST_OFFSET_NS
 
-# Previews over the wire.
-
 
 class PreviewItem(Answer):
     """A picture or page to look at; its bytes are at `previews/{name}`."""
@@ -209,9 +207,6 @@ class SequenceDetail(SequenceItem):
     later_recordings: LaterRecordingsItem | None
     artefacts: list[ArtefactItem]
     previews: list[PreviewItem]
-
-
-# Processing over the wire: the request, and the resulting frames.
 
 
 TOPIC_PATTERN = r"^/?[A-Za-z0-9_][A-Za-z0-9_/]*$"

@@ -63,7 +63,7 @@ def phase(
 
 
 @router.get("/admin/benchmarks/{benchmark_name}/{phase_name}/rescores/{rescore_id}")
-def rescore(  # the address names three things
+def rescore(
     benchmark_name: BenchmarkName,
     phase_name: PhaseName,
     rescore_id: IdPath,
