@@ -124,8 +124,8 @@ class Api:
         if is_older(release, OLDEST_SERVER):
             raise Refused(
                 "server_too_old",
-                f"{self.url} is of release {release[:40]}, this client understands {OLDEST_SERVER} and newer; its "
-                f"administrator may update it, or install the client that it offers at {self.url}/downloads/",
+                f"{self.url} runs release {release[:40]}, but this client requires {OLDEST_SERVER} or newer; ask its "
+                f"administrator to update it, or install its own client from {self.url}/downloads/",
             )
 
     def _wait_after(self, error: httpx.TransportError, patience: "Patience", is_repeatable: bool) -> None:

@@ -18,8 +18,8 @@ ClockOffsetOption = Annotated[
     typer.Option(
         "--clock-offset",
         metavar="FILE=TIME",
-        help="Add this offset to the stamps of a recording instead of the measured one, as in cameras.mcap=-80ms; in "
-        "seconds without a unit; repeatable.",
+        help="Clock offset to add to the stamps of a recording instead of the measured offset, such as "
+        "cameras.mcap=-80ms (default unit: s); repeatable.",
     ),
 ]
 
@@ -32,7 +32,8 @@ def chosen_clock_offsets(choices: Sequence[str]) -> dict[str, int]:
         offset_ns = 0 if found is None else int(Decimal(found["number"]) * UNITS_NS[found["unit"] or "s"])
         if found is None or abs(offset_ns) > MOST_OFFSET_NS:
             raise typer.BadParameter(
-                f"{choice[:80]!r} is no offset of a recording; write cameras.mcap=-80ms, or -0.080 for seconds",
+                f"{choice[:80]!r} is not the clock offset of a recording; write cameras.mcap=-80ms, or "
+                "cameras.mcap=-0.080 in seconds",
                 param_hint="--clock-offset",
             )
         chosen[Path(found["name"]).name] = offset_ns

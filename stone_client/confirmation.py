@@ -46,7 +46,7 @@ def require_confirmation(act: PermanentAct, *, is_given: bool, named: str = "") 
     if is_given:
         return
     if place_from_newest(named) is not None:
-        raise NotConfirmedError(f"{act}; {named!r} may name another one a second later: give its id, or add --yes")
+        raise NotConfirmedError(f"{act}; {named!r} may soon mean a newer submission: give its id, or add --yes")
     if not is_at_terminal():
         raise NotConfirmedError(f"{act}; add --yes to confirm, or --dry-run to see the effect")
     typer.echo(one_line(f"{act.clause[:1].upper()}{act.clause[1:]}: {act.effect}."), err=True)

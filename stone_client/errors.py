@@ -41,7 +41,7 @@ class ServerFaultError(StoneError):
 
     def __init__(self, status: int, url: str, text: str) -> None:
         said = text.strip()[:200]
-        super().__init__(f"{url} answered {status} without a reason of the platform{f': {said}' if said else ''}")
+        super().__init__(f"{url} answered {status} without a problem description{f': {said}' if said else ''}")
         self.status = status
 
 
@@ -57,7 +57,7 @@ class ServerUnreachableError(StoneError):
 def file_changed(path: Path) -> Refused:
     return Refused(
         "file_changed",
-        f"{path} changed while it was uploaded; is it still being written? Upload it again when it is done",
+        f"{path} changed while it was uploaded; is it still being written? Upload it again when it is complete",
     )
 
 

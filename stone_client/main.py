@@ -72,7 +72,7 @@ def stone(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the release.")
     ] = False,
     is_quiet: Annotated[
-        bool, typer.Option("--quiet", envvar="STONE_QUIET", help="Print results, warnings and refusals only.")
+        bool, typer.Option("--quiet", envvar="STONE_QUIET", help="Print only results, warnings and errors.")
     ] = False,
     is_without_progress: Annotated[
         bool, typer.Option("--no-progress", envvar="STONE_NO_PROGRESS", help="Print no progress.")

@@ -17,7 +17,7 @@ BagArgument = Annotated[
         metavar="BAG",
         exists=True,
         readable=True,
-        help="The recording: an .mcap, .db3 or ROS 1 .bag file, or a folder of a split one.",
+        help="The recording: an .mcap, .db3 or ROS 1 .bag file, or the folder of a split bag.",
     ),
 ]
 RunArgument = Annotated[
@@ -26,33 +26,37 @@ RunArgument = Annotated[
         metavar="BAG...",
         exists=True,
         readable=True,
-        help="The recording: an .mcap, .db3 or ROS 1 .bag file, or a folder of a split one; several of one run.",
+        help="The recording: an .mcap, .db3 or ROS 1 .bag file, or the folder of a split bag; several of one run.",
     ),
 ]
 SubmissionArgument = Annotated[
     Path,
-    typer.Argument(metavar="SUB.zip", exists=True, dir_okay=False, help="The submission: a zip of <frame_token>.npz."),
+    typer.Argument(
+        metavar="SUB.zip", exists=True, dir_okay=False, help="Submission: a zip of <frame_token>.npz files."
+    ),
 ]
 ManifestOption = Annotated[
-    Path, typer.Option("--manifest", metavar="M.json", exists=True, dir_okay=False, help="The frames to predict.")
+    Path, typer.Option("--manifest", metavar="M.json", exists=True, dir_okay=False, help="Manifest of the frames.")
 ]
 WorkersOption = Annotated[
     int | None, typer.Option(min=1, max=256, help="Number of processes.", show_default="one per core")
 ]
 ServerOption = Annotated[
-    str | None, typer.Option("--server", metavar="URL", help="The server; else STONE_URL, else the last login.")
+    str | None, typer.Option("--server", metavar="URL", help="Server (default: STONE_URL, or the last login).")
 ]
 BenchmarkArgument = Annotated[str, typer.Argument(metavar="BENCHMARK", help="A benchmark's name.")]
-PhaseArgument = Annotated[str, typer.Argument(metavar="PHASE", help="A phase of it, such as val or test.")]
+PhaseArgument = Annotated[str, typer.Argument(metavar="PHASE", help="A phase of the benchmark, such as val or test.")]
 BenchmarkOption = Annotated[str, typer.Option("--benchmark", metavar="B", help="A benchmark's name.")]
-PhaseOption = Annotated[str, typer.Option("--phase", metavar="P", help="A phase of it, such as val or test.")]
+PhaseOption = Annotated[
+    str, typer.Option("--phase", metavar="P", help="A phase of the benchmark, such as val or test.")
+]
 SequenceArgument = Annotated[str, typer.Argument(metavar="SEQUENCE", help="A sequence's name or id.")]
 DatasetLayoutOption = Annotated[
     str | None,
     typer.Option(
         "--layout",
         metavar="NAME",
-        help="Layout of its labels: paper, release or occ3d (default: recognised).",
+        help="Layout of the labels: paper, release or occ3d (default: recognised).",
         **one_of(layouts),
     ),
 ]
@@ -61,14 +65,18 @@ DatasetGridOption = Annotated[
     typer.Option(
         "--grid",
         metavar="NAME|FILE",
-        help="Grid of its labels: paper, release, occ3d, or a file (default: recognised).",
+        help="Grid of the labels: paper, release, occ3d, or a file (default: recognised).",
         **one_of(grids, is_file_too=True),
     ),
 ]
 DatasetClassesOption = Annotated[
     Path | None,
     typer.Option(
-        "--classes", metavar="FILE", exists=True, dir_okay=False, help="What the labels' numbers mean: T, P, N, free."
+        "--classes",
+        metavar="FILE",
+        exists=True,
+        dir_okay=False,
+        help="File that maps the labels' numbers to T, P, N and free.",
     ),
 ]
 CalibrationOption = Annotated[
@@ -134,7 +142,7 @@ GridsOption = Annotated[
         "--grid",
         metavar="NAME|FILE",
         help="Grid of the labels: paper, release, occ3d, or a JSON file with its name, min_m, voxel_m and "
-        "shape (default: paper). Repeat it to cut several from one map.",
+        "shape (default: paper). Repeat the option to write several grids from one map.",
         **one_of(grids, is_file_too=True),
         show_default=False,
     ),
@@ -154,8 +162,8 @@ OdometryOption = Annotated[
     str | None,
     typer.Option(
         metavar="TOPIC",
-        help="Pose source: a topic, kiss-icp, or course:TOPIC (its places, heading by course); default: the "
-        "best one in the bag.",
+        help="Pose source: a topic, kiss-icp, or course:TOPIC (positions of TOPIC, heading from its course). "
+        "Default: the best source in the bag.",
     ),
 ]
 GroundOption = Annotated[

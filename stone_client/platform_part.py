@@ -59,6 +59,6 @@ def _refusal_of(name: str) -> Callable[[typer.Context], NoReturn]:
 def platform_not_installed(command: str) -> Refused:
     return Refused(
         "platform_not_installed",
-        f"`stone {command}` needs the platform, and only its client is installed here: in a checkout of the platform "
-        f"run `make install`, then `.venv/bin/stone {command}` there",
+        f"`stone {command}` requires the platform, but only its client is installed; in a checkout of the platform "
+        f"run `make install`, then `.venv/bin/stone {command}`",
     )

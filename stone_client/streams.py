@@ -62,7 +62,7 @@ def echo_explainer(findings: Iterable[Finding]) -> None:
         (one for one in findings if one.code in CATALOGUE), key=lambda one: harm_rank(one.code, one.severity)
     )
     if known:
-        echo_notice(f"`stone explain {known[0].code}` says what a code means, and what to do")
+        echo_notice(f"`stone explain {known[0].code}` explains a code and its remedy")
 
 
 def echo_findings(findings: Iterable[Finding]) -> None:

@@ -23,7 +23,10 @@ OutputOption = Annotated[
 ]
 
 SweepsOption = Annotated[
-    int, typer.Option(metavar="N", min=1, max=100, help="Sweeps for each frame: its own and the latest earlier ones.")
+    int,
+    typer.Option(
+        metavar="N", min=1, max=100, help="Number of sweeps for each frame: its own and the latest earlier sweeps."
+    ),
 ]
 
 

@@ -25,7 +25,8 @@ def explain(
         return _refusal(code, named, as_json)
     if one is None:
         raise Refused(
-            "unknown_code", f"{code[:80]!r} is no code of a finding or of a failed run; `stone explain` lists them"
+            "unknown_code",
+            f"{code[:80]!r} is not the code of a finding or of a failed run; `stone explain` lists all codes",
         )
     if as_json:
         return echo_json(_record(one))

@@ -19,10 +19,10 @@ class Channel(StrEnum):
 
 
 EventsArgument = Annotated[
-    list[str], typer.Argument(metavar="EVENT...", help="As `stone notifications list` names them.")
+    list[str], typer.Argument(metavar="EVENT...", help="Events, as `stone notifications list` prints them.")
 ]
-ByOption = Annotated[Channel, typer.Option("--by", help="The channel; where it leads is set on your account's page.")]
-LimitOption = Annotated[int, typer.Option("--limit", min=1, max=200, help="How many at most.")]
+ByOption = Annotated[Channel, typer.Option("--by", help="The channel; set its address on your account page.")]
+LimitOption = Annotated[int, typer.Option("--limit", min=1, max=200, help="Maximum number of notifications.")]
 
 
 def listed(server: ServerOption = None, as_json: JsonOption = False) -> None:

@@ -17,7 +17,7 @@ from stone_client.tables import DASH, confusion_table, score_table, show
 
 GroundTruthOption = Annotated[
     Path,
-    typer.Option("--ground-truth", metavar="DIR", exists=True, file_okay=False, help="The folder that holds gts/."),
+    typer.Option("--ground-truth", metavar="DIR", exists=True, file_okay=False, help="Folder that contains gts/."),
 ]
 
 LeastConfidenceOption = Annotated[
@@ -26,8 +26,8 @@ LeastConfidenceOption = Annotated[
         "--least-confidence",
         min=0.0,
         max=1.0,
-        help="Leave out occupied ground truth whose label is right with a lower probability (default: none). "
-        "Needs labels of `stone label --confidence`.",
+        help="Leave out occupied ground truth whose label has a lower confidence (default: none). "
+        "Requires labels from `stone label --confidence`.",
         show_default=False,
     ),
 ]
@@ -43,7 +43,7 @@ class Mask(StrEnum):
 
 MaskOption = Annotated[
     Mask,
-    typer.Option("--mask", help="Voxels to score: all, or those that the LiDAR, or also a camera, observed."),
+    typer.Option("--mask", help="Voxels to score: all, observed by the LiDAR, or observed by the LiDAR and a camera."),
 ]
 
 

@@ -16,10 +16,12 @@ from stone_client.streams import JsonOption, echo_json
 
 ManifestOption = Annotated[
     Path | None,
-    typer.Option("--manifest", metavar="M.json", exists=True, dir_okay=False, help="The frames to predict."),
+    typer.Option(
+        "--manifest", metavar="M.json", exists=True, dir_okay=False, help="Manifest of the frames to predict."
+    ),
 ]
-BenchmarkOption = Annotated[str, typer.Option(metavar="B", help="Instead: take the manifest of this benchmark's…")]
-PhaseOption = Annotated[str, typer.Option(metavar="P", help="…phase from the server.")]
+BenchmarkOption = Annotated[str, typer.Option(metavar="B", help="Benchmark on the server, instead of --manifest.")]
+PhaseOption = Annotated[str, typer.Option(metavar="P", help="Phase of the benchmark.")]
 
 
 def validate(

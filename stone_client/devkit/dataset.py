@@ -125,7 +125,7 @@ class Dataset(Sequence[Frame]):
             return [self[at] for at in range(*index.indices(len(self)))]
         at = index + len(self) if index < 0 else index
         if not 0 <= at < len(self):
-            raise IndexError(f"frame {index} of a dataset of {len(self)}")
+            raise IndexError(f"frame {index} is out of range: the dataset has {len(self)} frames")
         number = int(np.searchsorted(self._ends, at, "right"))
         before = int(self._ends[number - 1]) if number else 0
         return self._source.frame(self.sequences[number], at - before)

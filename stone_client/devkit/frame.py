@@ -128,9 +128,9 @@ class Frame:
     def _datum(self, channel: str, modality: str = "") -> ExportedDatum:
         datum = self.exported.data.get(channel)
         if datum is None or modality not in ("", datum.sensor.modality):
-            has = f"its data are of {', '.join(self.channels)}" if self.channels else "label sets have no sensor data"
+            has = f"it has data of {', '.join(self.channels)}" if self.channels else "label sets have no sensor data"
             wanted = f"{modality} {channel[:40]!r}".strip()
-            raise Refused("channel_missing", f"frame {self.token} of {self.sequence} has nothing of {wanted}; {has}")
+            raise Refused("channel_missing", f"frame {self.token} of {self.sequence} has no data of {wanted}; {has}")
         return datum
 
 

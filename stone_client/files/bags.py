@@ -77,7 +77,7 @@ def bags_among(paths: Sequence[Path]) -> tuple[BagPaths, ...]:
     names = [bag.name.casefold() for bag in bags]
     for bag in bags:
         if names.count(bag.name.casefold()) > 1:
-            problem = "they are told apart by their names: rename one"
+            problem = "recordings need different names: rename one of them"
             raise bad_bag_files(f"two of the recordings are called {bag.name}; {problem}")
     return bags
 
@@ -99,7 +99,7 @@ def hashed_parts(bag: BagPaths, progress: Report) -> LocalBag:
     """The bag with its hashes. Raises as `hashed_bag`."""
     parts = sorted({part for path in bag.paths for part in bag_parts(path)}, key=lambda part: part.name)
     if not parts:
-        raise bad_bag_files(f"{bag.paths[0]} holds no file of a bag")
+        raise bad_bag_files(f"{bag.paths[0]} contains no bag file")
     if len(parts) > 1:
         check_bag_files([part.name for part in parts])
     sizes = [part.stat().st_size for part in parts]

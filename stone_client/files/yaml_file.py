@@ -47,7 +47,7 @@ def _of_json(value: Any) -> Any:
         return datetime(value.year, value.month, value.day, tzinfo=UTC).isoformat()
     is_number = (isinstance(value, int) and abs(value) < MOST) or (isinstance(value, float) and isfinite(value))
     if not (value is None or isinstance(value, str) or is_number):
-        raise ValueError(f"a value ({type(value).__name__}) is none that JSON has: text, number, true, false, null")
+        raise ValueError(f"a value ({type(value).__name__}) has no JSON type (text, number, true, false, null)")
     return value
 
 

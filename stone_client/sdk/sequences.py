@@ -133,7 +133,7 @@ class Export:
         """Download all its files as a `.tar` or a `.zip`; interrupted, it resumes. Raises `bad_archive_name`."""
         path = Path(output)
         if path.suffix[1:] not in exports.ARCHIVES:
-            raise Refused("bad_archive_name", f"{path} is no .tar and no .zip file; name the archive so")
+            raise Refused("bad_archive_name", f"{path} is neither a .tar nor a .zip file; use one of these endings")
         finished = self if self.record.get("archives") else self.wait()
         exports.download_archive(self._at.api, finished.record, path, self._at.progress)
         return path

@@ -145,5 +145,6 @@ def no_export(name: str, form: str, state: str) -> Refused:
     why = f"its {form} export is {state}" if state else f"it has no {form} export of its labels"
     return Refused(
         "no_export",
-        f"sequence {name!r} cannot be downloaded so: {why}; run `stone sequence exports {name} --format {form}`",
+        f"sequence {name!r} cannot be downloaded in this format: {why}; run "
+        f"`stone sequence exports {name} --format {form}`",
     )

@@ -34,7 +34,7 @@ def whole_id(short: str, ids: Iterable[str]) -> str | None:
     found = sorted({one for one in ids if one.startswith(short) or one.endswith(short)})
     if len(found) > 1:
         named = ", ".join(found[:MOST_CANDIDATES]) + (", …" if len(found) > MOST_CANDIDATES else "")
-        raise Refused("ambiguous_id", f"{short!r} is the beginning or end of {len(found)} ids; name one: {named}")
+        raise Refused("ambiguous_id", f"{short!r} matches {len(found)} ids; give more digits: {named}")
     return found[0] if found else None
 
 

@@ -29,7 +29,7 @@ def compare_label_sets(api: Api, sequence: Item, named: tuple[str, str], progres
     ids = [str(one["id"]) for one in label_sets_of(api, sequence["id"])]
     a_id, b_id = (_id_named(name, ids) for name in named)
     if a_id == b_id:
-        raise typer.BadParameter(f"A and B are one label set, {a_id}; name another", param_hint="B")
+        raise typer.BadParameter(f"A and B are the same label set, {a_id}; name another", param_hint="B")
     asked = api.create(f"/sequences/{sequence['id']}/label-comparisons", {"a_id": a_id, "b_id": b_id})
     follow(api, asked["job"]["id"], progress)
     return api.read(f"/sequences/{sequence['id']}/label-comparisons/{asked['comparison']['id']}")
@@ -89,7 +89,7 @@ def _id_named(named: str, ids: list[str]) -> str:
     if found is None:
         raise Refused(
             "no_label_set",
-            f"{named[:80]!r} is no label set: expected is an id, or latest, latest~1, … of the {len(ids)} of this "
-            "sequence (`stone label-set list` shows them)",
+            f"{named[:80]!r} is not a label set; give an id, or latest, latest~1, … (this sequence has {len(ids)}; "
+            "`stone label-set list` lists them)",
         )
     return found

@@ -31,7 +31,7 @@ def place_named(text: str, *, with_pictures: bool) -> Place:
     """The place `root:path`. Raises `bad_place`."""
     root, colon, path = text.partition(":")
     if not (root and colon and path):
-        raise Refused("bad_place", f"{text[:200]!r} names no place; write it as nas:2026/run.mcap")
+        raise Refused("bad_place", f"{text[:200]!r} is not a path on the server; write it as nas:2026/run.mcap")
     return Place(root, path, with_pictures)
 
 

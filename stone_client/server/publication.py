@@ -84,7 +84,7 @@ def saving(plan: Mapping[str, Any]) -> PermanentAct:
     """The act of saving the plan of `planned_splits`."""
     sizes = ", ".join(f"{part} {size}" for part, size in plan["sizes"].items())
     moved = counted(len(plan["changes"]), "sequence")
-    act = f"save splits ({sizes}) over the draft of revision {plan['revision']}; {moved} would change the part"
+    act = f"save splits ({sizes}) over the draft of revision {plan['revision']}; {moved} would move to another split"
     return PermanentAct(act, "the platform keeps no earlier draft")
 
 

@@ -19,15 +19,15 @@ from stone_client.server.sequences import Item
 from stone_client.tables import DASH, plain_table, safe_text
 
 TEXTS = {"kind": "kind", "source": "source", "note": "note", "percent_digits": "number of decimals"}
-DONE = {"put": "put", "left": "stood already", "replaced": "replaced"}
+DONE = {"put": "put", "left": "unchanged", "replaced": "replaced"}
 
 
 def reported_differs(pairs: Iterable[tuple[Item, Item]]) -> Refused:
     said = "; ".join(f"{_named(new)}: {_difference(old, new)}" for old, new in pairs)
     return Refused(
         "reported_differs",
-        f"rows of these methods stand there already and are not as published, so none was put: {said}; see which "
-        "are right, and give --replace to have the published ones",
+        f"rows of these methods exist and differ from the published rows, so nothing was written: {said}; check which "
+        "rows are right, and add --replace to write the published rows",
     )
 
 

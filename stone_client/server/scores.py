@@ -38,8 +38,8 @@ def submission_id(api: Api, named: str) -> str:
     if found is None:
         raise Refused(
             "no_submission",
-            f"{named[:80]!r} is no submission: expected is an id, or latest, latest~1, … of the {len(scored)} of "
-            "your teams (`stone benchmark results` lists them)",
+            f"{named[:80]!r} is not a submission; give an id, or latest, latest~1, … (your teams have "
+            f"{len(scored)}; `stone benchmark results` lists them)",
         )
     return found
 

@@ -26,8 +26,8 @@ MOST_BYTES = 16 * 2**20
 def bad_splits_file(path: Path, why: str) -> Refused:
     return Refused(
         "bad_splits_file",
-        f"{path} holds no splits: {why}; expected is an object with lists train, val and test of sequences' names "
-        "or ids (`stone dataset splits propose 31,7,5 --json` prints one)",
+        f"{path} contains no splits: {why}; expected an object with the lists train, val and test of sequence names "
+        "or ids, as `stone dataset splits propose 31,7,5 --json` prints",
     )
 
 
@@ -86,7 +86,7 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         found = json.loads(path.read_text("utf-8"))
     except (ValueError, RecursionError):
-        raise bad_splits_file(path, "it is no JSON") from None
+        raise bad_splits_file(path, "it is not JSON") from None
     if not isinstance(found, dict) or not all(isinstance(found.get(part), list) for part in PARTS):
         raise bad_splits_file(path, "a list is missing")
     named: dict[str, Any] = {part: [_named(path, one) for one in found[part]] for part in PARTS}
@@ -117,7 +117,7 @@ def _only(name: str, ids: list[str]) -> str:
     if len(ids) > 1:
         raise Refused(
             "ambiguous_name",
-            f"{name[:100]!r} is the name of {len(ids)} sequences; say which by id: {', '.join(ids[:4])}",
+            f"{len(ids)} sequences are called {name[:100]!r}; give the id instead: {', '.join(ids[:4])}",
         )
     return ids[0]
 

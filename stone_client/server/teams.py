@@ -9,9 +9,9 @@ from stone_client.server.sequences import Item
 
 
 def unknown_team(name: str, known: Sequence[str]) -> Refused:
-    yours = f"yours are {', '.join(known)}" if known else "you are in none"
+    yours = f"yours are {', '.join(known)}" if known else "you are in no team"
     return Refused(
-        "unknown_team", f"{name[:100]!r} is no team of yours; {yours} (`stone team create NAME` creates one)"
+        "unknown_team", f"{name[:100]!r} is not one of your teams; {yours} (`stone team create NAME` creates one)"
     )
 
 

@@ -131,7 +131,7 @@ def test_submissions_are_listed_newest_first_and_named_by_how_late_they_are(as_t
     assert answered("benchmark", "results", as_team["Good"][-8:])["submission_id"] == as_team["Good"]
     assert refused(stone("benchmark", "results", as_team["Good"][:6])) == "ambiguous_id"
     same = stone("benchmark", "compare", "latest", as_team["Hidden"])
-    assert (same.exit_code, "A and B are one submission" in " ".join(same.stderr.split())) == (2, True)
+    assert (same.exit_code, "A and B are the same submission" in " ".join(same.stderr.split())) == (2, True)
     for named in ("latest~3", "nope"):
         result = stone("benchmark", "results", named)
         assert refused(result) == "no_submission"

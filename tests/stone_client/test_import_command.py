@@ -220,7 +220,7 @@ def test_a_zip_in_place_is_imported_once_with_the_layout_that_is_stated_and_noth
     assert {key: made[key] for key in facts} == facts
     assert (made["frames"], made["splits_refused"]) == (what.scenes * what.frames, ["no_splits"])
     assert made["id"] in again.stdout
-    assert "states no split" in again.stdout
+    assert "has no split" in again.stdout
     assert "nas:STONE.zip as it was at" in again.stdout
     assert changed.exit_code == 0, "the way out that the command names"
     assert refused(other) == "DST-062", "labels of the release are not in the array of Occ3D's"

@@ -134,7 +134,7 @@ def test_help_lists_the_clients_own_commands_and_none_of_the_platform(alone: Pat
 def test_a_command_of_the_platform_says_what_to_install(alone: Path) -> None:
     said = alone_stone(alone, "calibration", "check")
     assert said.returncode == 1
-    assert said.stderr.startswith("platform_not_installed: `stone calibration` needs the platform")
+    assert said.stderr.startswith("platform_not_installed: `stone calibration` requires the platform")
     assert "`make install`, then `.venv/bin/stone calibration`" in said.stderr
     assert "stone-platform" not in said.stderr, "no index has that distribution, and anybody could put one there"
 

@@ -74,7 +74,7 @@ def test_the_ten_rows_stand_as_printed_beside_others_and_are_put_once(served: Se
     assert [row["done"] for row in put(served)["rows"]] == ["left"] * 10
     assert standing(served) == before, "the very same rows"
     shown = stone("benchmark", "reported", "table2", *served.at("val"))
-    assert shown.stdout.count("stood already") == 10
+    assert shown.stdout.count("unchanged") == 10
     assert NOT_COMPARABLE in shown.stdout
 
 
@@ -104,7 +104,7 @@ def test_a_row_that_stands_otherwise_is_named_and_replaced_only_when_asked(serve
     assert (
         "OccFusion (C+L): mIoU is –, in the table 39.6, IoU T is 19.1, in the table 19.0, another note" in result.stderr
     )
-    assert standing(served) == before, "none was put"
+    assert standing(served) == before, "nothing was written"
     done = {(row["method"], row["modality"]): row["done"] for row in put(served, "--replace")["rows"]}
     assert done.pop(("OccFusion", "C+L")) == "replaced"
     assert set(done.values()) == {"put"}

@@ -370,5 +370,5 @@ def test_an_offset_of_a_recording_has_a_unit_or_is_in_seconds(typed: str, offset
 
 @pytest.mark.parametrize("typed", ["cameras.mcap", "=1s", "cameras.mcap=1h", "cameras.mcap=9999999999999s", "x=nan"])
 def test_what_is_no_offset_is_refused(typed: str) -> None:
-    with pytest.raises(typer.BadParameter, match="is no offset of a recording"):
+    with pytest.raises(typer.BadParameter, match="is not the clock offset of a recording"):
         chosen_clock_offsets([typed])

@@ -14,10 +14,14 @@ BROKEN = 1
 
 
 def audit(
-    act: Annotated[str | None, typer.Option(metavar="ACT", help="Entries of this act only: phase.change.")] = None,
-    actor: Annotated[str | None, typer.Option(metavar="USER", help="Entries of this user only.")] = None,
-    subject: Annotated[str | None, typer.Option(metavar="ID", help="Entries about this thing only.")] = None,
-    limit: Annotated[int, typer.Option(metavar="N", min=1, max=100_000, help="The newest N entries.")] = 100,
+    act: Annotated[
+        str | None, typer.Option(metavar="ACT", help="Only entries of this act, such as phase.change.")
+    ] = None,
+    actor: Annotated[str | None, typer.Option(metavar="USER", help="Only entries of this user.")] = None,
+    subject: Annotated[
+        str | None, typer.Option(metavar="ID", help="Only entries about the object with this id.")
+    ] = None,
+    limit: Annotated[int, typer.Option(metavar="N", min=1, max=100_000, help="Number of entries, newest first.")] = 100,
     is_verification: Annotated[bool, typer.Option("--verify", help="Verify the log's chain of hashes.")] = False,
     server: ServerOption = None,
     as_json: JsonOption = False,
@@ -28,7 +32,7 @@ def audit(
     choices = {"act": act, "actor": actor, "subject_id": subject}
     query = {key: value for key, value in choices.items() if value is not None}
     if is_verification and query:
-        raise typer.BadParameter("the whole log is verified, without a choice of entries", param_hint="--verify")
+        raise typer.BadParameter("--verify always checks the whole log", param_hint="--verify")
     with administering(server) as api:
         if not is_verification:
             found = list(islice(api.pages("/admin/audit-log", **query), limit))

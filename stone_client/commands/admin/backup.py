@@ -34,7 +34,7 @@ def verify(folder: BackupsArgument, as_json: JsonOption = False) -> None:
 
 def prune(
     folder: BackupsArgument,
-    keep: Annotated[int, typer.Option(metavar="N", min=1, help="The number of newest snapshots to keep.")],
+    keep: Annotated[int, typer.Option(metavar="N", min=1, help="Number of snapshots to keep, newest first.")],
     is_confirmed: YesOption = False,
     as_json: JsonOption = False,
 ) -> None:

@@ -57,7 +57,7 @@ def apply_file(
                 before = "" if change["act"] == "create" else f"{field['from']!r} → "
                 typer.echo(one_line(f"  {field['field']}: {before}{field['to']!r}"))
         outcome = "nothing was changed" if is_dry_run else "applied"
-        typer.echo(f"{wanted.name}: {outcome if changes else 'as the file says, nothing to change'}")
+        typer.echo(f"{wanted.name}: {outcome if changes else 'equals the file, nothing to change'}")
     for finding in findings:
         typer.echo(one_line(f"warning: {finding}"), err=True)
     if beside:

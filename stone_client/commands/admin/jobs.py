@@ -33,16 +33,16 @@ class State(StrEnum):
 
 
 JobsArgument = Annotated[
-    list[str], typer.Argument(metavar="JOB...", help="Ids of jobs; the whole run of each is meant.")
+    list[str], typer.Argument(metavar="JOB...", help="Ids of jobs; the command acts on the whole run of each job.")
 ]
 
 
 def listed(
-    state: Annotated[State | None, typer.Option(metavar="STATE", help="Jobs in this state only.")] = None,
-    queue: Annotated[str | None, typer.Option(metavar="QUEUE", help="Single jobs of this queue only.")] = None,
-    owner: Annotated[str | None, typer.Option(metavar="USER", help="Jobs of this user only.")] = None,
-    is_dead: Annotated[bool, typer.Option("--dead", help="Failed jobs without an attempt left only.")] = False,
-    limit: Annotated[int, typer.Option(metavar="N", min=1, max=100_000, help="The newest N jobs.")] = 50,
+    state: Annotated[State | None, typer.Option(metavar="STATE", help="Only jobs in this state.")] = None,
+    queue: Annotated[str | None, typer.Option(metavar="QUEUE", help="Only single jobs of this queue.")] = None,
+    owner: Annotated[str | None, typer.Option(metavar="USER", help="Only jobs of this user.")] = None,
+    is_dead: Annotated[bool, typer.Option("--dead", help="Only failed jobs with no attempts left.")] = False,
+    limit: Annotated[int, typer.Option(metavar="N", min=1, max=100_000, help="Number of jobs, newest first.")] = 50,
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:

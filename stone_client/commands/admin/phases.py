@@ -65,7 +65,7 @@ def inputs(
 def alarms(
     benchmark: BenchmarkArgument,
     phase: PhaseArgument,
-    has_dismissed: Annotated[bool, typer.Option("--all", help="Also dismissed alarms.")] = False,
+    has_dismissed: Annotated[bool, typer.Option("--all", help="Include dismissed alarms.")] = False,
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -116,7 +116,8 @@ def report(
     benchmark: BenchmarkArgument,
     phase: PhaseArgument,
     file: Annotated[
-        Path, typer.Argument(metavar="FILE", exists=True, dir_okay=False, help="YAML or JSON: a list of all the rows.")
+        Path,
+        typer.Argument(metavar="FILE", exists=True, dir_okay=False, help="YAML or JSON file with a list of all rows."),
     ],
     reason: RequiredReason,
     is_confirmed: YesOption = False,
@@ -131,12 +132,12 @@ def report(
 
     rows = read_yaml(file)
     if not isinstance(rows, list):
-        raise typer.BadParameter("it holds no list of rows", param_hint="FILE")
+        raise typer.BadParameter("it contains no list of rows", param_hint="FILE")
     with administering(server) as api:
         path = f"{administered_phase(api, benchmark, phase)}/reported"
         answer = api.send("GET", path)
         clause = f"replace the {len(items_of(answer.json()))} reported rows of {benchmark} / {phase} by {len(rows)}"
-        act = PermanentAct(clause, "the rows of before are lost")
+        act = PermanentAct(clause, "the current rows are lost")
         confirm(act, {"rows": rows}, is_given=is_confirmed, is_dry_run=is_dry_run, as_json=as_json)
         body, match = {"rows": rows, "reason": reason}, {"If-Match": answer.headers["ETag"]}
         done = items_of(api.send("PUT", path, json=body, headers=match).json())

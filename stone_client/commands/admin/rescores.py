@@ -41,10 +41,10 @@ def start(
     phase: PhaseArgument,
     reason: RequiredReason,
     metric: Annotated[
-        str | None, typer.Option(metavar="METRIC", help="The metric (default: that of the board).")
+        str | None, typer.Option(metavar="METRIC", help="Metric (default: the metric of the board).")
     ] = None,
     truth: Annotated[
-        str | None, typer.Option(metavar="ID", help="The ground truth (default: that of the board).")
+        str | None, typer.Option(metavar="ID", help="Ground truth (default: the ground truth of the board).")
     ] = None,
     is_awaited: WaitOption = True,
     server: ServerOption = None,
@@ -140,7 +140,7 @@ def _switch(board: str, diff: dict[str, Any]) -> PermanentAct:
     moved = (
         f"ranks move by at most {diff['largest_rank_move']}, values by at most {diff['largest_value_move']:g}{leader}"
     )
-    effect = "everybody sees the new board at once; the old one stays readable by --as-of"
+    effect = "all users see the new board at once; the old board stays available with --as-of"
     return PermanentAct(f"switch the board {board} to re-score {diff['rescore']['id']} ({moved})", effect)
 
 

@@ -64,7 +64,9 @@ def grant(
     team: TeamArgument,
     benchmark: BenchmarkOption,
     phase: PhaseOption,
-    submissions: Annotated[int, typer.Option(metavar="N", help="More submissions; negative: fewer.")],
+    submissions: Annotated[
+        int, typer.Option(metavar="N", help="Number of additional submissions; negative for fewer.")
+    ],
     reason: RequiredReason,
     server: ServerOption = None,
     as_json: JsonOption = False,
@@ -89,4 +91,4 @@ def _echo(team: dict[str, Any], *, as_json: bool) -> None:
         echo_json(team)
     else:
         members = ", ".join(team["members"])
-        typer.echo(one_line(f"{team['name']}: captain {team['captain'] or 'nobody'}, members {members or 'none'}"))
+        typer.echo(one_line(f"{team['name']}: captain {team['captain'] or 'none'}, members {members or 'none'}"))

@@ -39,7 +39,7 @@ def revoke(
     with administering(server) as api:
         found = user_named(api, user)
         own, what = f"/admin/users/{found['id']}", f"token {token}" if token else "all tokens and sessions"
-        act = PermanentAct(f"revoke {what} of {found['name']}", "programs that use them are refused from then on")
+        act = PermanentAct(f"revoke {what} of {found['name']}", "programs that use them are refused immediately")
         require_confirmation(act, is_given=is_confirmed)
         if token is None:
             record = api.create(f"{own}/credentials/revoke", {"reason": reason})

@@ -29,8 +29,8 @@ PasswordStdinOption = Annotated[bool, typer.Option("--password-stdin", help="Rea
 
 
 def listed(
-    role: Annotated[Role | None, typer.Option(metavar="ROLE", help="Users with this role only.")] = None,
-    name: Annotated[str | None, typer.Option(metavar="TEXT", help="Users with this text in the name only.")] = None,
+    role: Annotated[Role | None, typer.Option(metavar="ROLE", help="Only users with this role.")] = None,
+    name: Annotated[str | None, typer.Option(metavar="TEXT", help="Only users with this text in the name.")] = None,
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -126,7 +126,7 @@ def delete(
 
     with administering(server) as api:
         found = user_named(api, user)
-        effect = "name, password, tokens and sessions are lost; what the user made stays, under no name"
+        effect = "name, password, tokens and sessions are lost; sequences and submissions stay, without a name"
         act = PermanentAct(f"delete {found['name']} ({found['id']})", effect)
         confirm(act, {"user": dict(found)}, is_given=is_confirmed, is_dry_run=is_dry_run, as_json=as_json)
         _echo(api.create(f"/admin/users/{found['id']}/erase", {"reason": reason}), "deleted", as_json=as_json)

@@ -10,8 +10,8 @@ from stone_client.streams import JsonOption, echo_json
 if TYPE_CHECKING:
     from stone_client.browser_sign_in import ShownCode
 
-UrlArgument = Annotated[str, typer.Argument(metavar="[URL]", help="The server; http where no scheme is named.")]
-NameOption = Annotated[str | None, typer.Option(help="User name; prompted for otherwise.")]
+UrlArgument = Annotated[str, typer.Argument(metavar="[URL]", help="URL of the server (default scheme: http).")]
+NameOption = Annotated[str | None, typer.Option(help="User name (default: prompt for it).")]
 PasswordOption = Annotated[bool, typer.Option("--password-stdin", help="Read the password from stdin.")]
 TokenOption = Annotated[
     bool, typer.Option("--token-stdin", help="Read a token from stdin, instead of name and password.")
@@ -53,7 +53,7 @@ def login(
         is_prompted = not password_stdin and sys.stdin.isatty()
         password = typer.prompt("Password", hide_input=True, err=True) if is_prompted else _line()
         if not password:
-            raise typer.BadParameter("there is no terminal for a prompt, and stdin has no line", param_hint="password")
+            raise typer.BadParameter("there is no terminal for a prompt, and stdin is empty", param_hint="password")
         signed_in = sign_in_by_password(server, name, password, as_administrator=admin)
     if as_json:
         echo_json(signed_in.as_record())

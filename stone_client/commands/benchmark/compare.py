@@ -11,7 +11,9 @@ from stone_client.tables import show
 FirstArgument = Annotated[
     str, typer.Argument(metavar="A", help="A submission: six or more digits of its id, or latest, latest~1, …")
 ]
-SecondArgument = Annotated[str, typer.Argument(metavar="B", help="Another submission's to the same phase.")]
+SecondArgument = Annotated[
+    str, typer.Argument(metavar="B", help="Another submission to the same phase, in the same notation.")
+]
 
 
 def compare(a: FirstArgument, b: SecondArgument, server: ServerOption = None, as_json: JsonOption = False) -> None:
@@ -23,7 +25,9 @@ def compare(a: FirstArgument, b: SecondArgument, server: ServerOption = None, as
     with connected(server) as api:
         a_id, b_id = submission_id(api, a), submission_id(api, b)
         if a_id == b_id:
-            raise typer.BadParameter(f"A and B are one submission, {a_id}; name another", param_hint="B")
+            raise typer.BadParameter(
+                f"A and B are the same submission, {a_id}; name another submission", param_hint="B"
+            )
         record = compare_both(api, a_id, b_id)
     if as_json:
         echo_json(record)

@@ -23,7 +23,7 @@ class Form(StrEnum):
     PARQUET = "parquet"
 
 
-TrackOption = Annotated[Modality | None, typer.Option(help="Entries of this declared modality only.")]
+TrackOption = Annotated[Modality | None, typer.Option(help="Only entries of this declared modality.")]
 AsOfOption = Annotated[
     str, typer.Option(metavar="TIME", help="The leaderboard as of this time, such as 2026-06-01T00:00:00Z.")
 ]
@@ -53,9 +53,11 @@ def leaderboard(
     from stone_client.server.boards import BoardSelection, board_file, board_table, read_board, reported_notes
 
     if form is None:
-        refuse_options("it needs --format", {"--output": output})
+        refuse_options("it requires --format", {"--output": output})
     else:
-        refuse_options(f"--format {form.value} is an output format of its own; choose one", {"--json": as_json})
+        refuse_options(
+            f"it cannot be combined with --format {form.value}; choose one of the two options", {"--json": as_json}
+        )
     if form is Form.PARQUET and output is None:
         raise typer.BadParameter("parquet is binary; name a file with --output", param_hint="--output")
     tracked = "all" if track is None else track.value

@@ -9,7 +9,9 @@ from stone_client.options import ServerOption
 from stone_client.streams import JsonOption, echo_json
 from stone_client.tables import show
 
-BenchmarkArgument = Annotated[str | None, typer.Argument(metavar="[BENCHMARK]", help="A benchmark's name; else all.")]
+BenchmarkArgument = Annotated[
+    str | None, typer.Argument(metavar="[BENCHMARK]", help="A benchmark's name (default: all).")
+]
 
 
 def listed(benchmark: BenchmarkArgument = None, server: ServerOption = None, as_json: JsonOption = False) -> None:

@@ -32,7 +32,8 @@ IdArgument = Annotated[
     ),
 ]
 ByOption = Annotated[
-    ResultGrouping | None, typer.Option("--by", help="Break down by this; for a hidden phase once it has ended.")
+    ResultGrouping | None,
+    typer.Option("--by", help="Break scores down by this property; in a hidden phase only after its end."),
 ]
 
 

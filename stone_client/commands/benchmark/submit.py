@@ -36,9 +36,9 @@ ValidateOption = Annotated[
 BaselineOption = Annotated[
     bool, typer.Option("--baseline", help="Submit as a baseline, shown but not ranked; for organisers.")
 ]
-WaitOption = Annotated[bool, typer.Option("--wait/--no-wait", help="Wait until it is finished.")]
+WaitOption = Annotated[bool, typer.Option("--wait/--no-wait", help="Wait until the submission has finished.")]
 AgainOption = Annotated[
-    bool, typer.Option("--again", help="Submit even if this file was submitted under this name before.")
+    bool, typer.Option("--again", help="Submit even if this file was already submitted under this name.")
 ]
 
 

@@ -23,14 +23,15 @@ DatasetArgument = Annotated[
     str | None,
     typer.Argument(
         metavar="DATASET",
-        help="A folder, tar or ZIP: v1.0-*/ tables, or Occ3D's; with --in-place ROOT:PATH, as the server sees it.",
+        help="A folder, tar or ZIP with v1.0-*/ or Occ3D tables; with --in-place, ROOT:PATH on the server.",
     ),
 ]
 InPlaceOption = Annotated[
-    bool, typer.Option("--in-place", help="Have the server read a .zip or .tar where it lies; nothing is sent.")
+    bool, typer.Option("--in-place", help="Read a .zip or .tar on the server in place; nothing is uploaded.")
 ]
 NameOption = Annotated[
-    str | None, typer.Option("--name", metavar="NAME", help="Name of the import; else that of the folder or tar.")
+    str | None,
+    typer.Option("--name", metavar="NAME", help="Name of the import (default: the name of the folder or tar)."),
 ]
 AddOption = Annotated[
     bool, typer.Option("--add-to-existing", help="Add a second label set to your sequences of the same name.")
@@ -103,7 +104,7 @@ def import_dataset(
 def _path(dataset: str) -> Path:
     path = Path(dataset)
     if not path.exists():
-        hint = "; with --in-place it is read where the server sees it" if ":" in dataset else ""
+        hint = "; with --in-place the server reads its own copy" if ":" in dataset else ""
         raise typer.BadParameter(f"{dataset!r} does not exist{hint}", param_hint="DATASET")
     return path
 
@@ -147,7 +148,7 @@ def _say(record: dict[str, Any]) -> None:
     typer.echo(f"{told}: {', '.join(names[:MOST_NAMED])}{more}")
     refused = record["splits_refused"]
     if refused == ["no_splits"]:
-        typer.echo("The draft splits were not changed: the dataset states no split train, val or test")
+        typer.echo("The draft splits were not changed: the dataset has no split train, val or test")
     elif refused:
         typer.echo(f"The draft splits were not changed: the dataset's splits violate the rules ({', '.join(refused)})")
     if place := record["place"]:

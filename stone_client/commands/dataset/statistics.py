@@ -10,11 +10,14 @@ from stone_client.options import ServerOption
 from stone_client.streams import JsonOption, echo_json
 
 DatasetOption = Annotated[
-    str | None, typer.Option(metavar="VERSION", help="Of this version of the dataset; else of the sequences you see.")
+    str | None,
+    typer.Option(metavar="VERSION", help="Version of the dataset (default: the sequences that you can see)."),
 ]
 FigureOption = Annotated[
     Path | None,
-    typer.Option(metavar="FILE.png", dir_okay=False, callback=in_folder, help="Write the composition as a figure too."),
+    typer.Option(
+        metavar="FILE.png", dir_okay=False, callback=in_folder, help="Also write the composition as a figure."
+    ),
 ]
 
 

@@ -10,7 +10,10 @@ from stone_client.streams import JsonOption, echo_json
 
 VersionArgument = Annotated[str, typer.Argument(metavar="VERSION", help="A version's name.")]
 OutputOption = Annotated[
-    Path, typer.Option("-o", "--output", metavar="DIR", file_okay=False, help="Output folder, resumed if interrupted.")
+    Path,
+    typer.Option(
+        "-o", "--output", metavar="DIR", file_okay=False, help="Output folder; an interrupted download resumes."
+    ),
 ]
 InputsOption = Annotated[bool, typer.Option("--inputs", help="Also download the sensor data, one tar per sequence.")]
 

@@ -14,11 +14,12 @@ from stone_client.streams import JsonOption, echo_json
 from stone_client.tables import confusion_table, show
 
 FirstArgument = Annotated[
-    str, typer.Argument(metavar="A", help="A folder that holds gts/; with --sequence an id, or latest, latest~1, …")
+    str, typer.Argument(metavar="A", help="A folder with gts/; with --sequence, a label set id or latest, latest~1, …")
 ]
-SecondArgument = Annotated[str, typer.Argument(metavar="B", help="Another of the same run.")]
+SecondArgument = Annotated[str, typer.Argument(metavar="B", help="Another folder or label set of the same run.")]
 SequenceOption = Annotated[
-    str | None, typer.Option("--sequence", metavar="NAME", help="A sequence of the server, whose label sets are meant.")
+    str | None,
+    typer.Option("--sequence", metavar="NAME", help="Compare two label sets of this sequence on the server."),
 ]
 PicturesOption = Annotated[
     Path | None,
@@ -39,7 +40,7 @@ def compare(
     Folders of this machine need the platform.
     """
     if sequence is None and server is not None:
-        raise typer.BadParameter("it is for a server's label sets, and needs --sequence", param_hint="--server")
+        raise typer.BadParameter("it applies to label sets on a server and requires --sequence", param_hint="--server")
     if sequence is None:
         folders = platform_module("label_set_folders", "label-set compare")
         with reported() as progress:

@@ -16,7 +16,7 @@ OutputOption = Annotated[
         "-o",
         "--output",
         metavar="DIR|FILE",
-        help="A folder, new, empty or an earlier label set to replace; of an export a .tar or .zip file.",
+        help="Folder: new, empty or an earlier label set to replace. For an export: a .tar or .zip file.",
     ),
 ]
 FormatOption = Annotated[
@@ -56,7 +56,7 @@ def _export(sequence: str, form: Format, output: Path, server: str | None) -> di
     from stone_client.server.sequences import find_sequence
 
     if output.suffix[1:] not in ARCHIVES:
-        raise typer.BadParameter(f"{output} is no .tar and no .zip file", param_hint="--output")
+        raise typer.BadParameter(f"{output} is neither a .tar nor a .zip file", param_hint="--output")
     with connected(server) as api, transferred() as progress:
         export = finished_export(api, find_sequence(api, sequence), form.value)
         return download_archive(api, export, output, progress)

@@ -16,10 +16,12 @@ def edit(
     name: Annotated[str | None, typer.Option(metavar="NAME", help="New name; refused once it has labels.")] = None,
     environment: Annotated[str | None, typer.Option(metavar="WORD", help="Environment, such as lake.")] = None,
     illumination: Annotated[str | None, typer.Option(metavar="WORD", help="Illumination, such as day or dusk.")] = None,
-    region: Annotated[str | None, typer.Option(metavar="NAME", help="Region; no region is in train and test.")] = None,
+    region: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Region; a region is never in both train and test.")
+    ] = None,
     platform: Annotated[str | None, typer.Option(metavar="NAME", help="The robot.")] = None,
     is_public: Annotated[
-        bool | None, typer.Option("--public/--private", help="Show it to everybody, without an account.")
+        bool | None, typer.Option("--public/--private", help="Show it to everyone, without an account.")
     ] = None,
     server: ServerOption = None,
     as_json: JsonOption = False,
@@ -32,7 +34,7 @@ def edit(
     given |= {"platform": platform, "is_public": is_public}
     changes = {key: value for key, value in given.items() if value is not None}
     if not changes:
-        raise typer.BadParameter("name at least one, such as --region", param_hint="OPTIONS")
+        raise typer.BadParameter("give at least one option, such as --region", param_hint="OPTIONS")
     with connected(server) as api:
         found = find_sequence(api, sequence)
         match = {"If-Match": f'"{found["revision"]}"'}

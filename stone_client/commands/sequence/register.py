@@ -13,13 +13,13 @@ PlacesArgument = Annotated[
     list[str],
     typer.Argument(
         metavar="ROOT:PATH...",
-        help="The recording, as the server sees it: nas:2026/run.mcap, .db3, or a folder of a split one; several of one"
-        " run.",
+        help="Recording on the server, such as nas:2026/run.mcap: a bag, or the folder of a split bag; several of one "
+        "run.",
     ),
 ]
 NameOption = Annotated[str | None, typer.Option(metavar="NAME", help="The sequence (default: the bag's own name).")]
 PicturesOption = Annotated[
-    bool, typer.Option("--with-pictures", help="Read the pictures of an object in a bucket, too (for exports).")
+    bool, typer.Option("--with-pictures", help="Also read the images of an object in a bucket (for exports).")
 ]
 ProcessOption = Annotated[bool, typer.Option("--process", help="Process it immediately and follow the run.")]
 
@@ -59,7 +59,7 @@ def register(
         echo_json(record)
     else:
         for place in found:
-            typer.echo(f"{sequence['name']}: {api.url} reads {place} where it lies")
+            typer.echo(f"{sequence['name']}: {api.url} reads {place} in place")
         following = f"download {sequence['name']} -o DIR" if process else f"process {sequence['name']} --wait"
         echo_notice(f"Next: stone sequence {following}")
     noticed = [*kept["findings"], *(finding for recording in recordings for finding in recording["findings"])]

@@ -11,7 +11,7 @@ from stone_client.options import CalibrationOption, RunArgument, ServerOption
 from stone_client.progress import transferred
 from stone_client.streams import JsonOption, echo_findings, echo_json, echo_notice
 
-NameOption = Annotated[str | None, typer.Option(metavar="NAME", help="The sequence; else the bag's own name.")]
+NameOption = Annotated[str | None, typer.Option(metavar="NAME", help="The sequence (default: the bag's own name).")]
 ProcessOption = Annotated[bool, typer.Option("--process", help="Process it immediately and follow the run.")]
 
 
@@ -36,7 +36,9 @@ def upload(
     from stone_client.server.sequences import add_recording, ensure_sequence, pin_calibration, start_run
 
     if not process:
-        refuse_options("it needs --process; or name it for `stone sequence process`", {"--clock-offset": clock_offset})
+        refuse_options(
+            "it requires --process; or give it to `stone sequence process`", {"--clock-offset": clock_offset}
+        )
     found, choices = bags_among(bags), clock_offsets_body(clock_offset)
     with connected(server) as api:
         sequence = ensure_sequence(api, name or found[0].called)

@@ -136,7 +136,7 @@ def _changes(wanted: BenchmarkFile, standing: Item) -> Iterator[BenchmarkChange]
             if not _is_same(key, phases[name][key], value)
         )
         if fixed := [key for key, _, _ in differences if key in FIXED]:
-            raise Refused("phase_fixed", f"{fixed[0]} of phase {name} never changes; add a phase of another name")
+            raise Refused("phase_fixed", f"{fixed[0]} of phase {name} cannot change; add a phase with another name")
         if differences:
             body = {key: value for key, _, value in differences}
             path, revision = f"/admin/phases/{phases[name]['id']}", phases[name]["revision"]
@@ -165,7 +165,7 @@ def _moment(text: str) -> datetime:
 
 def _mapping(path: Path, what: str, value: Any) -> Mapping[str, Any]:
     if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
-        raise bad_benchmark_file(path, f"{what} is no mapping of names to values")
+        raise bad_benchmark_file(path, f"{what} is not a mapping of names to values")
     return value
 
 

@@ -17,5 +17,5 @@ def job_id_named(api: Api, named: str) -> str:
         matching = list(islice(api.pages("/admin/jobs", id_part=named), MOST_CANDIDATES + 1))
     found = whole_id(named, (str(one["id"]) for one in matching))
     if found is None:
-        raise Refused("not_found", f"{named[:80]!r} is no job's id; `stone admin jobs list` lists them")
+        raise Refused("not_found", f"{named[:80]!r} is not a job id; `stone admin jobs list` lists them")
     return found

@@ -18,7 +18,7 @@ def rescore_path(api: Api, benchmark: str, phase: str, named: str) -> str:
     if found is None:
         raise Refused(
             "no_rescore",
-            f"{named[:80]!r} is no re-score of {benchmark} / {phase}: expected is latest or an id of its {len(ids)} "
-            "(`stone admin rescores list` lists them)",
+            f"{named[:80]!r} is not a re-score of {benchmark} / {phase}; give an id or latest (it has {len(ids)}; "
+            "`stone admin rescores list` lists them)",
         )
     return f"{path}/{found}"

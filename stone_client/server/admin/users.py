@@ -17,4 +17,6 @@ def user_named(api: Api, named: str) -> Item:
     found = named if named in by_id else whole_id(named, by_id)
     if found is not None:
         return cast(Item, by_id[found])
-    raise Refused("unknown_user", f"{named[:80]!r} is no user's name or id; `stone admin users list` lists them")
+    raise Refused(
+        "unknown_user", f"{named[:80]!r} is not a user's name or id; `stone admin users list` lists all users"
+    )

@@ -11,7 +11,9 @@ from stone_client.streams import JsonOption, echo_json
 
 SIZES = re.compile(r"(\d{1,4}),(\d{1,4}),(\d{1,4})")
 
-SizesArgument = Annotated[str, typer.Argument(metavar="TRAIN,VAL,TEST", help="Numbers of sequences, such as 31,7,5.")]
+SizesArgument = Annotated[
+    str, typer.Argument(metavar="TRAIN,VAL,TEST", help="Numbers of sequences in train, val and test, such as 31,7,5.")
+]
 LeaveOutOption = Annotated[
     list[str] | None,
     typer.Option("--leave-out", metavar="SEQUENCE", help="Exclude this sequence from the proposal; repeatable."),
