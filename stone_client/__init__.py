@@ -1,9 +1,9 @@
 """The `stone` command and its SDK: `from stone_client import Stone`.
 
-**Conventions.** The wheel holds the packages that the client stands on in `_vendor`, so an environment gets one import
-root. If the platform is installed beside the client, that folder comes last on the path: the platform's packages are
-the ones that are imported, once. Else it comes first, since another distribution owns a package `stone` too. A checkout
-has no such folder.
+**Conventions.** The wheel contains the packages that the client requires in `_vendor`, so an environment gets one
+import root. If the platform is installed beside the client, that folder comes last on the path, so Python imports the
+platform's packages. Otherwise it comes first, because another distribution owns a package `stone` too. A checkout has
+no such folder.
 """
 
 import sys
@@ -22,7 +22,9 @@ if _VENDOR.is_dir() and str(_VENDOR) not in sys.path:
 
 
 def __getattr__(name: str) -> Any:
-    """Return a name of the SDK, loaded at its first use: commands without it start faster. Raises AttributeError."""
+    """Return a name of the SDK, loaded at its first use so that commands without the SDK start faster. Raises
+    AttributeError.
+    """
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from stone_client import sdk

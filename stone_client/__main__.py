@@ -1,4 +1,4 @@
-"""`python -m stone_client`: the `stone` command, whichever programs of that name are on PATH."""
+"""`python -m stone_client` runs the `stone` command of this package, even if PATH contains another `stone`."""
 
 from stone_client.main import main
 

@@ -8,10 +8,10 @@ ADMINISTRATION = "Administration"
 
 def _group(word: str, text: str, **words: str) -> GroupPlace:
     """Return the functions of the module `word` as the commands of a group, by word."""
-    found = (
+    commands = (
         CommandPlace(name.replace("_", "-"), "", f"{PACKAGE}.{word}", function) for name, function in words.items()
     )
-    return GroupPlace(word, "", text, tuple(found))
+    return GroupPlace(word, "", text, tuple(commands))
 
 
 ADMIN = GroupPlace(

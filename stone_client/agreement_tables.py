@@ -1,4 +1,4 @@
-"""Comparisons of two label sets as tables for people (the record of `stone label-set compare --json`)."""
+"""Tables that compare two label sets (the record of `stone label-set compare --json`)."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -11,7 +11,7 @@ RATIOS = {"iou_occ": "occupied", "iou_t": "T", "iou_p": "P", "iou_n": "N", "miou
 
 
 def agreement_table(record: Mapping[str, Any]) -> Table:
-    """How alike they are over all voxels, and over those that were observed in both."""
+    """Return the agreement over all voxels, and over the voxels that both label sets observed."""
     blocks = (record["all_voxels"], record["seen_in_both"])
     apart = ", ".join(f"{record[key]:,} in {name} only" for key, name in (("only_in_a", "A"), ("only_in_b", "B")))
     table = plain_table(f"{record['frames']:,} frames in both, {apart}", "", "all voxels", "observed in both")
@@ -22,7 +22,7 @@ def agreement_table(record: Mapping[str, Any]) -> Table:
 
 
 def ring_table(rings: Sequence[Mapping[str, Any]]) -> Table:
-    """The same by horizontal distance from the robot."""
+    """Return the agreement by horizontal distance from the robot."""
     table = plain_table("all voxels, by distance from the robot", "m", "same class", *RATIOS.values())
     for ring in rings:
         span = f"{ring['from_m']:g}–{ring['to_m']:g}" if ring["to_m"] is not None else f"{ring['from_m']:g} and more"
@@ -31,7 +31,7 @@ def ring_table(rings: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def least_alike_table(frames: Sequence[Mapping[str, Any]]) -> Table:
-    """The frames that are least alike, the least first."""
+    """Return the frames with the least agreement, the least first."""
     table = plain_table("least similar frames", "frame", "same class")
     for frame in frames:
         table.add_row(frame["token"], _percent(frame["agreement_ratio"]))

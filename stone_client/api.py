@@ -1,8 +1,8 @@
-"""The platform's REST API for programs: requests that are sent again when that is safe, refusals as errors.
+"""The platform's REST API for programs: requests with safe retries, refusals as errors.
 
-**Conventions.** What may be sent twice without harm (GET, HEAD, PUT, DELETE, a POST with an Idempotency-Key) is sent
-again after a broken connection, 429, 502, 503 and 504, waiting as `Retry-After` says; any request is after a
-connection that was never made. A server on this machine is asked directly, whatever proxy the environment names.
+**Conventions.** GET, HEAD, PUT, DELETE and a POST with an Idempotency-Key are sent again after a broken connection,
+429, 502, 503 and 504; the pause follows `Retry-After`. Any request is sent again if its connection was never
+established. Requests to a server on this machine bypass proxies.
 """
 
 import time
@@ -31,7 +31,9 @@ PAGE_ITEMS = 200
 
 
 class Api:
-    """`with Api(server) as api: api.read("/sequences")`; every answer that is not a success is raised."""
+    """The REST API of one server: `with Api(server) as api: api.read("/sequences")`. Every answer other than success
+    raises.
+    """
 
     def __init__(self, server: Server, patience_s: float = 60.0, transport: httpx.BaseTransport | None = None) -> None:
         self.url = server.url
@@ -61,9 +63,10 @@ class Api:
         return answer
 
     def create(self, path: str, body: Mapping[str, Any], revision: int | None = None) -> dict[str, Any]:
-        """POST a body and return the answer; a broken connection does not make two.
+        """POST a body and return the answer; a retry after a broken connection creates nothing twice.
 
-        With `revision` the request is refused (`precondition_failed`) if the state that it is about has changed.
+        With `revision` the server refuses the request (`precondition_failed`) if the state has changed since that
+        revision.
         """
         match = {} if revision is None else {"If-Match": f'"{revision}"'}
         headers = {"Idempotency-Key": uuid4().hex, **match}
@@ -71,7 +74,7 @@ class Api:
         return answer
 
     def pages(self, path: str, **query: str | int) -> Iterator[Any]:
-        """Every item of a list, page by page."""
+        """Yield every item of a list, page by page."""
         cursor = ""
         while True:
             page = self.read(path, limit=PAGE_ITEMS, **query, **({"cursor": cursor} if cursor else {}))
@@ -81,7 +84,8 @@ class Api:
                 return
 
     def send(self, method: str, path: str, **request: Any) -> httpx.Response:
-        """Send a request until it is answered. `path` is below `/api/v1`, or a whole URL of this server.
+        """Send a request, with retries, and return the answer. `path` is below `/api/v1`, or a whole URL of this
+        server.
 
         Raises `ServerRefusedError`, `ServerFaultError`, `ServerUnreachableError`, `server_too_old`.
         """
@@ -103,7 +107,9 @@ class Api:
     def stream(
         self, path: str, headers: Mapping[str, str] | None = None, read_s: float = REPLY_S
     ) -> Iterator[httpx.Response]:
-        """A GET whose body is read as it comes; not sent again. Raises as `send` does, and httpx's own errors."""
+        """Yield the answer of a GET whose body is read as it arrives; it is not sent again. Raises as `send`, and
+        httpx's errors.
+        """
         timeout = httpx.Timeout(read_s, connect=CONNECT_S)
         with self._http.stream("GET", self._path(path), headers=dict(headers or {}), timeout=timeout) as answer:
             self._check_release(answer)
@@ -113,13 +119,13 @@ class Api:
             yield answer
 
     def _path(self, path: str) -> str:
-        """Never another server's URL: the token is for this one."""
+        """Return the path on this server: the token must never be sent to another server."""
         if "://" in path:
             path = httpx.URL(path).raw_path.decode("ascii")
         return path if path.startswith(PREFIX) else PREFIX + path
 
     def _check_release(self, answer: httpx.Response) -> None:
-        """A server that says none is of a release before it was said, and understood. Raises `server_too_old`."""
+        """Raise `server_too_old` for an unsupported release; a server without the header is accepted."""
         release = answer.headers.get(HEADER, "")
         if is_older(release, OLDEST_SERVER):
             raise Refused(
@@ -135,14 +141,14 @@ class Api:
 
 
 class Patience:
-    """The time to go on trying: pauses that double, within `limit_s` from the first."""
+    """The time limit for retries: pauses double, within `limit_s` of the first."""
 
     def __init__(self, limit_s: float) -> None:
         self._until_s = time.monotonic() + limit_s
         self._pause_s = FIRST_PAUSE_S
 
     def wait(self, asked_s: float | None) -> bool:
-        """Pause as long as asked, or a little longer than last time; false, at once, when that would be too long."""
+        """Pause for `asked_s`, or longer than the last pause. Return False at once if the limit would be exceeded."""
         pause_s = self._pause_s if asked_s is None else asked_s
         if time.monotonic() + pause_s > self._until_s:
             return False
@@ -152,7 +158,7 @@ class Patience:
 
 
 def refusal(answer: httpx.Response) -> ServerRefusedError | ServerFaultError:
-    """The refusal in the answer, as an error."""
+    """Return the refusal in the answer as an error."""
     try:
         problem = answer.json()
     except ValueError:
@@ -163,11 +169,11 @@ def refusal(answer: httpx.Response) -> ServerRefusedError | ServerFaultError:
 
 
 def _is_busy(answer: httpx.Response) -> bool:
-    """Whether the same request may be answered in a while."""
+    """Return whether the server may accept the same request later."""
     return answer.status_code in BUSY or (answer.status_code == 409 and "Retry-After" in answer.headers)
 
 
 def _retry_after_s(answer: httpx.Response) -> float | None:
-    """Seconds the server asks us to wait; None where it says nothing, or a date."""
-    said = answer.headers.get("Retry-After", "")
-    return float(said) if said.isdecimal() else None
+    """Return the seconds of `Retry-After`; None if the header is absent or a date."""
+    header = answer.headers.get("Retry-After", "")
+    return float(header) if header.isdecimal() else None

@@ -1,8 +1,8 @@
 """A submission from exported data by geometry alone: no training, the same bytes every time.
 
-**Conventions.** Frames are those of the manifest, in its order and at its grid. A frame is predicted from its own sweep
-or from that and the latest earlier ones of its sequence, never from later ones. A few frames are in memory at a time,
-however many there are. Source of the method: `stone/labels/baseline.py`.
+**Conventions.** Frames, their order and their grid are those of the manifest. The prediction of a frame uses its own
+sweep and optionally the latest earlier sweeps of its sequence, never later ones. Only a few frames are in memory at a
+time. Method: `stone/labels/baseline.py`.
 """
 
 from collections import deque
@@ -50,7 +50,7 @@ class WrittenBaseline:
 
 @dataclass(frozen=True)
 class BaselinePlan:
-    """Which frames to predict (a manifest's path), where to, and by how many threads."""
+    """The frames to predict (path of a manifest), the output and the number of threads."""
 
     manifest: Path
     output: Path
@@ -61,7 +61,7 @@ class BaselinePlan:
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """The sweeps of a sequence in the order of time."""
+    """The sweeps of a sequence in time order."""
 
     sweeps: tuple[PlacedSweep, ...]
 
@@ -99,16 +99,16 @@ def write_baseline(sources: Sequence[Path], plan: BaselinePlan, progress: Report
 
 
 def find_sweeps(sources: Sequence[Path], manifest: Manifest) -> Mapping[str, PlacedSweep]:
-    """The sweep of every frame of the manifest; of several exports that have it, the first named.
+    """Return the sweep of every frame of the manifest, from the first source that contains it.
 
     Raises `NotExportedError`, `bad_tar`, `DamagedExportError`, `frames_missing`.
     """
-    found, tokens = dict[str, PlacedSweep](), frozenset(manifest.tokens)
+    sweep_of, tokens = dict[str, PlacedSweep](), frozenset(manifest.tokens)
     for source in sources:
         for sweeps in _sweeps_at(source, tokens):
-            found = {**sweeps, **found}
-    refuse_missing(manifest.sequences, found)
-    return found
+            sweep_of = {**sweeps, **sweep_of}
+    refuse_missing(manifest.sequences, sweep_of)
+    return sweep_of
 
 
 def _sweeps_at(source: Path, tokens: frozenset[str]) -> Iterator[Mapping[str, PlacedSweep]]:
@@ -123,13 +123,13 @@ def _sweeps_at(source: Path, tokens: frozenset[str]) -> Iterator[Mapping[str, Pl
 
 
 def _drives(sweeps: Mapping[str, PlacedSweep], manifest: Manifest) -> Mapping[str, tuple[Drive, int]]:
-    """Return the drive of each frame by token, and the frame's place in it."""
-    found = dict[str, tuple[Drive, int]]()
+    """Return the drive of each frame by token, and the frame's index in the drive."""
+    drives = dict[str, tuple[Drive, int]]()
     for tokens in manifest.sequences.values():
         ordered = sorted(tokens, key=lambda token: sweeps[token].stamp_us)
         drive = Drive(tuple(sweeps[token] for token in ordered))
-        found.update((token, (drive, at)) for at, token in enumerate(ordered))
-    return found
+        drives.update((token, (drive, at)) for at, token in enumerate(ordered))
+    return drives
 
 
 def predicted(frame: tuple[str, Drive, int], plan: BaselinePlan, grid: LabelGrid = PAPER) -> Frame:
@@ -146,7 +146,7 @@ def _with_progress(frames: Iterable[Frame], total: int, progress: Report) -> Ite
 
 
 def _in_order(work: Callable[[T], Frame], items: Iterator[T], workers: int) -> Iterator[Frame]:
-    """The results in the order of the items, a few ahead of whoever takes them."""
+    """Yield the results in the order of the items; a few are computed ahead of the consumer."""
     with ThreadPoolExecutor(workers) as pool:
         waiting = deque[Future[Frame]]()
         try:

@@ -1,7 +1,7 @@
-"""Sign-in by a browser (RFC 8628): a code is shown, somebody approves it at the server's page, a token comes.
+"""Sign-in by browser (RFC 8628): the user approves a code on the server's page, and the client receives a token.
 
-**Conventions.** The server says how often it may be asked; who asks too often is told to, and asks less often from then
-on. A server that goes away meanwhile is waited for, as long as the code is valid.
+**Conventions.** The server sets the polling interval and lengthens it if it is polled too often. If the server becomes
+unreachable, polling continues while the code is valid.
 """
 
 import socket
@@ -21,7 +21,7 @@ NOT_FOUND = 404
 
 @dataclass(frozen=True)
 class ShownCode:
-    """What a person needs: the code, and where it is typed; `url_with_code` spares the typing."""
+    """The code for the user and the page to enter it on; `url_with_code` contains both."""
 
     user_code: str
     url: str
@@ -33,9 +33,9 @@ class ShownCode:
 
 
 def asks_for_browser(url: str) -> bool:
-    """Whether people sign in to this server with a browser: it has a provider, or no passwords.
+    """Return whether users sign in to this server with a browser: it has a provider, or no passwords.
 
-    A server of a release before knows passwords only. Raises what `Api.send` raises.
+    A server of an earlier release supports passwords only. Raises what `Api.send` raises.
     """
     with Api(Server(url, "")) as api:
         try:
@@ -48,11 +48,13 @@ def asks_for_browser(url: str) -> bool:
 
 
 def sign_in_by_browser(url: str, show: Callable[[ShownCode], None], *, as_administrator: bool) -> TokenIdentity:
-    """Have a token approved in a browser, and keep it. Raises what `Api.send` raises, `access_denied` among it."""
+    """Request a token that the user approves in a browser, and store it. Raises what `Api.send` raises, and
+    `access_denied`.
+    """
     wanted = (*EVERYDAY, "admin") if as_administrator else EVERYDAY
     with Api(Server(url, "")) as api:
-        asked = {"name": f"stone on {socket.gethostname()}"[:64], "scopes": list(wanted)}
-        begun = api.send("POST", "/device-grants", json=asked).json()
+        body = {"name": f"stone on {socket.gethostname()}"[:64], "scopes": list(wanted)}
+        begun = api.send("POST", "/device-grants", json=body).json()
         show(ShownCode.of(begun))
         secret = _awaited(api, begun["device_code"], float(begun["interval_s"]))
     identity = identity_of(url, secret)
@@ -61,7 +63,7 @@ def sign_in_by_browser(url: str, show: Callable[[ShownCode], None], *, as_admini
 
 
 def _awaited(api: Api, device_code: str, interval_s: float) -> str:
-    """The token's secret, once somebody approved; the server ends the waiting when the code has expired."""
+    """Return the token's secret after approval; the server ends the polling when the code expires."""
     while True:
         time.sleep(interval_s)
         try:

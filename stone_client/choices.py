@@ -1,4 +1,4 @@
-"""Choices of options that cannot work: wrong usage (exit code 2), refused before anything is read or sent."""
+"""Checks of option values: wrong usage (exit code 2) is refused before anything is read or sent."""
 
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -12,18 +12,18 @@ Value = TypeVar("Value")
 
 
 def one_of(names: Callable[[], Iterable[object]], *, is_file_too: bool = False) -> dict[str, Any]:
-    """Return the arguments of an option whose values are these names, or, if so, paths of files too.
+    """Return the arguments of an option whose values are these names; with `is_file_too` also paths of files.
 
-    The names are a function, so that nothing is imported for them before the option is used.
+    `names` is a function, so that nothing is imported before the option is used.
     """
 
     def checked(value: Value) -> Value:
         given = value if isinstance(value, list | tuple) else [value]
-        for one in given:
-            if one is not None and one not in names() and not (is_file_too and Path(str(one)).is_file()):
+        for item in given:
+            if item is not None and item not in names() and not (is_file_too and Path(str(item)).is_file()):
                 known = ", ".join(map(str, names()))
                 raise typer.BadParameter(
-                    f"{str(one)[:80]!r} is not one of {known}{' or a file' if is_file_too else ''}"
+                    f"{str(item)[:80]!r} is not one of {known}{' or a file' if is_file_too else ''}"
                 )
         return value
 
@@ -34,7 +34,7 @@ def one_of(names: Callable[[], Iterable[object]], *, is_file_too: bool = False) 
 
 
 def refuse_options(why: str, given: Mapping[str, object]) -> None:
-    """Refuse the first of these options that was given: it would have no effect. Raises `typer.BadParameter`."""
+    """Refuse the first of these options that was given, as it would have no effect. Raises `typer.BadParameter`."""
     for option, value in given.items():
         if value:
             raise typer.BadParameter(why, param_hint=option)

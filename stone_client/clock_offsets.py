@@ -1,4 +1,4 @@
-"""`--clock-offset`: what is known of the clocks of several recordings of one run."""
+"""`--clock-offset`: the known clock offsets between several recordings of one run."""
 
 import re
 from collections.abc import Sequence
@@ -25,23 +25,23 @@ ClockOffsetOption = Annotated[
 
 
 def chosen_clock_offsets(choices: Sequence[str]) -> dict[str, int]:
-    """Nanoseconds by name of file. Raises `typer.BadParameter`."""
+    """Return the offsets in nanoseconds by file name. Raises `typer.BadParameter`."""
     chosen: dict[str, int] = {}
     for choice in choices:
-        found = CHOICE.fullmatch(choice)
-        offset_ns = 0 if found is None else int(Decimal(found["number"]) * UNITS_NS[found["unit"] or "s"])
-        if found is None or abs(offset_ns) > MOST_OFFSET_NS:
+        match = CHOICE.fullmatch(choice)
+        offset_ns = 0 if match is None else int(Decimal(match["number"]) * UNITS_NS[match["unit"] or "s"])
+        if match is None or abs(offset_ns) > MOST_OFFSET_NS:
             raise typer.BadParameter(
                 f"{choice[:80]!r} is not the clock offset of a recording; write cameras.mcap=-80ms, or "
                 "cameras.mcap=-0.080 in seconds",
                 param_hint="--clock-offset",
             )
-        chosen[Path(found["name"]).name] = offset_ns
+        chosen[Path(match["name"]).name] = offset_ns
     return chosen
 
 
 def clock_offsets_body(choices: Sequence[str]) -> dict[str, dict[str, str]]:
-    """Return the offsets as a request to process has them, to the nanosecond. Raises `typer.BadParameter`."""
+    """Return the offsets as the body of a processing request, to the nanosecond. Raises `typer.BadParameter`."""
     offsets_ns = chosen_clock_offsets(choices)
     return (
         {"clock_offsets_s": {name: str(Decimal(ns).scaleb(-9)) for name, ns in offsets_ns.items()}}

@@ -1,7 +1,7 @@
-"""The tree of `stone`: every command and group of the client, and the platform's beside them if it is installed.
+"""The tree of `stone`: every command and group of the client, and the platform's commands if it is installed.
 
-**Conventions.** A verb at the top works on files of this machine; what is on a server is a noun with its verbs below.
-The words of release 0.1 are in `stone_client/old_words.py`.
+**Conventions.** A verb at the top works on files of this machine; a noun with verbs below it works on a server. The
+words of release 0.1 are in `stone_client/old_words.py`.
 """
 
 from collections.abc import Iterator, Sequence

@@ -1,8 +1,8 @@
-"""Acts that cannot be undone: a question on a terminal, a refusal without `--yes` elsewhere, `--dry-run`.
+"""Confirmation of permanent acts: a question on a terminal, a refusal without `--yes` elsewhere, `--dry-run`.
 
-**Conventions.** The question and its answer use stderr and stdin, so stdout stays the answer alone. A refusal without a
-terminal is wrong usage (exit code 2); a declined question is exit code 1. Neither sends a request that changes
-anything.
+**Conventions.** The question and its answer use stderr and stdin, so stdout contains only the result. A refusal without
+a terminal is wrong usage (exit code 2); a declined question is exit code 1. In both cases the client sends no request
+that changes anything.
 """
 
 import sys
@@ -28,7 +28,7 @@ class NotConfirmedError(StoneError):
 
 @dataclass(frozen=True)
 class PermanentAct:
-    """An act that cannot be undone: an imperative clause that names the thing, and a sentence about its effect."""
+    """An act that cannot be undone: an imperative clause that names its object, and a sentence about its effect."""
 
     clause: str
     effect: str
@@ -40,8 +40,8 @@ class PermanentAct:
 def require_confirmation(act: PermanentAct, *, is_given: bool, named: str = "") -> None:
     """Return if `--yes` was given, or the user confirms `act` on the terminal.
 
-    `named` is the user's word for the thing. `latest` may name another thing a second later, so no question replaces
-    `--yes` for it. Raises `not_confirmed`; `typer.Exit` after a declined question.
+    `named` is the user's word for the object. `latest` can soon mean another object, so it requires `--yes` instead of
+    a question. Raises `not_confirmed`; `typer.Exit` after a declined question.
     """
     if is_given:
         return
@@ -65,7 +65,7 @@ def confirm(
     as_json: bool,
     named: str = "",
 ) -> None:
-    """Return if `act` shall happen: after a dry run the command ends, else `require_confirmation` decides."""
+    """Return if `act` is confirmed; after a dry run end the command."""
     if is_dry_run:
         show_dry_run(act, details, as_json=as_json)
         raise typer.Exit
@@ -73,7 +73,7 @@ def confirm(
 
 
 def show_dry_run(act: PermanentAct, details: Mapping[str, Any], *, as_json: bool) -> None:
-    """Print the act that did not happen; `details` stand beside it under `--json`."""
+    """Print the act that a dry run skipped, with `details` under `--json`."""
     if as_json:
         echo_json({"dry_run": True, "act": act.clause, "effect": act.effect, **details})
     else:
@@ -81,5 +81,5 @@ def show_dry_run(act: PermanentAct, details: Mapping[str, Any], *, as_json: bool
 
 
 def is_at_terminal() -> bool:
-    """Whether a person can read a question and answer it."""
+    """Return whether a person can read a question and answer it."""
     return sys.stdin.isatty() and sys.stderr.isatty()

@@ -13,7 +13,7 @@ FORBIDDEN = 403
 
 @contextmanager
 def connected(server: str | None) -> Iterator[Api]:
-    """Yield the API of `server`, else of the one that is meant where none is named.
+    """Yield the API of `server`, or of the default server if it is None.
 
     Raises `no_server`, `not_signed_in`, `bad_url`, `bad_credentials_file`.
     """
@@ -23,7 +23,7 @@ def connected(server: str | None) -> Iterator[Api]:
 
 @contextmanager
 def administering(server: str | None) -> Iterator[Api]:
-    """Yield the API as `connected` does; a refused scope or role is followed by the way to sign in as an administrator.
+    """Yield the API as `connected` does; after a refused scope or role, print how to sign in as an administrator.
 
     Raises what `connected` raises.
     """

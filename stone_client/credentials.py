@@ -1,7 +1,7 @@
-"""Which servers this user knows, and the token for each: `credentials.json`, readable by its owner only.
+"""The user's servers and the token for each: `credentials.json`, readable by its owner only.
 
-**Conventions.** It lies in `STONE_CONFIG_HOME`, else `$XDG_CONFIG_HOME/stone`, else `~/.config/stone`. `STONE_URL` and
-`STONE_TOKEN` come before what is in it. A URL has no path and no slash at its end.
+**Conventions.** The file is in `STONE_CONFIG_HOME`, else `$XDG_CONFIG_HOME/stone`, else `~/.config/stone`. `STONE_URL`
+and `STONE_TOKEN` take precedence. A URL has no path and no trailing slash.
 """
 
 import json
@@ -19,7 +19,7 @@ FILE = "credentials.json"
 
 @dataclass(frozen=True)
 class Credentials:
-    """`default` is the server that is meant where none is named; empty: none."""
+    """The stored tokens; `default` is the server to use if none is named (empty: none)."""
 
     default: str = ""
     token_of: Mapping[str, str] = field(default_factory=dict)
@@ -34,7 +34,7 @@ class Server:
 
 
 def configuration_folder() -> Path:
-    """The folder of this user's `stone` settings."""
+    """Return the folder of this user's `stone` settings."""
     named = os.environ.get("STONE_CONFIG_HOME")
     if named:
         return Path(named)
@@ -42,7 +42,7 @@ def configuration_folder() -> Path:
 
 
 def read_credentials() -> Credentials:
-    """The stored credentials; none where there is no file. Raises `bad_credentials_file`."""
+    """Return the stored credentials, empty if there is no file. Raises `bad_credentials_file`."""
     path = configuration_folder() / FILE
     if not path.exists():
         return Credentials()
@@ -59,7 +59,7 @@ def read_credentials() -> Credentials:
 
 
 def remember(url: str, token: str, *, as_default: bool) -> None:
-    """Keep the token of a server. Raises `bad_credentials_file`."""
+    """Store the token of a server. Raises `bad_credentials_file`."""
     known = read_credentials()
     default = url if as_default or not known.default else known.default
     _write(Credentials(default, {**known.token_of, url: token}))
@@ -73,7 +73,7 @@ def forget(url: str) -> None:
 
 
 def stored_server(url: str | None) -> Server:
-    """Return the named server, else the default, with its stored token; the environment does not count.
+    """Return the named server, else the default, with its stored token; environment variables are ignored.
 
     Raises `not_signed_in`, `bad_url`, `bad_credentials_file`.
     """
@@ -94,7 +94,7 @@ def _write(credentials: Credentials) -> None:
 
 
 def choose_server(url: str | None = None) -> Server:
-    """The server named here, by `STONE_URL`, or remembered, with its token.
+    """Return the server `url`, of `STONE_URL`, or of the last login, with its token.
 
     Raises `no_server`, `not_signed_in`, `bad_url`, `bad_credentials_file`.
     """
@@ -115,7 +115,7 @@ def choose_server(url: str | None = None) -> Server:
 
 
 def plain_url(url: str) -> str:
-    """Scheme, host and port of what was typed; `http` where it names no scheme. Raises `bad_url`."""
+    """Return the scheme, host and port of `url`; the default scheme is `http`. Raises `bad_url`."""
     typed = url if "://" in url else f"http://{url}"
     try:
         parts = urlsplit(typed)
@@ -129,7 +129,7 @@ def plain_url(url: str) -> str:
 
 
 def is_local(url: str) -> bool:
-    """Whether the URL is of this very machine."""
+    """Return whether the URL is of this machine."""
     host = urlsplit(url).hostname or ""
     return host in ("localhost", "::1") or host.startswith("127.")
 

@@ -1,7 +1,7 @@
 """Errors of commands that talk to a server.
 
-**Conventions.** A server's own code and sentence are passed on as they are; a fault has the id of the request, which
-the server's administrator can look up.
+**Conventions.** The server's code and sentence are passed on unchanged. A fault includes the request id, for the
+server's administrator.
 """
 
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ OWN_SENTENCES = {
     "unauthenticated": "the server does not accept the token, which is unknown, expired or revoked; "
     "run `stone auth login`, or set STONE_TOKEN",
 }
-"""Sentences of the client by the code of a server whose own sentence is for programs."""
+"""The client's own sentences for codes whose server sentence addresses programs."""
 
 
 class ServerRefusedError(StoneError):
@@ -26,27 +26,27 @@ class ServerRefusedError(StoneError):
 
     def __init__(self, status: int, problem: Mapping[str, Any], retry_after_s: float | None = None) -> None:
         self.status, self.problem, self.retry_after_s = status, dict(problem), retry_after_s
-        self.code = str(problem.get("code") or type(self).code)  # the server names the reason
+        self.code = str(problem.get("code") or type(self).code)
         sentence = OWN_SENTENCES.get(self.code) or str(
             problem.get("detail") or problem.get("title") or f"the server answered {status}"
         )
-        request_id = problem.get("request_id") if status >= FAULT else None  # of use to an administrator alone
+        request_id = problem.get("request_id") if status >= FAULT else None  # useful only to an administrator
         super().__init__(sentence + _findings(problem) + (f" (request {request_id})" if request_id else ""))
 
 
 class ServerFaultError(StoneError):
-    """The answer is not one of the platform: a fault, a proxy's page, another program on that port."""
+    """The answer is not from the platform: a fault, a proxy's page, or another program on that port."""
 
     code = "server_fault"
 
     def __init__(self, status: int, url: str, text: str) -> None:
-        said = text.strip()[:200]
-        super().__init__(f"{url} answered {status} without a problem description{f': {said}' if said else ''}")
+        excerpt = text.strip()[:200]
+        super().__init__(f"{url} answered {status} without a problem description{f': {excerpt}' if excerpt else ''}")
         self.status = status
 
 
 class ServerUnreachableError(StoneError):
-    """Nothing answers at the URL, or the connection kept breaking."""
+    """No server answers at the URL, or the connection kept breaking."""
 
     code = "server_unreachable"
 
@@ -62,14 +62,14 @@ def file_changed(path: Path) -> Refused:
 
 
 class JobFailedError(StoneError):
-    """A job ended badly; `code` is that of its failure."""
+    """A job did not succeed; `code` is the code of its failure."""
 
     code = "job_failed"
 
     def __init__(self, job: Mapping[str, Any]) -> None:
         failure = job.get("failure") or {}
         self.job = dict(job)
-        self.code = str(failure.get("code") or job["state"])  # the failure names the reason
+        self.code = str(failure.get("code") or job["state"])
         reason = failure.get("sentence") or job.get("cancel_reason") or f"it was {job['state']}"
         super().__init__(f"{job['kind']} {job['id']} {job['state']}: {reason}")
 
@@ -86,11 +86,13 @@ def damaged_download(path: str, found: str, promised: str) -> Refused:
 
 
 def _findings(problem: Mapping[str, Any]) -> str:
-    """The first few things that are wrong, where the server names several."""
-    found = problem.get("errors") or []
-    said = [
-        (str(one.get("where", "")), str(one.get("detail") or one.get("expected") or one.get("code", "")))
-        for one in found
+    """Return the first few findings of a problem that lists several."""
+    errors = problem.get("errors") or []
+    sentences = [
+        (str(error.get("where", "")), str(error.get("detail") or error.get("expected") or error.get("code", "")))
+        for error in errors
     ]
-    new = [f"{where}: {detail}" for where, detail in said[:MOST_FINDINGS] if detail not in str(problem.get("detail"))]
+    new = [
+        f"{where}: {detail}" for where, detail in sentences[:MOST_FINDINGS] if detail not in str(problem.get("detail"))
+    ]
     return f": {'; '.join(new)}" if new else ""

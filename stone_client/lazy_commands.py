@@ -1,7 +1,7 @@
-"""Commands that are imported when they are called: the help of all of them is read from their source alone.
+"""Commands that are imported when they are called; their help is read from the source without an import.
 
-**Conventions.** A command's function states in its docstring what it does. The docstring is found by parsing the
-module, not by importing it, so that `stone --help` does not load what all commands stand on.
+**Conventions.** The docstring of a command's function is its help. It is found by parsing the module, not by importing
+it, so that `stone --help` does not load the dependencies of all commands.
 """
 
 import ast
@@ -20,7 +20,7 @@ from typer.main import get_group
 
 from stone_client.stone_command import StoneCommand, in_words
 
-Command = Any  # click's, which typer carries along under a private name
+Command = Any  # click's type, which typer contains under a private name
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class CommandPlace:
         return get_group(app).commands[self.word]
 
     def outline(self) -> Command:
-        """Return what the list of commands shows: word, panel and help."""
+        """Return the entry of the command list: word, panel and help."""
         return TyperCommand(name=self.word, help=self.help(), rich_help_panel=self.panel or None)
 
     def help(self) -> str:
@@ -58,7 +58,7 @@ class CommandPlace:
 
 @dataclass(frozen=True)
 class GroupPlace:
-    """A group of commands below one noun: its word, its panel of the help, its help, and the places of its commands."""
+    """A group of commands below one noun: its word, panel and help, and the places of its commands."""
 
     word: str
     panel: str
@@ -73,7 +73,7 @@ class GroupPlace:
         return group
 
     def outline(self) -> Command:
-        """Return what the list of commands shows: word, panel and help."""
+        """Return the entry of the command list: word, panel and help."""
         return TyperCommand(name=self.word, help=self.text, rich_help_panel=self.panel or None)
 
 
@@ -89,7 +89,7 @@ def places(panel: str, package: str, *modules: str) -> tuple[CommandPlace, ...]:
 
 
 class LazyGroup(TyperGroup):
-    """A group of the commands at `places`, and of those that it is given."""
+    """A group of the commands at `places`, and of its registered commands."""
 
     places: ClassVar[Sequence[Place]] = ()
 
@@ -101,7 +101,7 @@ class LazyGroup(TyperGroup):
         return in_words(super().get_params(ctx))
 
     def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
-        """Complete the words of commands from their outlines, so that no command is imported for it."""
+        """Complete the words of commands from their outlines, without an import."""
         outlined = copy(self)
         outlined.commands = self.commands.outlines() if isinstance(self.commands, LazyCommands) else self.commands
         ctx.command = outlined
@@ -114,10 +114,10 @@ class LazyGroup(TyperGroup):
 
 
 class LazyCommands(MutableMapping[str, Command]):
-    """Commands by word, in the order of their places; each is loaded once it is looked at."""
+    """Commands by word, in the order of their places; each is loaded at its first use."""
 
-    def __init__(self, found: Sequence[Place], given: MutableMapping[str, Command]) -> None:
-        self._places = {place.word: place for place in found}
+    def __init__(self, listed: Sequence[Place], given: MutableMapping[str, Command]) -> None:
+        self._places = {place.word: place for place in listed}
         self._loaded = dict(given)
 
     def __getitem__(self, word: str) -> Command:
@@ -143,14 +143,14 @@ class LazyCommands(MutableMapping[str, Command]):
         return word in self._places or word in self._loaded
 
     def outlines(self) -> dict[str, Command]:
-        """Return what help shows of each command; none is loaded for it."""
+        """Return the help entry of each command; none is loaded."""
         return {word: self._loaded[word] if word in self._loaded else self._places[word].outline() for word in self}
 
 
 def running_text(docstring: str) -> str:
-    """Return a docstring whose paragraphs are one line each, so that the terminal alone breaks lines."""
+    """Return a docstring with one line per paragraph, so that only the terminal breaks lines."""
     return "\n\n".join(" ".join(paragraph.split()) for paragraph in cleandoc(docstring).split("\n\n"))
 
 
 def _nothing() -> None:
-    """The callback that makes a group of an app with one command."""
+    """Make a group of an app with one command."""

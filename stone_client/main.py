@@ -1,10 +1,10 @@
 """The `stone` command.
 
 **Conventions.** A command's module is imported when the command is called (`stone_client/lazy_commands.py`), and
-imports its pipeline inside its function, so that `stone --help` and wrong usage are answered at once (numba, pyarrow
-and Open3D take seconds to load). Tables and JSON go to stdout, everything else to stderr. The commands that need the
-platform are in `stone_local` and appear if it is installed. Exit codes (design §7): 0 done, 1 the input is refused,
-2 usage; 130 and 143 interrupted.
+imports its pipeline inside its function. So `stone --help` and wrong usage are answered at once (numba, pyarrow and
+Open3D take seconds to load). Tables and JSON go to stdout, everything else to stderr. The commands that require the
+platform are in `stone_local` and appear if it is installed. Exit codes (design §7): 0 success, 1 refused input, 2
+usage; 130 and 143 interrupted.
 """
 
 import os
@@ -25,7 +25,7 @@ EVERYWHERE = ("--quiet", "--no-progress")
 
 
 class StoneGroup(RefusingGroup, LazyGroup):
-    """The commands of `stone`, by panel as help shows them, and the words of the release before."""
+    """The commands of `stone` by help panel, and the words of the previous release."""
 
     places = COMMANDS
 
@@ -39,7 +39,7 @@ class StoneGroup(RefusingGroup, LazyGroup):
         return super().resolve_command(ctx, words)
 
     def parse_args(self, ctx: Any, args: list[str]) -> Any:
-        """Accept the options of every command after the command's word too, but for what follows `--`."""
+        """Accept the options of every command after the command's word too, except after `--`."""
         end = args.index("--") if "--" in args else len(args)
         words = args[:end]
         first = [word for word in EVERYWHERE if word in words]
@@ -88,7 +88,7 @@ if not is_platform_installed():
 
 def main() -> None:
     tune_command()
-    # Linear algebra here is of small matrices: its threads would be made while numpy loads, and spin, for nothing.
+    # The matrices are small: OpenBLAS threads would start while numpy loads, and only spin.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     app()
 

@@ -1,7 +1,7 @@
-"""Words of release 0.1 that name commands and options of today; each prints one line on stderr and runs the new one.
+"""Command and option words of release 0.1; each prints one line on stderr and runs the current command.
 
-**Conventions.** `OLD_WORDS` is the one table. Of several rows with one old word the first that fits counts: a row with
-a flag fits if the flag is given, a row that needs an argument if one is given, any other row always.
+**Conventions.** `OLD_WORDS` is the only table. The first matching row of an old word applies: a row with a flag matches
+if the flag is given, a row that needs an argument if an argument is given, any other row always.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -11,17 +11,17 @@ from difflib import get_close_matches
 from stone_client.streams import echo_notice
 
 WITH_VALUE = frozenset({"--server", "--licence", "--reason", "--download", "--put", "--propose", "--leave-out"})
-"""Options of the old commands whose next word is their value."""
+"""Options of the old commands that take a value."""
 OLD_OPTIONS = {"--out": "--output", "--watch": "--wait"}
-"""Old options by the new ones; a command with an option of the old name keeps its meaning."""
+"""New names of old options; a command with an option of the old name keeps its meaning."""
 
 
 @dataclass(frozen=True)
 class OldWord:
-    """A command of release 0.1 and the words that run it today.
+    """A command of release 0.1 and the words that run it.
 
-    `flag` is an option of the old command that chose the act; `becomes` is the option that takes its value today
-    (empty: the value is an argument, or the flag has none).
+    `flag` is the old command's option that selects the act; `becomes` is the current option for its value (empty: the
+    value is an argument, or the flag has none).
     """
 
     old: str
@@ -35,13 +35,13 @@ class OldWord:
         return f"{old} is now stone {self.new}"
 
     def fits(self, options: Sequence[str]) -> bool:
-        """Whether the row is for the old word with these options and arguments."""
+        """Return whether the row matches the old word with these options and arguments."""
         if self.flag:
             return any(option.partition("=")[0] == self.flag for option in options)
         return not self.needs_argument or any(_arguments(options))
 
     def renamed(self, options: Iterable[str]) -> list[str]:
-        """Return the command line of today."""
+        """Return the current command line."""
         kept = [word for option in options for word in self._option(option)]
         return [*self.new.split(), *kept]
 
@@ -84,7 +84,7 @@ OLD_WORDS = (
 
 
 def words_of_today(words: Sequence[str]) -> tuple[list[str], str]:
-    """Return the command line of today, and a line about the change; an empty line if nothing changed."""
+    """Return the current command line, and a line about the change; the line is empty if nothing changed."""
     for row in OLD_WORDS:
         if row.old == words[0] and row.fits(words[1:]):
             return row.renamed(words[1:]), str(row)
@@ -92,13 +92,13 @@ def words_of_today(words: Sequence[str]) -> tuple[list[str], str]:
 
 
 def words_like(word: str) -> list[str]:
-    """Return the commands of today that an old word like this one named."""
+    """Return the current commands of old words similar to this word."""
     near = get_close_matches(word, [row.old for row in OLD_WORDS])
     return list(dict.fromkeys(row.new for row in OLD_WORDS if row.old in near))
 
 
 def with_new_options(words: list[str], known: Collection[str]) -> list[str]:
-    """Return the words with the new names of old options, for a command that knows these options."""
+    """Return the words with the new names of old options, for a command with these options."""
     renamed = {old: new for old, new in OLD_OPTIONS.items() if new in known and old not in known}
     return [_renamed(word, renamed) for word in words] if renamed else words
 
@@ -112,7 +112,7 @@ def _renamed(word: str, renamed: Mapping[str, str]) -> str:
 
 
 def _arguments(options: Sequence[str]) -> Iterator[str]:
-    """Yield the words that are neither options nor their values."""
+    """Yield the words that are neither options nor option values."""
     is_value = False
     for option in options:
         if not is_value and not option.startswith("-"):

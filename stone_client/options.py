@@ -1,4 +1,4 @@
-"""The options that several commands share, so that they read and behave the same."""
+"""Options that several commands share, with the same words and behaviour."""
 
 import os
 import re
@@ -101,7 +101,7 @@ DataOption = Annotated[
 
 
 class Modality(StrEnum):
-    """What a method senses with: cameras, LiDAR, radar, and their sums."""
+    """Sensors that a method uses: cameras, LiDAR, radar, and their combinations."""
 
     C = "C"
     L = "L"
@@ -113,15 +113,16 @@ class Modality(StrEnum):
 
 
 class Ground(StrEnum):
-    """Where the ground lies under the robot: as the calibration says, or as the sweeps show it."""
+    """Source of the LiDAR's height and tilt: the calibration, or the sweeps."""
 
     GIVEN = "given"
     AUTO = "auto"
 
 
 class LabelProfile(StrEnum):
-    """How voxels are judged: `field` one-sided and by the vehicle's limits, with heights above the ground nearby;
-    `local` by such heights alone; `paper` to the letter, for reproductions."""
+    """The labelling rules: `field` one-sided with the vehicle's limits and heights above the ground nearby; `local` by
+    these heights alone; `paper` exactly as published, for reproductions.
+    """
 
     FIELD = "field"
     LOCAL = "local"
@@ -173,18 +174,18 @@ LidarOption = Annotated[str | None, typer.Option(metavar="TOPIC", help="LiDAR to
 
 
 def chosen_parameters(choices: Sequence[str]) -> dict[str, float]:
-    """Return the values by name; a number without point and exponent is whole. Raises `typer.BadParameter`."""
+    """Return the values by name; a number without point and exponent is an int. Raises `typer.BadParameter`."""
     chosen: dict[str, float] = {}
     for choice in choices:
-        found = PARAMETER.fullmatch(choice)
-        if found is None:
+        match = PARAMETER.fullmatch(choice)
+        if match is None:
             raise typer.BadParameter(
                 f"{choice[:80]!r} is not NAME=VALUE, such as reference.outlier_ratio=0.25", param_hint="--parameter"
             )
-        chosen[found["name"]] = int(found["value"]) if found["value"].isdecimal() else float(found["value"])
+        chosen[match["name"]] = int(match["value"]) if match["value"].isdecimal() else float(match["value"])
     return chosen
 
 
 def cores() -> int:
-    """The number of cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0))

@@ -1,7 +1,7 @@
-"""The platform beside the client: its commands where it is installed, and a refusal that says what to install.
+"""The platform's commands if it is installed, and otherwise refusals that state what to install.
 
-**Conventions.** Nothing of the platform is imported by name, for the client is installed without it; `stone_local`
-is looked up when it is asked for. An installation that is there and broken keeps its own traceback.
+**Conventions.** No module of the platform is imported by name, because the client also works without it; `stone_local`
+is looked up at its first use. A broken installation keeps its own traceback.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,19 +30,19 @@ def platform_places() -> Sequence[Place]:
     """Return the places of the platform's commands and groups; none if it is not installed."""
     if not is_platform_installed():
         return ()
-    found: Sequence[Place] = import_module(f"{PACKAGE}.registry").COMMANDS
-    return found
+    commands: Sequence[Place] = import_module(f"{PACKAGE}.registry").COMMANDS
+    return commands
 
 
 def platform_module(name: str, command: str) -> Any:
-    """A module of the platform that `command` needs. Raises `platform_not_installed`."""
+    """Return a module of the platform that `command` requires. Raises `platform_not_installed`."""
     if not is_platform_installed():
         raise platform_not_installed(command)
     return import_module(f"{PACKAGE}.{name}")
 
 
 def add_refusals(app: typer.Typer) -> None:
-    """Commands of the platform's names that refuse whatever they are asked, and that no help lists."""
+    """Add hidden commands with the platform's names that refuse every call."""
     for name in PLATFORM_COMMANDS:
         words = {"ignore_unknown_options": True, "allow_extra_args": True, "help_option_names": []}
         app.command(name, hidden=True, context_settings=words)(_refusal_of(name))

@@ -1,8 +1,8 @@
 """Progress of the pipelines: bars on a terminal, a line every 10 s or 10 % elsewhere; always on stderr.
 
-**Conventions.** A pipeline reports `(stage, done, total)`; a stage may be reported again from its beginning. The stages
-of a server's jobs have the titles of its pages (`CountedStage`); other stages have the titles of `TITLES`.
-`--no-progress` and `--quiet` (or their environment variables) turn progress off.
+**Conventions.** A pipeline reports `(stage, done, total)`; a stage may start again. The stages of a server's jobs have
+the titles of its pages (`CountedStage`); other stages have the titles of `TITLES`. `--no-progress` and `--quiet` (or
+their environment variables) turn progress off.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -19,7 +19,7 @@ Report = Callable[[str, int, int], None]
 Clock = Callable[[], datetime]
 
 EVERY_S, EVERY_RATIO = 10.0, 0.1
-LEAST_PAUSE_S = 1.0  # between lines of a stage that is over in a few seconds
+LEAST_PAUSE_S = 1.0  # between the lines of a stage that takes only a few seconds
 TITLES: Mapping[str, tuple[str, str]] = {
     "hash": ("Compute the checksum", "bytes"),
     "upload": ("Upload", "bytes"),
@@ -39,7 +39,7 @@ BYTE_UNITS = ((10**12, "TB"), (10**9, "GB"), (10**6, "MB"), (10**3, "kB"), (1, "
 
 
 class CountedStage(str):
-    """The title of a stage of a server's job: it counts `unit`, also in a command that transfers bytes."""
+    """The title of a stage of a server's job: it counts `unit`, even in a command that transfers bytes."""
 
     unit: str
 
@@ -79,7 +79,7 @@ def _shown(*, is_bytes: bool) -> Iterator[Report]:
 
 @dataclass
 class StagePace:
-    """A stage since its first report: how far it is, how fast, and how long it will take."""
+    """A stage since its first report: its progress, rate and remaining time."""
 
     began: datetime
     first: int
@@ -103,14 +103,14 @@ class StagePace:
         return f"{amount}, {speed}, {duration((self.total - self.done) / rate)} left"
 
     def is_due(self, now: datetime) -> bool:
-        """Whether a log gets a line at this report."""
+        """Return whether this report gets a line in a log."""
         since_s = (now - self.printed_at).total_seconds()
         is_far = self.done - self.printed >= EVERY_RATIO * self.total and since_s >= LEAST_PAUSE_S
         return self.done >= self.total or is_far or since_s >= EVERY_S
 
 
 class StagePaces:
-    """The pace of each stage; a stage that begins again has a new one."""
+    """The pace of each stage; a restarted stage has a new pace."""
 
     def __init__(self, *, is_bytes: bool, now: Clock = datetime.now) -> None:
         self._is_bytes, self.now = is_bytes, now
@@ -166,23 +166,23 @@ def title_of(stage: str) -> str:
 
 
 def unit_of(stage: str) -> str:
-    """Return what a stage counts."""
+    """Return the unit of a stage."""
     if isinstance(stage, CountedStage):
         return stage.unit
     return TITLES[stage][1] if stage in TITLES else "parts"
 
 
 def bytes_of(done: int, total: int | None = None) -> str:
-    """`12.4 GB`, or `12.4 of 50.0 GB` in the unit of the total."""
+    """Return `12.4 GB`, or `12.4 of 50.0 GB` in the unit of the total."""
     largest = done if total is None else total
     size, unit = next(((size, unit) for size, unit in BYTE_UNITS if largest >= size), BYTE_UNITS[-1])
     digits = 0 if size == 1 or (total is None and done >= 10 * size) else 1
-    told = f"{done / size:.{digits}f}"
-    return f"{told} {unit}" if total is None else f"{told} of {total / size:.{digits}f} {unit}"
+    count = f"{done / size:.{digits}f}"
+    return f"{count} {unit}" if total is None else f"{count} of {total / size:.{digits}f} {unit}"
 
 
 def duration(seconds: float) -> str:
-    """`23 s`, `6 min` or `3 h 10 min`."""
+    """Return `23 s`, `6 min` or `3 h 10 min`."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60)

@@ -47,5 +47,5 @@ def _cell(field: str, value: Any) -> str:
     if isinstance(value, list):
         return safe_text(", ".join(map(str, value))) or DASH
     if isinstance(value, dict):
-        return safe_text(", ".join(f"{name} {one}" for name, one in value.items())) or DASH
+        return safe_text(", ".join(f"{name} {part}" for name, part in value.items())) or DASH
     return safe_text(str(value)[:TO_SECONDS] if field.endswith("_at") else str(value))

@@ -1,8 +1,8 @@
 """Exit codes and messages of the command for refused inputs.
 
-**Conventions.** A refusal is one line `code: sentence` on stderr for each finding and exit code 1; under `--json` the
-same findings are an object on stdout. Errors that are not `StoneError` and not the machine's own refusals (no
-permission, no space) are faults of the program and keep their traceback.
+**Conventions.** A refusal is one line `code: sentence` on stderr for each finding, with exit code 1; under `--json` the
+same findings are an object on stdout. Errors other than `StoneError` and the system's refusals (no permission, no
+space) are program faults and keep their traceback.
 """
 
 import errno
@@ -49,28 +49,28 @@ class RefusingGroup(TyperGroup):
 
 def refuse(findings: Iterable[Finding], *, as_json: bool, exit_code: int = REFUSED) -> NoReturn:
     """Print each finding on a line of its own and end the command with `exit_code`."""
-    said = tuple(findings)
-    echo_findings(said)
+    shown = tuple(findings)
+    echo_findings(shown)
     if as_json:
-        echo_json({"findings": [finding.as_record() for finding in said]})
+        echo_json({"findings": [finding.as_record() for finding in shown]})
     raise typer.Exit(exit_code)
 
 
 def refuse_submission(validation: Validation, *, as_json: bool) -> NoReturn:
-    """Say each problem of a submission on a line of its own and end the command with exit code 1."""
+    """Print each problem of a submission on its own line and end the command with exit code 1."""
     refuse_report(validation.as_record(), as_json=as_json)
 
 
 def refuse_report(report: Mapping[str, Any], *, as_json: bool) -> NoReturn:
-    """The same for a record of a validation, ours or a server's; files with one problem are one line."""
+    """Print the problems of a validation record, from here or a server; files with the same problem share a line."""
     alike = dict[tuple[str, str, str], list[str]]()
-    for one in report["errors"]:
-        expected = "" if one["code"] == "missing_frame" else one["expected"]  # it has the frame's own name
-        alike.setdefault((one["code"], expected, one["actual"]), []).append(one["file"])
+    for error in report["errors"]:
+        expected = "" if error["code"] == "missing_frame" else error["expected"]
+        alike.setdefault((error["code"], expected, error["actual"]), []).append(error["file"])
     for (code, expected, actual), files in alike.items():
         others = f"; {counted(len(files) - 1, 'more file')} of those listed" if len(files) > 1 else ""
-        said = f"{code}: {files[0]}: expected {expected or files[0]}, found {actual}{others}"
-        typer.echo(f"{one_line(said)} ({one_line(hint_of(code, expected, actual))})", err=True)
+        line = f"{code}: {files[0]}: expected {expected or files[0]}, found {actual}{others}"
+        typer.echo(f"{one_line(line)} ({one_line(hint_of(code, expected, actual))})", err=True)
     if report["errors_total"] > len(report["errors"]):
         typer.echo(f"… and {report['errors_total'] - len(report['errors'])} more", err=True)
     if as_json:

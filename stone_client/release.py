@@ -1,4 +1,4 @@
-"""The client's own release, and the oldest server that it understands."""
+"""The client's own release, and the oldest server that it supports."""
 
 from functools import cache
 from importlib.metadata import version
@@ -8,5 +8,5 @@ OLDEST_SERVER = "0.1.0"
 
 @cache
 def own_release() -> str:
-    """As it was installed; looked up when it is first asked for, since `stone --help` does without."""
+    """Return the installed release; looked up at the first call, since `stone --help` does without."""
     return version("stone-client")

@@ -1,7 +1,7 @@
 """Scores of a submission on this machine, with NumPy alone: the platform's ratios, counts, signature and intervals.
 
-**Conventions.** Frames are counted on a few threads, each of which holds one frame. The order of frames in time stands
-in tables that only the platform reads, so intervals of the driven places are left out (`unknown_order`).
+**Conventions.** A few threads count frames; each holds one frame. The time order of frames is in tables that only the
+platform reads, so intervals of the driven places are left out (`unknown_order`).
 """
 
 from pathlib import Path
@@ -34,7 +34,7 @@ def score(
     grid: LabelGrid | None = None,
     progress: Report,
 ) -> Scores:
-    """Return the scores of a submission that holds exactly the frames of a folder of labels.
+    """Return the scores of a submission that contains exactly the frames of a folder of labels.
 
     Raises `SubmissionRefusedError` with the whole validation, `GroundTruthError`, `UnreadableInputError`,
     `no_confidence`, `unknown_grid`.
@@ -45,8 +45,8 @@ def score(
         if archive.problems:
             raise SubmissionRefusedError(verdict(archive.problems))
         count = _Count(archive, truth, least_confidence)
-        found = list(in_threads(count.frame, len(tokens), THREADS, progress=progress, stage="score"))
-    validation = verdict([problem for problem in found if problem is not None])
+        problems = list(in_threads(count.frame, len(tokens), THREADS, progress=progress, stage="score"))
+    validation = verdict([problem for problem in problems if problem is not None])
     if not validation.ok:
         raise SubmissionRefusedError(validation)
     limit = ConfidenceLimit(least_confidence, sum(count.left_out.values())) if least_confidence > 0 else None
@@ -75,7 +75,7 @@ class _Count:
         )
 
     def frame(self, index: int) -> ValidationProblem | None:
-        """Count one frame; return what is wrong with its prediction. Raises `GroundTruthError`."""
+        """Count one frame; return the problem of its prediction, or None. Raises `GroundTruthError`."""
         token, grid = self._tokens[index], self._truth.manifest.grid
         path = self._paths[token]
         labels = read_labels(path, self._truth.mask, grid, self._least_confidence)

@@ -1,4 +1,4 @@
-"""Sign-in: a name and a password, or a token, become credentials that the other commands use."""
+"""Sign-in: a name and a password, or a token, become credentials for the other commands."""
 
 import socket
 from collections.abc import Iterable, Iterator
@@ -14,7 +14,7 @@ EVERYDAY = ("read", "upload", "submit")
 
 @dataclass(frozen=True)
 class TokenIdentity:
-    """The user whom the token belongs to."""
+    """The user of the token."""
 
     url: str
     name: str
@@ -26,21 +26,21 @@ class TokenIdentity:
 
 
 def sign_in_by_token(url: str, token: str) -> TokenIdentity:
-    """Keep a token that the server knows. Raises what `Api.send` raises."""
+    """Store a token that the server accepts. Raises what `Api.send` raises."""
     identity = identity_of(url, token)
     remember(url, token, as_default=True)
     return identity
 
 
 def identity_of(url: str, token: str) -> TokenIdentity:
-    """Whose the token is. Raises what `Api.send` raises."""
+    """Return the user of the token. Raises what `Api.send` raises."""
     with Api(Server(url, token)) as api:
         me = api.read("/me")
     return TokenIdentity(url, me["name"], me["role"], tuple(me["scopes"]))
 
 
 def sign_in_by_password(url: str, name: str, password: str, *, as_administrator: bool) -> TokenIdentity:
-    """Have a token issued for this machine, and keep it; the password is not kept. Raises what `Api.send` raises."""
+    """Request a token for this machine and store it; the password is not stored. Raises what `Api.send` raises."""
     wanted = (*EVERYDAY, "admin") if as_administrator else EVERYDAY
     token = _issued(url, (name, password), wanted)
     remember(url, token["secret"], as_default=True)
@@ -49,7 +49,7 @@ def sign_in_by_password(url: str, name: str, password: str, *, as_administrator:
 
 @contextmanager
 def administering(url: str, name: str, password: str) -> Iterator[Api]:
-    """An API with every scope that the user's role has, by a token that is revoked at the end."""
+    """Yield an API with every scope of the user's role; its token is revoked at the end."""
     token = _issued(url, (name, password), (*EVERYDAY, "admin"))
     with Api(Server(url, token["secret"])) as api:
         try:
@@ -59,7 +59,7 @@ def administering(url: str, name: str, password: str) -> Iterator[Api]:
 
 
 def _issued(url: str, sign_in: tuple[str, str], wanted: Iterable[str]) -> dict[str, Any]:
-    """A new token of the user (name, password) with those of the wanted scopes that their role has."""
+    """Return a new token of the user (name, password) with the wanted scopes that their role has."""
     name, password = sign_in
     with Api(Server(url, "")) as api:
         session = api.send("POST", "/sessions", json={"name": name, "password": password}).json()

@@ -1,7 +1,7 @@
-"""A command of `stone` as it reads and shows its options: old names are taken, types and errors are words.
+"""Commands of `stone` with readable options: old names are accepted, types and errors are words.
 
 **Conventions.** Typer shows Python's types and pydantic's messages; the classes here replace both, for every command
-alike. Typer makes the parameters, so they are given their class after that.
+alike. Typer creates the parameters, so their class is set afterwards.
 """
 
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ class WordyOption(TyperOption):
         return range_words(self.min, self.max)
 
     def process_value(self, ctx: Any, value: Any) -> Any:
-        if value is None and not (self.required or self.multiple):  # pydantic, which is slow to load, has no part in it
+        if value is None and not (self.required or self.multiple):  # avoids pydantic, which is slow to load
             return None if self.callback is None else self.callback(ctx, self, value)
         try:
             return super().process_value(ctx, value)
@@ -64,7 +64,7 @@ def in_words(params: Sequence[Any]) -> list[Any]:
 
 
 class StoneCommand(TyperCommand):
-    """A command that takes the old names of its options too."""
+    """A command that accepts the old names of its options too."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         return in_words(super().get_params(ctx))
@@ -96,7 +96,7 @@ def choice_words(described: Any) -> list[str]:
 
 
 def range_words(least: float | None, most: float | None) -> str | None:
-    """Return a range of numbers as the help shows it; None without one."""
+    """Return a range of numbers for the help; None without a range."""
     if least is None and most is None:
         return None
     if most is None:
@@ -105,7 +105,7 @@ def range_words(least: float | None, most: float | None) -> str | None:
 
 
 def worded(error: typer.BadParameter, param: Any) -> typer.BadParameter:
-    """Return the error with a sentence of ours where pydantic wrote it: what was given, and what is expected."""
+    """Return the error with our sentence instead of pydantic's: the given value, and the expected one."""
     faults: list[Any] = getattr(error.__cause__, "errors", list)()
     if not faults:
         return error

@@ -1,7 +1,7 @@
-"""Output streams of the command: what goes to stdout and stderr, and in which style.
+"""Output streams of the command: the content and style of stdout and stderr.
 
-**Conventions.** stdout carries the answer (a table, or one JSON object under `--json`); stderr carries progress,
-warnings and refusals. Names from recordings and archives are hostile: control characters are shown, never sent.
+**Conventions.** stdout contains the answer (a table, or one JSON object under `--json`); stderr contains progress,
+warnings and refusals. Names from recordings and archives are hostile: control characters are printed escaped.
 """
 
 import json
@@ -21,7 +21,7 @@ _shows_notices: ContextVar[bool] = ContextVar("shows_notices", default=True)
 
 
 def choose_output(*, is_quiet: bool, has_progress: bool) -> None:
-    """Set the effect of `--quiet` and `--no-progress` for the command that runs now."""
+    """Set the effect of `--quiet` and `--no-progress` for the current command."""
     _shows_progress.set(has_progress and not is_quiet)
     _shows_notices.set(not is_quiet)
 
@@ -41,32 +41,32 @@ JsonOption = Annotated[
 
 
 def wants_json(context: typer.Context) -> bool:
-    """Whether the command that runs under this context was given `--json`."""
+    """Return whether the command of this context was given `--json`."""
     return bool(context.find_root().meta.get(WANTS_JSON, False))
 
 
 def echo_json(record: Mapping[str, Any]) -> None:
-    """One JSON object and a newline; NaN and infinity are not JSON, so they raise `ValueError`."""
+    """Print one JSON object and a newline. NaN and infinity raise `ValueError`, as JSON lacks them."""
     typer.echo(json.dumps(record, allow_nan=False))
 
 
 def echo_notice(line: str) -> None:
-    """One line on stderr about what happens meanwhile; none under `--quiet`."""
+    """Print one line on stderr about current activity; none under `--quiet`."""
     if _shows_notices.get():
         typer.echo(one_line(line), err=True)
 
 
 def echo_explainer(findings: Iterable[Finding]) -> None:
-    """Where there are findings: which command says what their codes mean, by the first of most harm."""
+    """Print which command explains the codes of the findings, with the most harmful code as its example."""
     known = sorted(
-        (one for one in findings if one.code in CATALOGUE), key=lambda one: harm_rank(one.code, one.severity)
+        (item for item in findings if item.code in CATALOGUE), key=lambda item: harm_rank(item.code, item.severity)
     )
     if known:
         echo_notice(f"`stone explain {known[0].code}` explains a code and its remedy")
 
 
 def echo_findings(findings: Iterable[Finding]) -> None:
-    """One line each on stderr; what is not an error says so first."""
+    """Print one line per finding on stderr; a finding below an error starts with its severity."""
     for finding in findings:
         grade = "" if finding.severity == "error" else f"{finding.severity}: "
         is_named = not finding.topic or finding.message.startswith(finding.topic)

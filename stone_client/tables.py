@@ -1,6 +1,6 @@
 """Answers as tables for people; every value comes from the record that `--json` prints.
 
-**Conventions.** A value that is undefined (null) shows as a dash, never as 0 or 1.
+**Conventions.** An undefined value (null) shows as a dash, never as 0 or 1.
 """
 
 import re
@@ -25,9 +25,9 @@ QUALITY = ("held out", "gravest")
 
 
 def show(table: Table) -> None:
-    """Print a table on stdout, as wide as the terminal, or wide enough for most names if there is none.
+    """Print a table on stdout, as wide as the terminal, or wide enough for most names without a terminal.
 
-    A table whose ids, dates and numbers need more stays as wide as they are.
+    A table whose ids, dates and numbers need more width keeps it.
     """
     console = Console()
     if not console.is_terminal:
@@ -41,12 +41,12 @@ def show(table: Table) -> None:
 
 
 def _least_width(text: str) -> int:
-    """Return the width in which no id, date or number of the text is wrapped, and no short word."""
+    """Return the width at which no id, date, number or short word of the text is wrapped."""
     return max((len(word) if WHOLE.match(word) else min(len(word), FOLDED_COLUMNS) for word in text.split()), default=1)
 
 
 def plain_table(title: str, *columns: str) -> Table:
-    """A table whose first column is text and whose others are numbers, right-aligned."""
+    """Return a table whose first column is left-aligned text and whose others are right-aligned numbers."""
     table = Table(title=title, title_justify="left", box=SIMPLE)
     for position, column in enumerate(columns):
         table.add_column(column, justify="left" if position == 0 else "right")
@@ -60,7 +60,7 @@ def quality_cells(item: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def inspection_table(record: Mapping[str, Any]) -> Table:
-    """Topics of a recording with their role, rate and gaps (the record of `stone inspect --json`)."""
+    """Return the topics of a recording with their role, rate and gaps (the record of `stone inspect --json`)."""
     duration_s = record["duration_ns"] / 1e9
     table = Table(title=f"{duration_s:.1f} s, {len(record['topics'])} topics", title_justify="left", box=SIMPLE)
     for column in ("topic", "type", "role"):
@@ -78,30 +78,30 @@ def inspection_table(record: Mapping[str, Any]) -> Table:
 
 
 def recording_table(recordings: Sequence[Mapping[str, Any]]) -> Table:
-    """What was added to the times of each recording of a run, its standard error, and how it is known."""
+    """Return the clock offset of each recording of a run, its standard error and its source."""
     table = Table(title="recordings: clock alignment", title_justify="left", box=SIMPLE)
     table.add_column("recording", overflow="fold")
     for column in ("offset s", "± ms"):
         table.add_column(column, justify="right")
     table.add_column("method")
-    for one in recordings:
-        error = DASH if one["sigma_ns"] is None else f"{one['sigma_ns'] / 1e6:.2f}"
-        table.add_row(safe_text(one["name"]), f"{one['offset_ns'] / 1e9:+.6f}", error, ", ".join(one["known_by"]))
+    for item in recordings:
+        error = DASH if item["sigma_ns"] is None else f"{item['sigma_ns'] / 1e6:.2f}"
+        table.add_row(safe_text(item["name"]), f"{item['offset_ns'] / 1e9:+.6f}", error, ", ".join(item["known_by"]))
     return table
 
 
 def clock_table(record: Mapping[str, Any]) -> Table:
-    """What each topic's stamps say of its clock (`clocks` of the record of `stone inspect --json`).
+    """Return the clock properties of each topic (`clocks` of the record of `stone inspect --json`).
 
-    "jitter ms" is robust σ against the sensor's own time where its messages carry one, else against record time;
-    "late ms" is how much later the stamps are than the sensor's own time. A camera_info is stamped as its image is, and
-    left out.
+    "jitter ms" is the robust σ against the sensor's own time if its messages have one, else against record time; "late
+    ms" is the delay of the stamps after the sensor's own time. A camera_info has the stamps of its image and is left
+    out.
     """
     lag = record["imu_lag"]
     title = "clocks: record time − stamp"
     if lag is not None:
-        told = f"{lag['lag_ns'] / 1e6:+.1f} ± {lag['sigma_ns'] / 1e6:.1f} ms"
-        title += f"; gyro of {safe_text(lag['topic'])} late by {told} against {safe_text(lag['reference'])}"
+        lag_text = f"{lag['lag_ns'] / 1e6:+.1f} ± {lag['sigma_ns'] / 1e6:.1f} ms"
+        title += f"; gyro of {safe_text(lag['topic'])} late by {lag_text} against {safe_text(lag['reference'])}"
     table = Table(title=title, title_justify="left", box=SIMPLE)
     table.add_column("topic", overflow="fold")
     table.add_column("stamped by")
@@ -127,7 +127,7 @@ def _clock_numbers(clock: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _offset(offset_ns: int | None, constant: str) -> str:
-    """Milliseconds up to a second, seconds beyond, with the constant it is close to."""
+    """Return milliseconds up to a second, seconds beyond, with the constant that it is close to."""
     if offset_ns is None:
         return DASH
     if abs(offset_ns) < 1_000_000_000:
@@ -140,7 +140,7 @@ READINGS = {"within_occupied": "within occupied", "tolerant": "±1 voxel in heig
 
 
 def score_table(record: Mapping[str, Any], title: str) -> Table:
-    """The IoUs by reading, and the danger (the record of `stone score --json`)."""
+    """Return the IoUs by reading, and the danger (the record of `stone score --json`)."""
     readings = [record["total"], *(record[reading] for reading in READINGS)]
     table = plain_table(title, "IoU", "all voxels", *READINGS.values())
     for name, key in (("occupied", "iou_occ"), ("T", "iou_t"), ("P", "iou_p"), ("N", "iou_n"), ("mean T P N", "miou")):
@@ -151,7 +151,7 @@ def score_table(record: Mapping[str, Any], title: str) -> Table:
 
 
 def class_table(title: str, share_of_class: Mapping[str, float]) -> Table:
-    """How the occupied voxels divide between the classes."""
+    """Return the shares of the classes in the occupied voxels."""
     table = plain_table(title, "class", "share")
     for name, share in share_of_class.items():
         table.add_row(name, _percent(share))
@@ -161,7 +161,7 @@ def class_table(title: str, share_of_class: Mapping[str, float]) -> Table:
 def confusion_table(
     confusion: Sequence[Sequence[int]], rows: str = "ground truth", columns: str = "prediction"
 ) -> Table:
-    """Cells are voxels; `rows` and `columns` say of what."""
+    """Return the confusion matrix in voxels; `rows` and `columns` are its axis titles."""
     table = plain_table(f"voxels: {rows} in rows, {columns} in columns", "", *CLASSES)
     for name, row in zip(CLASSES, confusion, strict=True):
         table.add_row(name, *(f"{count:,}" for count in row))
@@ -173,5 +173,5 @@ def _percent(ratio: float | None) -> str:
 
 
 def safe_text(text: str) -> str:
-    """Somebody else's text as plain text: no markup, no control characters."""
+    """Return hostile text as plain text: no markup, no control characters."""
     return escape(one_line(text))

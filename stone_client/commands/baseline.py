@@ -38,10 +38,11 @@ def baseline(
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Predict every frame of a manifest from its own LiDAR sweep, untrained: the baseline every method should beat.
+    """Predict every frame of a manifest from its own LiDAR sweep, untrained: the baseline that every method should
+    beat.
 
-    Ground is the lowest point of each column; steep or uneven is non-traversable, the corridor ahead traversable.
-    With --sweeps the ground comes from earlier sweeps too, and the track behind the robot is traversable.
+    The lowest point of each column is ground. Steep or uneven ground is non-traversable, the corridor ahead
+    traversable. With --sweeps, earlier sweeps add ground points, and the track behind the robot is traversable.
     """
     from stone_client.baseline import BaselinePlan, write_baseline
 

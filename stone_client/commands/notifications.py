@@ -1,4 +1,4 @@
-"""`stone notifications`: what one is told of, by which channel, and what was delivered."""
+"""`stone notifications`: choose events and channels, and list deliveries."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any
@@ -12,7 +12,7 @@ from stone_client.tables import plain_table, safe_text, show
 
 
 class Channel(StrEnum):
-    """How one is told."""
+    """The channels of notifications."""
 
     email = "email"
     webhook = "webhook"
@@ -26,13 +26,13 @@ LimitOption = Annotated[int, typer.Option("--limit", min=1, max=200, help="Maxim
 
 
 def listed(server: ServerOption = None, as_json: JsonOption = False) -> None:
-    """List the events and which of them are enabled."""
+    """List the events, and whether each is enabled."""
     from stone_client.connection import connected
     from stone_client.server.notifications import read_notifications
 
     with connected(server) as api:
-        found = read_notifications(api)
-    _say(found, as_json)
+        settings = read_notifications(api)
+    _say(settings, as_json)
 
 
 def on(events: EventsArgument, by: ByOption, server: ServerOption = None, as_json: JsonOption = False) -> None:
@@ -51,13 +51,19 @@ def deliveries(limit: LimitOption = 20, server: ServerOption = None, as_json: Js
     from stone_client.server.notifications import read_deliveries
 
     with connected(server) as api:
-        found = read_deliveries(api, limit)
+        records = read_deliveries(api, limit)
     if as_json:
-        echo_json({"deliveries": found})
+        echo_json({"deliveries": records})
         return
     table = plain_table("deliveries", "event", "by", "state", "tries", "answer")
-    for one in found:
-        table.add_row(one["kind"], one["channel"], one["state"], str(one["tries"]), safe_text(one["answer"]))
+    for delivery in records:
+        table.add_row(
+            delivery["kind"],
+            delivery["channel"],
+            delivery["state"],
+            str(delivery["tries"]),
+            safe_text(delivery["answer"]),
+        )
     show(table)
 
 
@@ -66,31 +72,31 @@ def _choose(events: list[str], by: Channel, server: str | None, as_json: bool, *
     from stone_client.server.notifications import choose_events
 
     with connected(server) as api:
-        found = choose_events(api, by.value, events, is_wanted=is_wanted)
-    _say(found, as_json)
+        settings = choose_events(api, by.value, events, is_wanted=is_wanted)
+    _say(settings, as_json)
 
 
-def _say(found: Mapping[str, Any], as_json: bool) -> None:
+def _say(settings: Mapping[str, Any], as_json: bool) -> None:
     if as_json:
-        echo_json(dict(found))
+        echo_json(dict(settings))
         return
     table = plain_table("events", "event", "e-mail", "webhook", "when")
-    for event in found["events"]:
-        marks = ["yes" if event["kind"] in found[channel] else "" for channel in ("email", "webhook")]
+    for event in settings["events"]:
+        marks = ["yes" if event["kind"] in settings[channel] else "" for channel in ("email", "webhook")]
         table.add_row(event["kind"], *marks, safe_text(event["title"]))
     show(table)
-    typer.echo(f"e-mail to: {_email(found)}; webhook: {_webhook(found)}", err=True)
+    typer.echo(f"e-mail to: {_email(settings)}; webhook: {_webhook(settings)}", err=True)
 
 
-def _email(found: Mapping[str, Any]) -> str:
-    address = found["email_address"]
+def _email(settings: Mapping[str, Any]) -> str:
+    address = settings["email_address"]
     if address is None:
-        return "no address yet" if found["sends_email"] else "e-mail is not configured on this platform"
+        return "no address yet" if settings["sends_email"] else "e-mail is not configured on this platform"
     return f"{address['address']}{'' if address['is_verified'] else ' (not verified yet)'}"
 
 
-def _webhook(found: Mapping[str, Any]) -> str:
-    target = found["webhook_target"]
+def _webhook(settings: Mapping[str, Any]) -> str:
+    target = settings["webhook_target"]
     if target is None:
         return "none yet"
     return f"{target['url']}{' (disabled)' if target['disabled_at'] else ''}"

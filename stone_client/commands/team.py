@@ -1,4 +1,4 @@
-"""`stone team`: one's teams, created and entered by invitation."""
+"""`stone team`: list and create teams, invite members, and join with an invitation."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any
@@ -21,19 +21,19 @@ def listed(server: ServerOption = None, as_json: JsonOption = False) -> None:
     from stone_client.server.teams import read_teams
 
     with connected(server) as api:
-        found = read_teams(api)
+        teams = read_teams(api)
     if as_json:
-        echo_json({"teams": found})
+        echo_json({"teams": teams})
         return
     table = plain_table("teams", "id", "name", "captain", "members")
-    for team in found:
+    for team in teams:
         members = ", ".join(team["members"])
         table.add_row(team["id"], safe_text(team["name"]), safe_text(team["captain"] or ""), safe_text(members))
     show(table)
 
 
 def create(name: NameArgument, server: ServerOption = None, as_json: JsonOption = False) -> None:
-    """Create a team; you are its captain."""
+    """Create a team with you as its captain."""
     from stone_client.connection import connected
     from stone_client.server.teams import found_team
 

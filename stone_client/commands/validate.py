@@ -1,4 +1,4 @@
-"""`stone validate`: is this submission complete and well-formed?"""
+"""`stone validate`: check that a submission is complete and well-formed."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -32,7 +32,7 @@ def validate(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Check a submission against a manifest, by the same code as the server, without ground truth or extracting it."""
+    """Check a submission against a manifest with the server's own code, without ground truth or extraction."""
     from stone_submissions.validation import validate as validate_submission
 
     if (manifest is None) != bool(benchmark and phase) or bool(benchmark) != bool(phase):
@@ -51,7 +51,7 @@ def validate(
 
 @contextmanager
 def _manifest(given: Path | None, of: tuple[str, str], server: str | None) -> Iterator[Path]:
-    """The manifest that was given, or that of a phase as the server has it now."""
+    """Yield the given manifest, or the current manifest of a phase from the server."""
     if given is not None:
         yield given
         return

@@ -1,4 +1,4 @@
-"""Labels and sensor data of a dataset as NumPy arrays, read where they lie, frame by frame.
+"""Labels and sensor data of a dataset as NumPy arrays, read in place, frame by frame.
 
 from stone_client.devkit import open_dataset
 

@@ -1,8 +1,8 @@
-"""A dataset as a sequence of frames, from whatever layout it lies in.
+"""A dataset as a sequence of frames, independent of its layout on disk.
 
-**Conventions.** Opening reads the list of files, the tables and the first label file, which tells the layout; every
-other file is read when a frame is asked for it. Nothing is kept of a frame that nobody holds. A dataset can be sent to
-other processes, and read in them.
+**Conventions.** Opening reads the list of files, the tables and the first label file, which determines the layout;
+every other file is read at the first access of its frame. Frames are not cached. A dataset can be pickled and read in
+other processes.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -30,7 +30,7 @@ Arrays = Mapping[str, Any]
 
 
 class FrameSource(Protocol):
-    """The frames of a layout, by sequence and place."""
+    """The frames of a layout, by sequence and index."""
 
     @property
     def format(self) -> LabelFormat: ...
@@ -50,12 +50,12 @@ class FrameSource(Protocol):
 
 
 def labels_of(frame: Frame) -> Arrays:
-    """Return the arrays of a frame that every frame has of one shape."""
+    """Return the arrays that every frame has in the same shape."""
     return {"token": frame.token, "semantics": frame.semantics, "observed": frame.observed}
 
 
 class Dataset(Sequence[Frame]):
-    """Frames by sequence and stamp; `sequences` are the names of those that are in it."""
+    """Frames by sequence and stamp; `sequences` are the names of its sequences."""
 
     def __init__(self, source: FrameSource, sequences: Iterable[str]) -> None:
         self._source = source
@@ -74,12 +74,12 @@ class Dataset(Sequence[Frame]):
 
     @property
     def splits(self) -> Mapping[str, tuple[str, ...]]:
-        """The names of the sequences of each split, as the dataset states them."""
+        """The names of the sequences of each split of the dataset."""
         return {split: tuple(filter(self.sequences.__contains__, of)) for split, of in self._source.splits.items()}
 
     @property
     def drives(self) -> tuple[tuple[str, ...], ...]:
-        """The names of the sequences of each drive: sequences that continue each other, which no split may tear."""
+        """The names of the sequences of each drive: sequences that continue each other, which no split may separate."""
         own = (tuple(filter(self.sequences.__contains__, names)) for names in self._source.drives)
         return tuple(filter(None, own))
 
@@ -91,11 +91,11 @@ class Dataset(Sequence[Frame]):
         return Dataset(self._source, names)
 
     def write_manifest(self, path: str | Path) -> None:
-        """Write the list of its frames, which `stone baseline`, `train`, `predict` and `validate` read."""
+        """Write the list of its frames, for `stone baseline`, `train`, `predict` and `validate`."""
         write_manifest(Path(path), Manifest(self._tokens(), self.grid))
 
     def write_labels(self, folder: str | Path) -> None:
-        """Write its labels into a new folder as `stone score` reads them, frame by frame. Raises `frame_unlabelled`."""
+        """Write its labels into a new folder, frame by frame, for `stone score`. Raises `frame_unlabelled`."""
         with atomic_directory(Path(folder)) as staging:
             (staging / GRID_FILE).write_text(grid_text(self.grid), "utf-8")
             for frame in self:
@@ -105,7 +105,7 @@ class Dataset(Sequence[Frame]):
                 path.write_bytes(npz_bytes({"semantics": frame.semantics, "mask_lidar": observed}))
 
     def as_torch(self, read: Callable[[Frame], Arrays] = labels_of) -> "FrameTensors":
-        """Return a torch `Dataset` of what `read` returns of each frame, its arrays as tensors. Needs torch."""
+        """Return a torch `Dataset` that yields the arrays of `read(frame)` as tensors. Requires torch."""
         from stone_client.devkit.tensors import FrameTensors
 
         return FrameTensors(self, read)
@@ -140,15 +140,15 @@ def open_dataset(
 ) -> Dataset:
     """Open a published dataset, an export (folder, tar or ZIP) or a folder of labels.
 
-    `layout` and `grid` (a name or a file) are recognised if they are not stated; of a label set with several grids,
-    `grid` chooses one. `classes` is a class map for numbers of others.
+    `layout` and `grid` (a name or a file) are recognised if they are not given; of several grids in a label set, `grid`
+    chooses one. `classes` maps foreign class numbers.
 
-    Raises a `DatasetFaultError` that names table, row and file, `bad_tar`, `bad_layout`, `bad_grid`, `not_labels`.
+    Raises a `DatasetFaultError` with table, row and file, `bad_tar`, `bad_layout`, `bad_grid`, `not_labels`.
     """
     where, chosen = Path(path), None if grid is None else chosen_grid(grid)
     if is_label_set(where):
         source: FrameSource = read_label_set(where, chosen)
     else:
-        said = OWN_CLASSES if classes is None else read_class_map(Path(classes))
-        source = read_published(where, StatedLayout(layout, chosen), said)
+        class_map = OWN_CLASSES if classes is None else read_class_map(Path(classes))
+        source = read_published(where, StatedLayout(layout, chosen), class_map)
     return Dataset(source, source.sequences)

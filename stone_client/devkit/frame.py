@@ -1,8 +1,8 @@
-"""One frame of a dataset: its labels, its poses, and the data of its sensors, each read when it is asked for.
+"""One frame of a dataset: its labels, poses and sensor data, each read at its first access.
 
-**Conventions.** Labels are aligned with the ego frame at the frame's stamp: axes x forward, y left, z up, and voxel
-[i, j, k] begins at `grid.min_m` + [i, j, k] · `grid.voxel_m`. Transforms are homogeneous matrices (4, 4) float64,
-metres. `map` is the dataset's `global`. Cameras are optical: z forward, x right, y down.
+**Conventions.** Labels are aligned with the ego frame at the frame's stamp: axes x forward, y left, z up; the lower
+corner of voxel [i, j, k] is `grid.min_m` + [i, j, k] · `grid.voxel_m`. Transforms are homogeneous matrices (4, 4)
+float64, metres. `map` is the dataset's `global`. Cameras are optical: z forward, x right, y down.
 """
 
 from collections.abc import Mapping
@@ -28,7 +28,7 @@ Matrix = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SensorCalibration:
-    """How a sensor is mounted. A camera has `intrinsics` (3, 3), and its `lens` with the model and its distortion."""
+    """The mount of a sensor. A camera has `intrinsics` (3, 3), and its `lens` with the model and its distortion."""
 
     channel: str
     modality: str
@@ -39,7 +39,7 @@ class SensorCalibration:
 
 @dataclass(frozen=True, eq=False)
 class LabelFormat:
-    """How the label files of a dataset are read."""
+    """The format of a dataset's label files."""
 
     layout: DatasetLayout
     classes: ClassMap
@@ -56,7 +56,7 @@ class Frame:
 
     @property
     def token(self) -> str:
-        """32 hex digits, also if the dataset writes a UUID."""
+        """The token: 32 hex digits, also if the dataset writes a UUID."""
         return self.exported.token
 
     @property
@@ -81,13 +81,13 @@ class Frame:
 
     @property
     def observed(self) -> NDArray[np.bool_]:
-        """Whether each voxel was observed; everywhere if the labels do not say it. Raises `frame_unlabelled`."""
+        """Whether each voxel was observed; True everywhere if the labels lack a mask. Raises `frame_unlabelled`."""
         mask = self._labels.mask_lidar
         return np.ones(self.grid.shape, np.bool_) if mask is None else mask.astype(np.bool_)
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """The sensors that it has data of."""
+        """The sensors with data in this frame."""
         return tuple(sorted(self.exported.data))
 
     @property
@@ -97,12 +97,12 @@ class Frame:
 
     @property
     def sweep(self) -> NDArray[np.float32]:
-        """Returns (N, 4) of the LiDAR: x y z in the ego frame, metres, and intensity. Raises `channel_missing`."""
+        """The LiDAR points (N, 4): x y z in the ego frame, metres, and intensity. Raises `channel_missing`."""
         datum = self._datum(LIDAR_CHANNEL)
         return SweepFile(datum.span, datum.sensor.ego_from_sensor).returns_ego()
 
     def image(self, channel: str) -> NDArray[np.uint8]:
-        """Return the picture (height, width, 3) of a camera as it was taken, RGB. Raises `channel_missing`."""
+        """Return the original RGB image (height, width, 3) of a camera. Raises `channel_missing`."""
         datum = self._datum(channel, "camera")
         return recorded_picture(datum.span, datum.sensor.intrinsics)
 
@@ -114,7 +114,7 @@ class Frame:
         return detections_ego(self._datum(channel, "radar"))
 
     def pose(self, channel: str) -> Matrix:
-        """Return `map_from_ego` when this sensor measured. Raises `channel_missing`."""
+        """Return `map_from_ego` at the time of this sensor's measurement. Raises `channel_missing`."""
         return self._datum(channel).global_from_ego.as_matrix()
 
     @cached_property

@@ -1,7 +1,7 @@
 """The label set in a folder of `stone label`, or in an unpacked tar of a dataset version: labels without sensor data.
 
-**Conventions.** Stamps and poses are those of `scene/scene.json`, to 0.1 mm. Without it frames are in the order of
-their tokens, and have no poses. Labels of a further grid lie in `grids/<name>/`.
+**Conventions.** Stamps and poses come from `scene/scene.json`, to 0.1 mm. Without it frames are in the order of their
+tokens, and have no poses. Labels of a further grid are in `grids/<name>/`.
 """
 
 import json
@@ -39,7 +39,7 @@ class LabelSet:
 
     @property
     def sequences(self) -> tuple[str, ...]:
-        """Their names."""
+        """The names of the sequences."""
         return tuple(self.frames)
 
     def tokens(self, sequence: str) -> tuple[str, ...]:
@@ -48,11 +48,11 @@ class LabelSet:
 
     @property
     def drives(self) -> tuple[tuple[str, ...], ...]:
-        """Nothing says which sequences continue each other."""
+        """Each sequence is a drive of its own: a label set does not state which sequences continue each other."""
         return tuple((name,) for name in self.frames)
 
     def frame(self, sequence: str, at: int) -> Frame:
-        """Return the frame at this place of a sequence."""
+        """Return the frame at this index of a sequence."""
         token = self.frames[sequence][at]
         name = f"{LABELS}/{sequence}/{token}/labels.npz"
         span = ExportFileSpan(self.folder / name, name, 0, (self.folder / name).stat().st_size)
@@ -67,12 +67,12 @@ def is_label_set(path: Path) -> bool:
 
 
 def read_label_set(path: Path, grid: LabelGrid | None = None) -> LabelSet:
-    """Return the label set in a folder, cut at `grid` if it is of several. Raises `not_labels`, `bad_grid`."""
+    """Return the label set in a folder, at `grid` if it has several grids. Raises `not_labels`, `bad_grid`."""
     folder = _folder_of(path, grid)
     tokens = dict[str, tuple[str, ...]]()
     for sequence in sorted(one for one in (folder / LABELS).iterdir() if one.is_dir()):
-        found = tuple(sorted(one.name for one in sequence.iterdir() if plain_token(one.name) == one.name))
-        tokens |= {sequence.name: found} if found else {}
+        names = tuple(sorted(one.name for one in sequence.iterdir() if plain_token(one.name) == one.name))
+        tokens |= {sequence.name: names} if names else {}
     if not tokens:
         raise Refused("not_labels", f"{folder} has no {LABELS}/<sequence>/<frame_token>/labels.npz")
     layout = LAYOUTS["paper"].with_grid(grid or _grid_at(folder, tokens))
@@ -84,10 +84,10 @@ def read_label_set(path: Path, grid: LabelGrid | None = None) -> LabelSet:
 def _folder_of(path: Path, grid: LabelGrid | None) -> Path:
     if grid is None or _stated(path) in (None, grid):
         return path
-    found = [one for one in sorted(path.glob(f"{GRIDS}/*/")) if _stated(one) == grid]
-    if not found:
+    folders = [folder for folder in sorted(path.glob(f"{GRIDS}/*/")) if _stated(folder) == grid]
+    if not folders:
         raise Refused("not_labels", f"{path} has no labels at the grid {grid}; label again with --grid {grid.name}")
-    return found[0]
+    return folders[0]
 
 
 def _stated(path: Path) -> LabelGrid | None:
@@ -95,20 +95,20 @@ def _stated(path: Path) -> LabelGrid | None:
 
 
 def _grid_at(folder: Path, tokens: Mapping[str, tuple[str, ...]]) -> LabelGrid:
-    """Return the grid that `grid.json` names, else the known one of the shape of the first label file."""
+    """Return the grid of `grid.json`, else the known grid with the shape of the first label file."""
     sequence, (first, *_) = next(iter(tokens.items()))
     path = folder / LABELS / sequence / first / "labels.npz"
     span = ExportFileSpan(path, path.name, 0, path.stat().st_size)
     return _stated(folder) or layout_of_labels(span, has_dashes=False).grid
 
 
-def _placed(found: LabelSet, scene: Mapping[str, Any]) -> LabelSet:
+def _placed(label_set: LabelSet, scene: Mapping[str, Any]) -> LabelSet:
     """Return the label set with its frames in the order of their stamps, and their poses."""
     frames = scene["frames"]
     stamps_ns = dict(zip(frames["tokens"], map(int, frames["stamps_ns"]), strict=True))
     poses = dict(zip(frames["tokens"], map(tuple, frames["map_from_ego"]), strict=True))
     tokens = {
         name: tuple(sorted(own, key=lambda token: (stamps_ns.get(token, 0), token)))
-        for name, own in found.frames.items()
+        for name, own in label_set.frames.items()
     }
-    return replace(found, frames=tokens, stamps_ns=stamps_ns, poses=poses)
+    return replace(label_set, frames=tokens, stamps_ns=stamps_ns, poses=poses)

@@ -15,7 +15,7 @@ from stone_datasets.stated_layout import StatedLayout
 
 @dataclass(frozen=True, eq=False)
 class PublishedDataset:
-    """The frames of a dataset; `numbers` are the places of its sequences by name."""
+    """The frames of a dataset; `numbers` are the indices of its sequences by name."""
 
     placed: PlacedFrames
     format: LabelFormat
@@ -23,7 +23,7 @@ class PublishedDataset:
 
     @property
     def sequences(self) -> tuple[str, ...]:
-        """Their names."""
+        """The names of the sequences."""
         return tuple(self.numbers)
 
     def tokens(self, sequence: str) -> tuple[str, ...]:
@@ -32,16 +32,16 @@ class PublishedDataset:
 
     @property
     def splits(self) -> Mapping[str, tuple[str, ...]]:
-        """The names of the sequences of each split that the dataset states."""
+        """The names of the sequences of each split of the dataset."""
         return self.placed.splits
 
     @cached_property
     def drives(self) -> tuple[tuple[str, ...], ...]:
-        """The names of the sequences of each drive: those that continue each other."""
+        """The names of the sequences of each drive: sequences that continue each other."""
         return drives_among(self.placed.sequences)
 
     def frame(self, sequence: str, at: int) -> Frame:
-        """Return the frame at this place of a sequence."""
+        """Return the frame at this index of a sequence."""
         number = self.numbers[sequence]
         of = self.placed.sequences[number]
         pose = of.map_from_ego[at].as_matrix()
@@ -54,5 +54,5 @@ def read_published(path: Path, stated: StatedLayout, classes: ClassMap) -> Publi
     Raises a `DatasetFaultError`, `bad_tar`, `bad_layout`.
     """
     placed = placed_frames(read_dataset(path, stated))
-    numbers = {one.name: number for number, one in enumerate(placed.sequences)}
+    numbers = {sequence.name: number for number, sequence in enumerate(placed.sequences)}
     return PublishedDataset(placed, LabelFormat(placed.layout, classes), numbers)

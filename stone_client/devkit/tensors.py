@@ -1,4 +1,4 @@
-"""Frames as tensors, for torch's `DataLoader`; the one module here that loads torch."""
+"""Frames as tensors for torch's `DataLoader`; the only module here that imports torch."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -11,7 +11,7 @@ from stone_client.devkit.frame import Frame
 
 
 class FrameTensors(Dataset[dict[str, Any]]):  # type: ignore[misc]
-    """What `read` returns of each frame, arrays as tensors; other values stay as they are."""
+    """The values of `read(frame)`, arrays as tensors; other values stay as they are."""
 
     def __init__(self, frames: Sequence[Frame], read: Callable[[Frame], Mapping[str, Any]]) -> None:
         self.frames, self.read = frames, read
@@ -21,4 +21,4 @@ class FrameTensors(Dataset[dict[str, Any]]):  # type: ignore[misc]
 
     def __getitem__(self, index: int) -> dict[str, Any]:
         arrays = self.read(self.frames[index])
-        return {key: torch.tensor(one) if isinstance(one, np.ndarray) else one for key, one in arrays.items()}
+        return {key: torch.tensor(value) if isinstance(value, np.ndarray) else value for key, value in arrays.items()}

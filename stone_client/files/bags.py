@@ -1,9 +1,8 @@
 """Local recordings to upload: one file or the files of a bag, with their hashes.
 
-**Conventions.** A bag of several files is called after its folder; of files that were named one by one, those whose
-names count on (`run_0.mcap run_1.mcap`) are one bag, `run`, as the browser has it, and any others are recordings of
-their own. What lies beside a bag and is no part of it is not sent. `sha256` of the whole is the one that the server
-says (`stone_files/bag_fingerprint.py`).
+**Conventions.** A bag of several files is named after its folder. Consecutively numbered files (`run_0.mcap
+run_1.mcap`) are one bag, `run`, as in the browser; other files are separate recordings. Files beside a bag that are not
+part of it are not sent. `sha256` of the whole equals the server's (`stone_files/bag_fingerprint.py`).
 """
 
 import re
@@ -20,20 +19,20 @@ NUMBERED = re.compile(r"(?P<stem>.+)_\d+\.(?P<kind>mcap|db3|bag)(\.active|\.zstd
 
 @dataclass(frozen=True)
 class BagPaths:
-    """Where a recording lies: a file, a folder, or the parts of a split one in one folder."""
+    """The paths of a recording: a file, a folder, or the parts of a split bag in one folder."""
 
     name: str
     paths: tuple[Path, ...]
 
     @property
     def called(self) -> str:
-        """The default name of a sequence that begins with it."""
+        """The default name of a sequence for this recording."""
         return self.name if len(self.paths) > 1 else called(self.paths[0])
 
 
 @dataclass(frozen=True)
 class LocalBag:
-    """The files as they were when their hashes were taken, in the order of their names."""
+    """The files of a bag in name order, as they were when they were hashed."""
 
     name: str
     files: tuple[LocalFile, ...]
@@ -50,25 +49,25 @@ class LocalBag:
 
 
 def part_of(progress: Report, before: int, total: int) -> Report:
-    """The report of one file of several, told as progress of them all."""
+    """Return a report that turns the progress of one file into the progress of all files."""
     return lambda stage, done, _own_total: progress(stage, before + done, total)
 
 
 def called(path: Path) -> str:
-    """The default name of a sequence of this bag."""
+    """Return the default name of a sequence of this bag."""
     return path.resolve().name if path.is_dir() else path.stem
 
 
 def bags_among(paths: Sequence[Path]) -> tuple[BagPaths, ...]:
-    """The recordings that were named, in that order; parts of one split bag are one.
+    """Return the given recordings in order; parts of one split bag are one recording.
 
-    Raises `bad_recording_files` where two of them have one name, by which nobody could tell them apart.
+    Raises `bad_recording_files` if two recordings have the same name.
     """
     beside = {path.with_name(path.name + suffix) for path in paths for suffix in LEFT_BESIDE}
     described = {path.resolve().parent for path in paths if path.name == METADATA}
     grouped: dict[tuple[Path, str], list[Path]] = {}
     for path in dict.fromkeys(paths):
-        if path not in beside:  # else it is sent with the file that it was left beside
+        if path not in beside:  # otherwise the bag of a file beside it contains it
             grouped.setdefault(_bag_of(path, described), []).append(path)
     bags = tuple(
         BagPaths(name if len(parts) > 1 else parts[0].resolve().name, tuple(parts))
@@ -83,20 +82,20 @@ def bags_among(paths: Sequence[Path]) -> tuple[BagPaths, ...]:
 
 
 def _bag_of(path: Path, described: Collection[Path]) -> tuple[Path, str]:
-    """The folder and the name of the bag that the file is a part of."""
-    folder, found = path.resolve().parent, NUMBERED.fullmatch(path.name)
+    """Return the folder and the name of the bag that contains the file."""
+    folder, match = path.resolve().parent, NUMBERED.fullmatch(path.name)
     if folder in described and not path.is_dir():
         return folder, folder.name
-    return folder, path.resolve().name if found is None or path.is_dir() else found["stem"]
+    return folder, path.resolve().name if match is None or path.is_dir() else match["stem"]
 
 
 def hashed_bag(path: Path, progress: Report) -> LocalBag:
-    """The bag at `path` with its hashes. Raises `bad_recording_files` (no bag in the folder), `file_changed`."""
+    """Return the bag at `path` with its hashes. Raises `bad_recording_files` (no bag in the folder), `file_changed`."""
     return hashed_parts(BagPaths(path.resolve().name, (path,)), progress)
 
 
 def hashed_parts(bag: BagPaths, progress: Report) -> LocalBag:
-    """The bag with its hashes. Raises as `hashed_bag`."""
+    """Return the bag with its hashes. Raises as `hashed_bag`."""
     parts = sorted({part for path in bag.paths for part in bag_parts(path)}, key=lambda part: part.name)
     if not parts:
         raise bad_bag_files(f"{bag.paths[0]} contains no bag file")

@@ -1,8 +1,8 @@
-"""Local datasets to send: a tar or zip as it is, a folder as the tar that it would make, of which no copy is written.
+"""Local datasets to upload: a tar or zip as it is, a folder as a tar stream without a temporary copy.
 
-**Conventions.** Equal folders give equal tars, so that a client that was killed goes on with the same upload. What has
-no plain name (`stone_files/archives.py`: hidden files, blanks) cannot be in a dataset and is not sent. What the
-server would refuse of the layout alone is refused here, by the same codes, before a byte is sent.
+**Conventions.** Equal folders give equal tars, so that a restarted client continues the same upload. Files without a
+plain name (`stone_files/archives.py`: hidden files, blanks) cannot be in a dataset and are skipped. Layout faults are
+refused before the upload, with the server's codes.
 """
 
 import os
@@ -35,7 +35,7 @@ ENDING = ".tar"
 class DatasetFolderTar:
     """A folder as a tar: N files in the order of their names, as they were when they were listed.
 
-    `modified_ns` (N,) tells that one has changed.
+    `modified_ns` (N,) detects changed files.
     """
 
     root: Path
@@ -66,12 +66,12 @@ class DatasetFolderTar:
 
 
 def dataset_name(path: Path) -> str:
-    """The default name of a dataset that lies there."""
+    """Return the default name of the dataset at this path."""
     return path.resolve().name.removesuffix(ENDING).removesuffix(".zip")
 
 
 def hashed_dataset(path: Path, progress: Report) -> LocalContent:
-    """The dataset in a folder, tar or zip with its hash.
+    """Return the dataset in a folder, tar or zip with its hash.
 
     Raises a `DatasetFaultError`, `bad_tar`, `file_changed`.
     """
@@ -102,14 +102,14 @@ def _sum_of(read: Callable[[int, int], bytes], size_bytes: int, progress: Report
 
 
 def _files(root: Path) -> Iterator[tuple[str, int, int]]:
-    """Name, size and time of change of every file that has a plain name. Raises `DST-004`."""
+    """Yield name, size and modification time of every file with a plain name. Raises `DST-004`."""
     real_root = os.path.realpath(root)
     waiting: list[tuple[str, tuple[str, ...]]] = [("", (real_root,))]
     while waiting:
         folder, above = waiting.pop()
         with os.scandir(root / folder) as entries:
             plain = [
-                one for one in entries if len(folder + one.name) <= MOST_NAME and NAME.fullmatch(folder + one.name)
+                item for item in entries if len(folder + item.name) <= MOST_NAME and NAME.fullmatch(folder + item.name)
             ]
         for entry in plain:
             name, real = f"{folder}{entry.name}", os.path.realpath(entry.path) if entry.is_symlink() else ""

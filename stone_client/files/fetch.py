@@ -1,7 +1,7 @@
 """Downloads of single files: resumed after interruptions, verified by size and sha256.
 
-**Conventions.** The promise is the sha256 in the ETag. What has arrived is asked for no more (Range), unless the server
-means another file by now (If-Range). A server that sends nothing new for `PATIENCE_S` is given up.
+**Conventions.** The ETag contains the sha256. A resumed download requests only the missing bytes (Range) of an
+unchanged file (If-Range). If no new bytes arrive for `PATIENCE_S`, the download fails.
 """
 
 from collections.abc import Callable, Iterator
@@ -21,14 +21,14 @@ ByteListener = Callable[[int], None]
 
 
 def ignore_bytes(_arrived_bytes: int) -> None:
-    """Nobody asks how much has arrived."""
+    """Default listener for arrived bytes; does nothing."""
 
 
 class PartialFile:
-    """A file that fills: how much of it is there, and what that hashes to.
+    """A partly downloaded file, with its size and hash.
 
-    `promised` is the sha256 of the whole, where it is known before the server says it: then what is in the file already
-    is its beginning; else the file begins anew.
+    `promised` is the sha256 of the whole file if it is known in advance: then existing bytes are kept; otherwise the
+    file starts empty.
     """
 
     def __init__(self, target: Path, promised: str = "") -> None:
@@ -46,7 +46,7 @@ class PartialFile:
         return {**IDENTITY, "Range": f"bytes={self.size_bytes}-", "If-Range": f'"{self.promised}"'}
 
     def begin(self, promised: str) -> None:
-        """The server sends the whole of a file of this sha256."""
+        """Prepare for a response with the whole file of this sha256."""
         self.promised, self._found, self.size_bytes = promised, sha256(), 0
         self._keep_counted()
 
@@ -62,11 +62,13 @@ class PartialFile:
         return bool(self.promised) and self._found.hexdigest() == self.promised
 
     def check(self, path: str) -> None:
-        """Raises `damaged_download`; nothing of the file is kept then, or it would never become whole."""
+        """Check the size and hash; on a mismatch delete the file, so that a retry can succeed. Raises
+        `damaged_download`.
+        """
         if not self.is_whole:
-            found, promised = self._found.hexdigest(), self.promised
+            sha256, promised = self._found.hexdigest(), self.promised
             self.begin("")
-            raise damaged_download(path, found, promised)
+            raise damaged_download(path, sha256, promised)
 
     def _count(self, piece: bytes) -> None:
         self._found.update(piece)
@@ -78,12 +80,12 @@ class PartialFile:
 
 
 def save(api: Api, path: str, target: Path) -> None:
-    """Fetch one file into `target`. Raises as `fetch` does."""
+    """Download one file into `target`. Raises as `fetch` does."""
     fetch(api, path, PartialFile(target))
 
 
 def fetch(api: Api, path: str, arriving: PartialFile, on_bytes: ByteListener = ignore_bytes) -> None:
-    """Fetch what is missing of a file, again after a broken connection or when the server is busy.
+    """Download the missing bytes of a file, with retries after broken connections and when the server is busy.
 
     Raises `damaged_download`, `ServerUnreachableError`, `ServerRefusedError`.
     """

@@ -28,7 +28,7 @@ FILES = {
 
 
 def download_labels(api: Api, sequence: Item, output: Path, progress: Report) -> dict[str, Any]:
-    """Fill `output` with the files of the label set and the labels of every frame; what came.
+    """Write the files of the label set and the labels of every frame into `output`; return a record of them.
 
     Raises `no_labels`, `damaged_download`, `output_exists`, and what `Api.send` raises.
     """
@@ -37,7 +37,7 @@ def download_labels(api: Api, sequence: Item, output: Path, progress: Report) ->
     own = f"/sequences/{sequence['id']}"
     with atomic_directory(output, replaces=MARK) as folder:
         made = {artefact["name"] for artefact in sequence["artefacts"]}
-        files = {name: route for name, route in FILES.items() if name in made}  # earlier versions made fewer
+        files = {name: route for name, route in FILES.items() if name in made}  # older sets have fewer
         for done, (name, route) in enumerate(files.items(), start=1):
             save(api, f"{own}/{route}", folder / name)
             progress("files", done, len(files))

@@ -1,7 +1,7 @@
-"""Uploads of a large file in parts side by side: one connection seldom fills a long line.
+"""Parallel uploads of the parts of a large file: one connection rarely uses the full bandwidth.
 
-**Conventions.** As `stone_client.files.tus`: nothing is kept on this side. A part is found again by its name, which has
-the sha256 of the whole, and its place; parts that are complete are then joined by the server (tus, concatenation).
+**Conventions.** As in `stone_client.files.tus`, the client stores nothing. A part is identified by its name, which
+contains the sha256 of the whole, and its offset; the server then joins the complete parts (tus, concatenation).
 """
 
 from collections.abc import Sequence
@@ -29,12 +29,12 @@ PART = Purpose("part")
 LEAST_PART_BYTES = 64 * 2**20
 MOST_PARTS = 15
 AT_ONCE = 4
-JOINED_S = 900.0  # a file of 500 GB is hashed meanwhile
+JOINED_S = 900.0  # the server hashes a file of 500 GB within this time
 
 
 @dataclass(frozen=True)
 class PartOfFile:
-    """Some bytes of a file, as content of its own; `name` is known by the server alone."""
+    """A range of bytes as content of its own; only the server uses `name`."""
 
     whole: LocalContent
     start: int
@@ -50,7 +50,7 @@ class PartOfFile:
 
     @property
     def sha256(self) -> str:
-        """None is declared: each piece has one, and so has the whole."""
+        """Empty: a part declares no hash, as each piece and the whole file have their own."""
         return ""
 
     def read(self, offset: int, most_bytes: int) -> bytes:
@@ -58,7 +58,7 @@ class PartOfFile:
 
 
 def upload_in_parts(api: Api, local: LocalContent, purpose: Purpose, progress: Report) -> str:
-    """As `upload_file`, by several connections if the file is large and the server can join parts."""
+    """Upload as `upload_file` does, over several connections if the file is large and the server can join parts."""
     parts = parts_of(local)
     if len(parts) < 2 or not _can_join(api):
         return upload_file(api, local, purpose, progress)
@@ -68,15 +68,15 @@ def upload_in_parts(api: Api, local: LocalContent, purpose: Purpose, progress: R
     known = [begun(api, part, PART) for part in parts]
     if not any(known):
         upload_id, offset = created(api, local, purpose)
-        if offset == local.size_bytes:  # the server has these bytes already
+        if offset == local.size_bytes:
             return upload_id
         api.send("DELETE", f"/uploads/{upload_id}", headers=TUS)
     total = _Total(local.size_bytes, progress)
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        sent = [pool.submit(_send, api, part, found, total) for part, found in zip(parts, known, strict=True)]
+        sent = [pool.submit(_send, api, part, upload, total) for part, upload in zip(parts, known, strict=True)]
         try:
-            failed = [one for one in wait(sent, return_when=FIRST_EXCEPTION).done if one.exception()]
-            ids = [one.result() for one in failed or sent]
+            failed = [future for future in wait(sent, return_when=FIRST_EXCEPTION).done if future.exception()]
+            ids = [future.result() for future in failed or sent]
         except BaseException:
             total.is_given_up = True
             pool.shutdown(cancel_futures=True)
@@ -85,7 +85,7 @@ def upload_in_parts(api: Api, local: LocalContent, purpose: Purpose, progress: R
 
 
 def parts_of(local: LocalContent) -> list[PartOfFile]:
-    """Equal parts of at least `LEAST_PART_BYTES`, the last one perhaps shorter."""
+    """Return equal parts of at least `LEAST_PART_BYTES`; the last part may be shorter."""
     count = max(1, min(MOST_PARTS, local.size_bytes // LEAST_PART_BYTES))
     length = -(-local.size_bytes // count)
     return [PartOfFile(local, at, min(at + length, local.size_bytes)) for at in range(0, local.size_bytes, length or 1)]
@@ -96,7 +96,7 @@ class _GivenUpError(Exception):
 
 
 class _Total:
-    """How much of all parts was sent."""
+    """The number of bytes sent of all parts."""
 
     def __init__(self, size_bytes: int, progress: Report) -> None:
         self._size_bytes, self._progress, self._lock = size_bytes, progress, Lock()
@@ -114,28 +114,30 @@ class _Total:
         return said
 
 
-def _send(api: Api, part: PartOfFile, found: tuple[str, int] | None, total: _Total) -> str:
-    upload_id, offset = found or created(api, part, PART, concat="partial")
+def _send(api: Api, part: PartOfFile, upload: tuple[str, int] | None, total: _Total) -> str:
+    upload_id, offset = upload or created(api, part, PART, concat="partial")
     send_rest(api, f"/uploads/{upload_id}", Rest(part, offset), total.of_part(part.start))
     return upload_id
 
 
 def _joined(api: Api, local: LocalContent, purpose: Purpose, part_ids: Sequence[str]) -> str:
-    """The whole upload, once the server has joined it; an answer that is lost is asked for again."""
+    """Return the id of the upload after the server has joined its parts; a lost answer is requested again."""
     addresses = " ".join(f"/api/v1/uploads/{part_id}" for part_id in part_ids)
     headers = {**TUS, "Upload-Concat": f"final;{addresses}", "Upload-Metadata": upload_metadata(local, purpose)}
     try:
         upload_id = api.send("POST", "/uploads", headers=headers).headers["Location"].rpartition("/")[2]
     except (ServerRefusedError, ServerUnreachableError):
-        found = upload_like(api, local, purpose)
-        if found is None:
+        upload = upload_like(api, local, purpose)
+        if upload is None:
             raise
-        upload_id = found["id"]
+        upload_id = upload["id"]
     return _wait_until_joined(api, upload_id)
 
 
 def _wait_until_joined(api: Api, upload_id: str) -> str:
-    """Its id, when it is not open any more, or its offset has not grown for long: hashing is waited for, too."""
+    """Return the upload's id when it is no longer open, or when its offset has not grown for a long time (hashing
+    included).
+    """
     patience, before = Patience(JOINED_S), -1
     while (item := api.read(f"/uploads/{upload_id}"))["state"] == "open":
         if item["offset_bytes"] > before:

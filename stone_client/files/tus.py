@@ -1,7 +1,7 @@
 """A tus 1.0 client: uploads a file with a checksum for every piece and the sha256 of the whole.
 
-**Conventions.** Nothing is kept on this side: the server is asked for an upload of the same bytes to the same target,
-so a client that was killed, or another one, goes on where the bytes on the server's disk end.
+**Conventions.** The client stores nothing: it looks up the server's upload of the same bytes to the same target. So a
+restarted client, or another one, continues from the last byte on the server's disk.
 """
 
 import base64
@@ -24,14 +24,14 @@ TRY_AGAIN = frozenset({408, 409, 423, 429, 460, 502, 503, 504})
 
 @dataclass(frozen=True)
 class Purpose:
-    """The purpose of an upload, and the id of what it is for."""
+    """The purpose of an upload, and the id of its target."""
 
     name: str
     target_id: str = ""
 
 
 class LocalContent(Protocol):
-    """Bytes of this machine that can be sent: a file, or a folder as a tar."""
+    """Local bytes to upload: a file, or a folder as a tar."""
 
     @property
     def name(self) -> str: ...
@@ -43,7 +43,7 @@ class LocalContent(Protocol):
     def sha256(self) -> str: ...
 
     def read(self, offset: int, most_bytes: int) -> bytes:
-        """At most so many bytes from there on. Raises `file_changed`."""
+        """Return up to `most_bytes` bytes from `offset`. Raises `file_changed`."""
         ...
 
 
@@ -68,14 +68,14 @@ class LocalFile:
 
 
 def refuse_change(path: Path, file: BinaryIO, before: tuple[int, int]) -> None:
-    """Compare size and time of change (ns) with what they were. Raises `file_changed`."""
+    """Compare size and modification time (ns) with their earlier values. Raises `file_changed`."""
     now = os.fstat(file.fileno())
     if (now.st_size, now.st_mtime_ns) != before:
         raise file_changed(path)
 
 
 def upload_file(api: Api, local: LocalContent, purpose: Purpose, progress: Report) -> str:
-    """Send the bytes, or what of them the server does not have yet; the id of the complete upload.
+    """Send the bytes that the server does not have yet; return the id of the complete upload.
 
     Raises what `Api.send` raises, and `file_changed`.
     """
@@ -85,7 +85,7 @@ def upload_file(api: Api, local: LocalContent, purpose: Purpose, progress: Repor
 
 
 def hashed(path: Path, progress: Report) -> LocalFile:
-    """The file with its sha256. Raises `file_changed`."""
+    """Return the file with its sha256. Raises `file_changed`."""
     with path.open("rb") as file:
         now = os.fstat(file.fileno())
         whole, done = sha256(), 0
@@ -100,7 +100,7 @@ def hashed(path: Path, progress: Report) -> LocalFile:
 
 @dataclass
 class Rest:
-    """The bytes still to be sent; `offset` is where the bytes on the server end."""
+    """The bytes still to be sent; `offset` is the number of bytes on the server."""
 
     local: LocalContent
     offset: int
@@ -125,7 +125,7 @@ def send_rest(api: Api, address: str, rest: Rest, progress: Report) -> None:
 
 
 def _send_piece(api: Api, address: str, piece: bytes, offset: int) -> int:
-    """Send one piece; where the server's bytes end now."""
+    """Send one piece; return the new offset of the server."""
     checksum = base64.b64encode(sha256(piece).digest()).decode("ascii")
     headers = {
         **TUS,
@@ -137,40 +137,40 @@ def _send_piece(api: Api, address: str, piece: bytes, offset: int) -> int:
 
 
 def _may_pass(error: ServerRefusedError | ServerUnreachableError) -> bool:
-    """Whether the next try may fare better: broken connections, a lock, a piece that was damaged on its way."""
+    """Return whether a retry may succeed: a broken connection, a lock, or a damaged piece."""
     return isinstance(error, ServerUnreachableError) or error.status in TRY_AGAIN
 
 
 def begun(api: Api, local: LocalContent, purpose: Purpose) -> tuple[str, int] | None:
-    """The upload of these bytes to this target that is under way or complete, with its offset.
+    """Return the started or complete upload of these bytes to this target, with its offset.
 
-    Asked of the upload itself: a server killed after the last byte then verifies what it has.
+    The offset comes from the upload itself, so that a restarted server verifies a complete file.
     """
     item = upload_like(api, local, purpose)
     return None if item is None else (str(item["id"]), offset_on(api, f"/uploads/{item['id']}"))
 
 
 def upload_like(api: Api, local: LocalContent, purpose: Purpose) -> Mapping[str, Any] | None:
-    """The upload as the server lists it."""
-    asked = (purpose.name, purpose.target_id or None, local.name, local.size_bytes, local.sha256 or None)
+    """Return the upload from the server's list."""
+    wanted = (purpose.name, purpose.target_id or None, local.name, local.size_bytes, local.sha256 or None)
     for state in ("open", "complete"):
         for item in api.pages("/uploads", state=state):
             keys = ("purpose", "target_id", "filename", "length_bytes", "declared_sha256")
-            if tuple(item[key] for key in keys) == asked:
-                found: Mapping[str, Any] = item
-                return found
+            if tuple(item[key] for key in keys) == wanted:
+                upload: Mapping[str, Any] = item
+                return upload
     return None
 
 
 def upload_metadata(local: LocalContent, purpose: Purpose) -> str:
-    """The header that says what the bytes are."""
-    said = {"filename": local.name, "purpose": purpose.name, "sha256": local.sha256, "target_id": purpose.target_id}
-    pairs = ((key, base64.b64encode(value.encode()).decode("ascii")) for key, value in said.items() if value)
+    """Return the header that describes the bytes."""
+    fields = {"filename": local.name, "purpose": purpose.name, "sha256": local.sha256, "target_id": purpose.target_id}
+    pairs = ((key, base64.b64encode(value.encode()).decode("ascii")) for key, value in fields.items() if value)
     return ",".join(f"{key} {value}" for key, value in pairs)
 
 
 def created(api: Api, local: LocalContent, purpose: Purpose, concat: str = "") -> tuple[str, int]:
-    """Announce the file; its id, and how much of it the server has already."""
+    """Create the upload; return its id and the server's offset."""
     headers = {**TUS, "Upload-Length": str(local.size_bytes), "Upload-Metadata": upload_metadata(local, purpose)}
     if concat:
         headers["Upload-Concat"] = concat
@@ -179,5 +179,5 @@ def created(api: Api, local: LocalContent, purpose: Purpose, concat: str = "") -
 
 
 def offset_on(api: Api, address: str) -> int:
-    """The offset of the server's bytes."""
+    """Return the server's offset of the upload."""
     return int(api.send("HEAD", address, headers=TUS).headers["Upload-Offset"])

@@ -1,7 +1,7 @@
-"""Small YAML files that people write: no aliases, no tags of other programs, bounded size.
+"""Small YAML files that people write: no aliases, no foreign tags, bounded size.
 
-**Conventions.** YAML 1.2 by ruamel's safe loader in pure Python; a JSON file is one too. Values are those of JSON; a
-date is a text of ISO 8601, in UTC if it has no zone.
+**Conventions.** YAML 1.2 by ruamel's safe loader in pure Python; a JSON file is valid YAML too. Values are JSON values;
+a date is a text in ISO 8601, in UTC if it has no zone.
 """
 
 from datetime import date, datetime
@@ -36,11 +36,11 @@ def read_yaml(path: Path) -> Any:
 
 
 def _of_json(value: Any) -> Any:
-    """Return the value with texts for dates. Raises ValueError for a value that JSON has not."""
+    """Return the value with dates as texts. Raises ValueError for a value without a JSON type."""
     if isinstance(value, dict) and all(isinstance(key, str) for key in value):
-        return {key: _of_json(one) for key, one in value.items()}
+        return {key: _of_json(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [_of_json(one) for one in value]
+        return [_of_json(item) for item in value]
     if isinstance(value, datetime):
         return (value if value.tzinfo else value.replace(tzinfo=UTC)).isoformat()
     if isinstance(value, date):

@@ -1,4 +1,4 @@
-"""The platform from Python: what the `stone` command does, as functions that return values.
+"""The platform from Python: the `stone` command's functions, with return values.
 
     from stone_client import Stone
 
@@ -7,8 +7,7 @@
         semantics = stone.labels("forest")["semantics"]
 
 **Conventions.** Names are those of the command. Lists are a `Table` of frozen dataclasses, with `to_pandas()`. A
-refusal is raised as a `StoneError`, whose `code` programs read. Everything may be called again: what is there already
-is used, not made twice.
+refusal raises a `StoneError`, whose `code` programs read. Every call may be repeated: existing results are reused.
 """
 
 from stone_base.errors import StoneError

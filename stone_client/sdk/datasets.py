@@ -22,9 +22,9 @@ class DatasetVersion:
     _at: Connection = field(repr=False, compare=False)
 
     def download(self, folder: str | Path, *, inputs: bool = False) -> list[Path]:
-        """Download the manifest and the labels of train and val, with `inputs` the sensor data too; return the files.
+        """Download the manifest and the labels of train and val, with `inputs` also the sensor data; return the files.
 
-        A file that is there already is not downloaded again; an interrupted download resumes.
+        Existing files are not downloaded again; an interrupted download resumes.
         """
         api, progress, output = self._at.api, self._at.progress, Path(folder)
         whole = datasets.read_dataset(api, self.name)

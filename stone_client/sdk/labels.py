@@ -40,7 +40,7 @@ class Labels(Mapping[str, "NDArray[np.uint8]"]):
 
     @property
     def dataset(self) -> Dataset:
-        """The labels as `stone_client.devkit` opens them; `as_torch()` makes tensors of them."""
+        """The labels as a `stone_client.devkit` dataset; `as_torch()` converts them to tensors."""
         return self._dataset
 
     @property
@@ -58,8 +58,8 @@ class Labels(Mapping[str, "NDArray[np.uint8]"]):
         if name not in ARRAYS:
             raise KeyError(f"{name!r}; labels have {', '.join(ARRAYS)}")
         stacked = np.empty((len(self.frames), *self.grid.shape), np.uint8)
-        for place, frame in zip(stacked, self.frames, strict=True):
-            place[...] = frame.semantics if name == "semantics" else frame.observed
+        for row, frame in zip(stacked, self.frames, strict=True):
+            row[...] = frame.semantics if name == "semantics" else frame.observed
         return stacked
 
     def __iter__(self) -> Iterator[str]:

@@ -1,8 +1,7 @@
 """The records of a server as frozen dataclasses.
 
-**Conventions.** A record holds the fields that programs read most; `record` is the API's whole JSON object
-(`/api/v1/openapi.json`). Times are ISO 8601 in UTC. A ratio is in [0, 1], or None if it is undefined or not shown to
-the caller.
+**Conventions.** A record has the most used fields; `record` is the API's whole JSON object (`/api/v1/openapi.json`).
+Times are ISO 8601 in UTC. A ratio is in [0, 1], or None if it is undefined or hidden from the caller.
 """
 
 from __future__ import annotations
@@ -19,15 +18,15 @@ R = TypeVar("R")
 
 
 def record_of(kind: type[R], item: Item, **more: Any) -> R:
-    """Return a record of this kind, its fields taken from a JSON object; fields that it lacks are None."""
-    names = {one.name for one in fields(kind)}  # type: ignore[arg-type]
+    """Return a record of this kind with fields from a JSON object; absent fields are None."""
+    names = {field.name for field in fields(kind)}  # type: ignore[arg-type]
     known = {name: item.get(name) for name in names - {"record", *more} if not name.startswith("_")}
     return kind(**{**known, **more, **({"record": item} if "record" in names else {})})
 
 
 @dataclass(frozen=True)
 class LabelSet:
-    """A label set of a sequence. `is_counting`: the platform uses it."""
+    """A label set of a sequence. `is_counting`: it is the active label set."""
 
     id: str
     profile: str
@@ -40,7 +39,7 @@ class LabelSet:
 
 @dataclass(frozen=True)
 class Upload:
-    """A file under way: how much of it the server has."""
+    """An upload in progress, with the bytes on the server."""
 
     id: str
     filename: str
@@ -52,7 +51,7 @@ class Upload:
 
 @dataclass(frozen=True)
 class Phase:
-    """A phase of a benchmark; `standing` is whether it runs."""
+    """A phase of a benchmark; `standing` is its state, such as open or closed."""
 
     benchmark: str
     name: str
@@ -103,13 +102,13 @@ class Leaderboard:
     record: Item = field(repr=False, compare=False)
 
     def to_pandas(self) -> Any:
-        """Return a DataFrame of its rows. Needs pandas."""
+        """Return a DataFrame of its rows. Requires pandas."""
         return self.rows.to_pandas()
 
 
 @dataclass(frozen=True)
 class Part:
-    """The scores of one part of a submission: of a sequence, an environment, an illumination or a ring of distance."""
+    """The scores of one part of a submission: a sequence, an environment, an illumination or a ring of distance."""
 
     name: str
     frames: int
@@ -170,7 +169,7 @@ def leaderboard_of(item: Item) -> Leaderboard:
 def comparison_of(item: Item) -> Comparison:
     """Return a comparison with a row for each ratio."""
     return record_of(
-        Comparison, item, rows=Table(RatioDifference, (_difference(*one) for one in item["ratios"].items()))
+        Comparison, item, rows=Table(RatioDifference, (_difference(*pair) for pair in item["ratios"].items()))
     )
 
 

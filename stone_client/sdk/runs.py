@@ -1,4 +1,4 @@
-"""Work that the server does: a run to wait for."""
+"""A run or job of the server."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Run:
 
     @property
     def id(self) -> str:
-        """Its id, by which `stone sequence status` and `stone sequence watch` find it."""
+        """The id, as `stone sequence status` and `stone sequence watch` take it."""
         return str(self._item["id"])
 
     @property
@@ -29,7 +29,7 @@ class Run:
 
     @property
     def record(self) -> Mapping[str, Any]:
-        """The API's JSON object, as it was read last."""
+        """The API's JSON object, as last read."""
         return self._item
 
     def wait(self) -> Run:

@@ -25,7 +25,7 @@ from stone_files.grid_file import chosen_grid
 
 @dataclass(frozen=True)
 class Connection:
-    """The server that a record is of, and the function that is called with progress."""
+    """The server of a record, and the progress function."""
 
     api: Api
     progress: Report
@@ -33,7 +33,7 @@ class Connection:
 
 @dataclass(frozen=True)
 class Sequence:
-    """A sequence as it was when it was read: `stone.sequence(name)` reads it again."""
+    """A sequence at the time of reading: `stone.sequence(name)` reads it again."""
 
     id: str
     name: str
@@ -49,7 +49,7 @@ class Sequence:
 
     @property
     def is_labelled(self) -> bool:
-        """Whether it has a label set that counts."""
+        """Whether it has an active label set."""
         return self.record.get("labels") is not None
 
     def process(
@@ -75,7 +75,7 @@ class Sequence:
     def labels(self, folder: str | Path | None = None) -> Labels:
         """Download the labels of every frame. Raises `no_labels`, `output_exists`.
 
-        They go into `folder`, in the layout of `stone sequence download`; without one, into a temporary folder.
+        They are written to `folder` in the layout of `stone sequence download` (default: a temporary folder).
         """
         output = Path(folder) if folder is not None else Path(mkdtemp(prefix="stone-labels-"))
         try:
@@ -91,17 +91,17 @@ class Sequence:
     def label_sets(self) -> Table[LabelSet]:
         """Return its label sets, newest first."""
         listed = label_sets.label_sets_of(self._at.api, self.id)
-        return Table(LabelSet, (record_of(LabelSet, one) for one in listed))
+        return Table(LabelSet, (record_of(LabelSet, item) for item in listed))
 
     def exports(self) -> Table[Export]:
         """Return its exports, newest first."""
         listed = exports.exports_of(self._at.api, self.record)
-        return Table(Export, (record_of(Export, one, _at=self._at) for one in listed))
+        return Table(Export, (record_of(Export, item, _at=self._at) for item in listed))
 
     def export(self, format: str) -> Export:
-        """Request its labels in a format that others open, such as nuscenes, kitti, mesh, mcap or rrd.
+        """Request its labels in a common format, such as nuscenes, kitti, mesh, mcap or rrd.
 
-        An existing export is reused; `wait()` returns it once its files are there.
+        An existing export is reused; `wait()` returns it when its files are ready.
         """
         accepted = self._at.api.create(f"/sequences/{self.id}/exports", {"format": format})
         return record_of(Export, accepted["export"], _at=self._at)
@@ -112,7 +112,7 @@ class Sequence:
 
 @dataclass(frozen=True)
 class Export:
-    """An export of a sequence's labels. `is_stale`: other labels of the sequence count by now."""
+    """An export of a sequence's labels. `is_stale`: another label set is active by now."""
 
     id: str
     format: str
@@ -130,7 +130,7 @@ class Export:
         return record_of(Export, self._at.api.read(own), _at=self._at)
 
     def download(self, output: str | Path) -> Path:
-        """Download all its files as a `.tar` or a `.zip`; interrupted, it resumes. Raises `bad_archive_name`."""
+        """Download all its files as a `.tar` or `.zip`; an interrupted download resumes. Raises `bad_archive_name`."""
         path = Path(output)
         if path.suffix[1:] not in exports.ARCHIVES:
             raise Refused("bad_archive_name", f"{path} is neither a .tar nor a .zip file; use one of these endings")

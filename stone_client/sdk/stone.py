@@ -1,6 +1,6 @@
 """A server as an object: `Stone`.
 
-**Conventions.** A subject is a name or an id, as the command takes it; a submission may be `latest`, `latest~1`, ….
+**Conventions.** A subject is a name or an id, as in the command; a submission may be `latest`, `latest~1`, ….
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def ignore_progress(_stage: str, _done: int, _total: int) -> None:
 
 
 class Stone:
-    """A server; without arguments the one that `stone auth login` or STONE_URL and STONE_TOKEN name.
+    """A server (default: the server of `stone auth login`, or of STONE_URL and STONE_TOKEN).
 
         with Stone() as stone:
             stone.sequences().to_pandas()
@@ -89,19 +89,19 @@ class Stone:
         return self._sequence(sequences.find_sequence(self.api, sequence))
 
     def uploads(self) -> Table[Upload]:
-        """Return your uploads that are under way."""
-        return Table(Upload, (record_of(Upload, one) for one in self.api.pages("/uploads")))
+        """Return your uploads in progress."""
+        return Table(Upload, (record_of(Upload, item) for item in self.api.pages("/uploads")))
 
     def upload(self, *bags: StrPath, calibration: StrPath, name: str = "") -> Sequence:
-        """Upload the recordings of a run and its calibration; called again, it resumes. Return their sequence.
+        """Upload the recordings of a run and its calibration; return their sequence. A repeated call resumes.
 
-        Files of one split bag are one recording, others are recordings of their own. Raises `file_changed`,
-        `bad_recording_files`, and the code of a recording or a calibration that is refused.
+        Files of one split bag are one recording; other files are separate recordings. Raises `file_changed`,
+        `bad_recording_files`, and the code of a refused recording or calibration.
         """
-        found = bags_among([Path(bag) for bag in bags])
-        sequence = sequences.ensure_sequence(self.api, name or found[0].called)
+        recordings = bags_among([Path(bag) for bag in bags])
+        sequence = sequences.ensure_sequence(self.api, name or recordings[0].called)
         sequences.pin_calibration(self.api, sequence, Path(calibration))
-        for bag in found:
+        for bag in recordings:
             sequences.add_recording(self.api, sequence, hashed_parts(bag, self._progress), self._progress)
         return self.sequence(str(sequence["id"]))
 
@@ -122,14 +122,16 @@ class Stone:
         return self.sequence(sequence).exports()
 
     def label_sets(self, sequence: str) -> Table[LabelSet]:
-        """Return the label sets of a sequence, newest first; `record` has `held_out_recall` over `held_out_m` metres of
-        way, and the `gravest` finding."""
+        """Return the label sets of a sequence, newest first.
+
+        `record` has `held_out_recall` over `held_out_m` metres of track, and the `gravest` finding.
+        """
         return self.sequence(sequence).label_sets()
 
     def delete_label_set(self, sequence: str, label_set: str) -> str:
-        """Delete a label set (id, latest, latest~1, …) of a sequence, free its bytes and return its id.
+        """Delete a label set (id, latest, latest~1, …) of a sequence, free its storage and return its id.
 
-        Raises `label_set_pinned` if an export, a version, a phase, the draft splits or a public sequence relies on it.
+        Raises `label_set_pinned` if an export, a version, a phase, the draft splits or a public sequence uses it.
         """
         return delete_label_set(self.api, sequences.find_sequence(self.api, sequence), label_set)
 
@@ -156,9 +158,10 @@ class Stone:
         set_splits: bool = False,
         is_public: bool = False,
     ) -> Item:
-        """Send a published dataset in a folder, tar or ZIP; return its import once a sequence stands for every scene.
+        """Upload a published dataset in a folder, tar or ZIP; return its import after every scene has become a
+        sequence.
 
-        With `in_place` the server reads the archive at `path`, a ROOT:PATH, where it lies. `grid` is a name or a file.
+        With `in_place` the server reads the archive at `path`, a ROOT:PATH, in place. `grid` is a name or a file.
         Raises a `DatasetFaultError` for a wrong layout, `JobFailedError` with the code of the server's finding.
         """
         stated_classes = None if classes is None else Path(classes).read_text("utf-8")
@@ -193,7 +196,7 @@ class Stone:
         return Path(benchmarks.fetch_manifest(self.api, (benchmark, phase), Path(output))["output"])
 
     def inputs(self, benchmark: str, phase: str, folder: StrPath) -> list[Path]:
-        """Download the sensor data of a phase: a tar for each sequence, unless it is there already."""
+        """Download the sensor data of a phase: a tar for each sequence; existing files are kept."""
         files = benchmarks.download_inputs(self.api, (benchmark, phase), Path(folder), self._progress)
         return [Path(file["output"]) for file in files]
 
@@ -205,14 +208,14 @@ class Stone:
         return Path(write_baseline([Path(source) for source in sources], plan, self._progress).output)
 
     def leaderboard(self, benchmark: str, phase: str, track: str = "all", as_of: str = "") -> Leaderboard:
-        """Return the board, as it is or as it was at a time such as 2026-06-01T00:00:00Z."""
+        """Return the board, at present or at a time such as 2026-06-01T00:00:00Z."""
         return leaderboard_of(boards.read_board(self.api, boards.BoardSelection(benchmark, phase, track, as_of)))
 
     # Submissions
 
     def submissions(self) -> list[Submission]:
         """Return the submissions of your teams, newest first."""
-        return [Submission(self.api, one, self._progress) for one in scores.read_submissions(self.api)]
+        return [Submission(self.api, item, self._progress) for item in scores.read_submissions(self.api)]
 
     def submission(self, submission: str) -> Submission:
         """Return a submission by id, or `latest`, `latest~1`, …. Raises `no_submission`, `not_found`."""
@@ -231,9 +234,9 @@ class Stone:
         description: str = "",
         kind: str = "entry",
     ) -> Submission:
-        """Send a zip of predictions; `kind` is entry, validation (only checked) or baseline (organisers').
+        """Submit a zip of predictions; `kind` is entry, validation (only checked) or baseline (for organisers).
 
-        A submission of the same file that was started is continued, never sent twice.
+        A started submission of the same file continues; it is never sent twice.
         """
         phase_id = str(self.phase(benchmark, phase).record["id"])
         at = (phase_id, str(teams.find_team(self.api, team)["id"]))
@@ -242,7 +245,7 @@ class Stone:
 
     def compare(self, a: str, b: str) -> Comparison:
         """Return the differences of two submissions to one phase, and whether they are significant."""
-        named = (scores.submission_id(self.api, one) for one in (a, b))
+        named = (scores.submission_id(self.api, named_id) for named_id in (a, b))
         return comparison_of(scores.compare(self.api, *named))
 
     def _sequence(self, item: Item) -> Sequence:

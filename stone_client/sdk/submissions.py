@@ -11,14 +11,14 @@ from stone_client.server import submission as submitting
 
 
 class Submission:
-    """One submission: its `state`, and once it is scored its `scores`, `results` and breakdowns."""
+    """One submission: its `state`, and after scoring its `scores`, `results` and breakdowns."""
 
     def __init__(self, api: Api, item: Item, progress: Report) -> None:
         self._api, self._item, self._progress = api, item, progress
 
     @property
     def id(self) -> str:
-        """Its id, which `stone benchmark results` takes."""
+        """The id, as `stone benchmark results` takes it."""
         return str(self._item["id"])
 
     @property
@@ -28,7 +28,7 @@ class Submission:
 
     @property
     def record(self) -> Item:
-        """The API's JSON object, as it was read last."""
+        """The API's JSON object, as last read."""
         return self._item
 
     @property
@@ -49,7 +49,7 @@ class Submission:
 
     @property
     def results(self) -> Results:
-        """Totals, intervals, supports and extra figures, as far as they are shown to the caller."""
+        """Totals, intervals, supports and extra figures, as far as they are visible to the caller."""
         return record_of(Results, scores.read_results(self._api, self.id))
 
     def breakdown(self, by: str) -> Table[Part]:
@@ -58,7 +58,7 @@ class Submission:
         return Table(Part, (record_of(Part, part) for part in parts))
 
     def withdraw(self, reason: str = "") -> None:
-        """Take it off every board permanently; it still counts towards the quota."""
+        """Withdraw it from every board permanently; it still counts towards the quota."""
         self._item = submitting.withdraw(self._api, self.id, reason)
 
     def __repr__(self) -> str:

@@ -30,15 +30,15 @@ class Table(Sequence[R], Generic[R]):
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The names of the fields that a record shows."""
+        """The names of the fields of a record."""
         return tuple(field.name for field in fields(self._kind) if field.repr)
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return the values of each record by column; a column of columns, such as `ratios`, is spread out."""
+        """Return the values of each record by column; a nested column, such as `ratios`, is expanded."""
         return [_spread({name: getattr(record, name) for name in self.columns}) for record in self._records]
 
     def to_pandas(self) -> DataFrame:
-        """Return a DataFrame with a row for each record. Needs pandas, which the client does not install."""
+        """Return a DataFrame with a row for each record. Requires pandas, which the client does not install."""
         from pandas import DataFrame
 
         return DataFrame(self.rows(), columns=None if self._records else list(self.columns))
@@ -71,7 +71,7 @@ class Table(Sequence[R], Generic[R]):
 
 
 def _spread(row: Mapping[str, Any]) -> dict[str, Any]:
-    """The row with the values of a mapping as columns of their own."""
+    """Return the row with the values of a mapping as separate columns."""
     spread = dict[str, Any]()
     for name, value in row.items():
         spread |= value if isinstance(value, Mapping) else {name: value}

@@ -16,17 +16,17 @@ from stone_files.atomic import atomic_file
 
 
 def phase_path(benchmark: str, phase: str) -> str:
-    """The URL path of a phase."""
+    """Return the URL path of a phase."""
     return f"/benchmarks/{quote(benchmark, safe='')}/phases/{quote(phase, safe='')}"
 
 
 def read_benchmarks(api: Api) -> list[Item]:
-    """All of them with their phases, newest first."""
-    return [read_benchmark(api, str(one["name"])) for one in api.pages("/benchmarks")]
+    """Return all benchmarks with their phases, newest first."""
+    return [read_benchmark(api, str(item["name"])) for item in api.pages("/benchmarks")]
 
 
 def read_benchmark(api: Api, name: str) -> Item:
-    """A benchmark with its phases in full."""
+    """Return a benchmark with its phases in full."""
     return api.read(f"/benchmarks/{quote(name, safe='')}")
 
 
@@ -36,12 +36,12 @@ def administered_phase(api: Api, benchmark: str, phase: str) -> str:
 
 
 def read_phase(api: Api, benchmark: str, phase: str) -> Item:
-    """A phase: its rules, whether it runs, by what it is scored."""
+    """Return a phase: its rules, its state and its active ground truth."""
     return api.read(phase_path(benchmark, phase))
 
 
 def fetch_manifest(api: Api, of: tuple[str, str], output: Path) -> dict[str, Any]:
-    """Write the frames that a submission to this phase (benchmark, name) must hold; what was written."""
+    """Write the frames that a submission to this phase (benchmark, name) must contain; return a record of them."""
     content = api.send("GET", f"{phase_path(*of)}/manifest").content
     output.parent.mkdir(parents=True, exist_ok=True)
     with atomic_file(output) as staging:
@@ -51,21 +51,21 @@ def fetch_manifest(api: Api, of: tuple[str, str], output: Path) -> dict[str, Any
 
 
 def download_inputs(api: Api, of: tuple[str, str], folder: Path, progress: Report) -> list[dict[str, Any]]:
-    """Fetch the tar of each sequence of this phase (benchmark, name) as far as it is not there; what is there now.
+    """Download the missing tars of the sequences of this phase (benchmark, name); return a record of all files.
 
     Raises `damaged_download`, `download_under_way`, and what `fetch` raises.
     """
     own = f"/phases/{read_phase(api, *of)['id']}/inputs"
     made = []
-    for one in list(api.pages(own)):
-        wanted = {"size_bytes": one["tar_bytes"], "sha256": one["tar_sha256"]}
-        path, output = f"{own}/{quote(one['name'], safe='')}.tar", folder / f"{one['name']}.tar"
-        made.append({"name": one["name"], **complete_file(api, path, wanted, output, progress)})
+    for item in list(api.pages(own)):
+        wanted = {"size_bytes": item["tar_bytes"], "sha256": item["tar_sha256"]}
+        path, output = f"{own}/{quote(item['name'], safe='')}.tar", folder / f"{item['name']}.tar"
+        made.append({"name": item["name"], **complete_file(api, path, wanted, output, progress)})
     return made
 
 
 def phases_table(benchmark: Item) -> Table:
-    """One row for each phase."""
+    """Return a table with one row per phase."""
     table = plain_table(safe_text(benchmark["name"]), "phase", "runs", "truth", "frames", "scorings", "closes")
     for phase in benchmark["phases"]:
         active, limit = phase["active"], phase["scorings_per_window"]

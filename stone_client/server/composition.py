@@ -18,12 +18,12 @@ COLUMNS = ("sequences", "frames", "min", "km", "T", "P", "N")
 
 
 def read_statistics(api: Api, dataset: str | None) -> dict[str, Any]:
-    """The statistics of a version, or of the labelled sequences the caller may see."""
+    """Return the statistics of a version, or of the labelled sequences visible to the caller."""
     return api.read("/statistics", **_query(dataset))
 
 
 def save_figure(api: Api, dataset: str | None, path: Path) -> None:
-    """The composition as a PNG; the file appears whole."""
+    """Save the composition as a PNG; the file appears whole."""
     answer = api.send("GET", "/statistics/composition.png", params=_query(dataset))
     with atomic_file(path) as staging:
         staging.write_bytes(answer.content)

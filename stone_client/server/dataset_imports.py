@@ -1,8 +1,8 @@
-"""Imports of published datasets on a server: sent, asked for, followed, listed.
+"""Imports of published datasets on a server: uploaded, requested, followed, listed.
 
-**Conventions.** Nothing is kept on this side. A dataset that is being imported, or was, is not sent again: one's own
-import of the same bytes or place with the same options is looked up. The server lists class maps by name alone, so with
-a class map only an import that has not ended is continued.
+**Conventions.** The client stores nothing. It looks up the caller's import of the same bytes or place with the same
+options, and does not send the dataset again. The server lists only the names of class maps, so with a class map only an
+unfinished import is continued.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -27,9 +27,9 @@ ALIVE = ("queued", "running")
 
 @dataclass(frozen=True)
 class DatasetWishes:
-    """The options of an import; `classes` is the content of a file that states a class map.
+    """The options of an import; `classes` is the content of a file with a class map.
 
-    `layout` is a name and `grid` a record of what is stated.
+    `layout` is a name and `grid` a record, if given.
     """
 
     name: str
@@ -40,15 +40,15 @@ class DatasetWishes:
     layout: str | None = None
     grid: dict[str, object] | None = None
 
-    def are_of(self, one: Item) -> bool:
-        """Whether an import was asked for in this way; of grids the names are compared, of class maps in `_goes_on`."""
+    def are_of(self, item: Item) -> bool:
+        """Return whether an import has these options; grids are compared by name, class maps in `_goes_on`."""
         grid = None if self.grid is None else self.grid["name"]
-        asked = (self.name, self.existing, self.sets_splits, self.layout, grid)
-        return tuple(one[key] for key in ("name", "existing", "sets_splits", "layout", "grid")) == asked
+        wanted = (self.name, self.existing, self.sets_splits, self.layout, grid)
+        return tuple(item[key] for key in ("name", "existing", "sets_splits", "layout", "grid")) == wanted
 
 
 def import_in_place(api: Api, place: Place, wishes: DatasetWishes) -> Item:
-    """The import of the archive at the place; one that is under way, or has ended well, is not asked for again.
+    """Return the import of the archive at the place; an unfinished or successful import is reused.
 
     Raises `splits_forbidden`, what `Api.create` raises.
     """
@@ -59,7 +59,7 @@ def import_in_place(api: Api, place: Place, wishes: DatasetWishes) -> Item:
 
 
 def send_dataset(api: Api, path: Path, wishes: DatasetWishes, progress: Report) -> Item:
-    """The import of the dataset in a folder or a tar, asked for once all of it is on the server.
+    """Upload the dataset in a folder or a tar, request its import and return it.
 
     Raises `splits_forbidden`, a `DatasetFaultError`, `bad_tar`, `file_changed`, and what `Api.send` raises.
     """
@@ -73,34 +73,34 @@ def send_dataset(api: Api, path: Path, wishes: DatasetWishes, progress: Report) 
 
 
 def read_import(api: Api, import_id: str) -> Item:
-    """One import, with its scenes."""
+    """Return one import, with its scenes."""
     return api.read(f"{PATH}/{import_id}")
 
 
 def imports_of(api: Api) -> Iterator[Item]:
-    """One's own imports, newest first; an administrator is told of everybody's."""
+    """Yield the caller's imports, newest first; for an administrator the imports of all users."""
     own = api.read("/me")["user_id"]
-    return (one for one in api.pages(PATH) if one["owner_id"] == own)
+    return (item for item in api.pages(PATH) if item["owner_id"] == own)
 
 
 def imports_table(imports: Iterable[Item]) -> Table:
-    """A row each: what it is, how far."""
+    """Return a table with one row per import: its kind and progress."""
     table = plain_table("imports of datasets", "id", "dataset", "state", "scenes", "frames", "bytes", "created")
-    for one in imports:
-        counts = _counts(one)
-        facts = (f"{one['size_bytes']:,}", one["created_at"][:19])
-        table.add_row(one["id"], safe_text(one["name"]), one["state"], *counts, *facts)
+    for item in imports:
+        counts = _counts(item)
+        facts = (f"{item['size_bytes']:,}", item["created_at"][:19])
+        table.add_row(item["id"], safe_text(item["name"]), item["state"], *counts, *facts)
     return table
 
 
-def _counts(one: Mapping[str, Any]) -> tuple[str, str]:
-    if one["scenes_total"] is None:
+def _counts(item: Mapping[str, Any]) -> tuple[str, str]:
+    if item["scenes_total"] is None:
         return DASH, DASH
-    return f"{one['scenes_done']:,} of {one['scenes_total']:,}", f"{one['frames']:,}"
+    return f"{item['scenes_done']:,} of {item['scenes_total']:,}", f"{item['frames']:,}"
 
 
 def _refuse_splits(api: Api, wishes: DatasetWishes) -> None:
-    """Refuse, before anything is hashed or sent, to set the draft splits for who may not."""
+    """Refuse to set the draft splits without the required role, before anything is hashed or sent."""
     if wishes.sets_splits:
         me = api.read("/me")
         if me["role"] != "administrator" or "admin" not in me["scopes"]:
@@ -108,15 +108,15 @@ def _refuse_splits(api: Api, wishes: DatasetWishes) -> None:
 
 
 def _standing(api: Api, archive: Mapping[str, Any], wishes: DatasetWishes) -> Item | None:
-    """The import of this archive by these wishes that is under way, or has ended well."""
-    for one in imports_of(api):
-        is_same = all(one[key] == known for key, known in archive.items()) and wishes.are_of(one)
-        if is_same and _goes_on(one, wishes.classes):
-            return read_import(api, one["id"])
+    """Return the unfinished or successful import of this archive with these options."""
+    for item in imports_of(api):
+        is_same = all(item[key] == known for key, known in archive.items()) and wishes.are_of(item)
+        if is_same and _goes_on(item, wishes.classes):
+            return read_import(api, item["id"])
     return None
 
 
-def _goes_on(one: Item, classes: str | None) -> bool:
-    if classes is None or one["classes"] is None:
-        return classes == one["classes"] and one["state"] in (*ALIVE, "succeeded")
-    return one["state"] in ALIVE and one["classes"] in classes
+def _goes_on(item: Item, classes: str | None) -> bool:
+    if classes is None or item["classes"] is None:
+        return classes == item["classes"] and item["state"] in (*ALIVE, "succeeded")
+    return item["state"] in ALIVE and item["classes"] in classes

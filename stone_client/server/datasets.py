@@ -1,4 +1,4 @@
-"""Versions of the dataset on a server: listed, published, downloaded so that nothing is fetched twice."""
+"""Versions of the dataset on a server: listed, published, and downloaded without repetition."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -18,7 +18,7 @@ from stone_client.tables import QUALITY, plain_table, quality_cells, safe_text, 
 
 
 def read_datasets(api: Api) -> list[Item]:
-    """All of them, newest first."""
+    """Return all versions, newest first."""
     return list(api.pages("/datasets"))
 
 
@@ -32,7 +32,7 @@ def publish_dataset(api: Api, version: str, licence: str, reason: str, revision:
 
 
 def download_dataset(api: Api, dataset: Item, folder: Path, progress: Report) -> list[dict[str, Any]]:
-    """Fetch the manifest and the tar of each part that is open, as far as they are not there; what is there now.
+    """Download the manifest and the missing tars of the open parts; return a record of all files.
 
     Raises `damaged_download`, `download_under_way`, and what `fetch` raises.
     """
@@ -46,33 +46,34 @@ def download_dataset(api: Api, dataset: Item, folder: Path, progress: Report) ->
 
 
 def download_dataset_inputs(api: Api, dataset: Item, folder: Path, progress: Report) -> list[dict[str, Any]]:
-    """Fetch the tar of each sequence of train and val, to `<folder>/inputs/<split>/`, as far as it is made; each with
-    its state, and with what is there now where it is ready.
+    """Download the missing tars of the sequences of train and val to `<folder>/inputs/<split>/`, as far as they exist.
 
-    Raises what `download_dataset` raises.
+    Return each sequence with its state, and with its file if it is ready. Raises what `download_dataset` raises.
     """
     own = f"/datasets/{dataset['name']}/inputs"
     made = []
-    for one in list(api.pages(own)):
-        said = {"name": one["name"], "split": one["split"], "state": one["state"]}
-        if one["state"] == "ready":
-            wanted = {"size_bytes": one["tar_bytes"], "sha256": one["tar_sha256"]}
-            output = folder / "inputs" / one["split"] / f"{one['name']}.tar"
-            said |= complete_file(api, f"{own}/{quote(one['name'], safe='')}.tar", wanted, output, progress)
-        made.append(said)
+    for item in list(api.pages(own)):
+        record = {"name": item["name"], "split": item["split"], "state": item["state"]}
+        if item["state"] == "ready":
+            wanted = {"size_bytes": item["tar_bytes"], "sha256": item["tar_sha256"]}
+            output = folder / "inputs" / item["split"] / f"{item['name']}.tar"
+            record |= complete_file(api, f"{own}/{quote(item['name'], safe='')}.tar", wanted, output, progress)
+        made.append(record)
     return made
 
 
 def show_datasets(record: Mapping[str, Any]) -> None:
-    """A table of versions, or of the sequences of one; the files that were fetched."""
+    """Print a table of versions, or of the sequences of a version, and the downloaded files."""
     if "datasets" in record:
         _show_versions(record["datasets"])
         return
     _show_versions([record])
     table = plain_table("sequences", "name", "split", "environment", "illumination", "region", "frames", *QUALITY)
-    for one in record["sequences"]:
-        said = (safe_text(one[key]) for key in ("split", "environment", "illumination", "region"))
-        table.add_row(safe_text(one["name"]), *said, f"{one['frames']:,}", *map(safe_text, quality_cells(one)))
+    for sequence in record["sequences"]:
+        texts = (safe_text(sequence[key]) for key in ("split", "environment", "illumination", "region"))
+        table.add_row(
+            safe_text(sequence["name"]), *texts, f"{sequence['frames']:,}", *map(safe_text, quality_cells(sequence))
+        )
     show(table)
     rules = record.get("findings", ())
     echo_findings(Finding(rule["code"], rule["severity"], "", rule["message"]) for rule in rules)
@@ -83,19 +84,19 @@ def show_datasets(record: Mapping[str, Any]) -> None:
 
 
 def _show_missing(inputs: Iterable[Mapping[str, Any]]) -> None:
-    """Which inputs are not there yet, and which never will be."""
+    """Print which inputs are not created yet, and which are lost."""
     words = {
         "missing": "not created yet; run this again later",
         "lost": "lost: their recordings were deleted",
     }
     for state, why in words.items():
-        if names := [safe_text(one["name"]) for one in inputs if one["state"] == state]:
+        if names := [safe_text(item["name"]) for item in inputs if item["state"] == state]:
             typer.echo(f"inputs of {counted(len(names), 'sequence')} are {why}: {', '.join(names)}", err=True)
 
 
 def _show_versions(datasets: list[Item] | list[Mapping[str, Any]]) -> None:
     table = plain_table("dataset", "version", "train", "val", "test", "licence", "published")
-    for one in datasets:
-        sizes = (str(one["sizes"][part]) for part in ("train", "val", "test"))
-        table.add_row(safe_text(one["name"]), *sizes, safe_text(one["licence"]), one["created_at"][:19])
+    for version in datasets:
+        sizes = (str(version["sizes"][part]) for part in ("train", "val", "test"))
+        table.add_row(safe_text(version["name"]), *sizes, safe_text(version["licence"]), version["created_at"][:19])
     show(table)

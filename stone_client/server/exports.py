@@ -1,7 +1,7 @@
-"""A sequence's exports on a server: requested, followed, listed, downloaded so that nothing is fetched twice.
+"""A sequence's exports on a server: requested, followed, listed, and downloaded without repetition.
 
-**Conventions.** What has arrived of an archive lies beside the target as `.<name>.<sha256>.partial`, held by its
-downloader's lock; the next download of the same bytes goes on with it. The target appears whole or not at all.
+**Conventions.** A partial download is `.<name>.<sha256>.partial` beside the target, locked by its process; the next
+download of the same bytes continues it. The target appears whole or not at all.
 """
 
 import fcntl
@@ -30,23 +30,23 @@ ARCHIVES = ("tar", "zip")
 
 
 def make_export(api: Api, sequence: Item, form: str, progress: Report) -> Item:
-    """The finished export of the sequence's labels in this format; one that stands already is not made again.
+    """Return the finished export of the sequence's labels in this format; an existing export is reused.
 
     Raises `JobFailedError`, and what `Api.send` raises.
     """
-    asked = api.create(f"/sequences/{sequence['id']}/exports", {"format": form})
-    follow(api, asked["job"]["id"], progress)
-    return api.read(f"/sequences/{sequence['id']}/exports/{asked['export']['id']}")
+    accepted = api.create(f"/sequences/{sequence['id']}/exports", {"format": form})
+    follow(api, accepted["job"]["id"], progress)
+    return api.read(f"/sequences/{sequence['id']}/exports/{accepted['export']['id']}")
 
 
 def exports_of(api: Api, sequence: Item) -> list[Item]:
-    """All of them, newest first."""
+    """Return all exports, newest first."""
     return list(api.pages(f"/sequences/{sequence['id']}/exports"))
 
 
 def finished_export(api: Api, sequence: Item, form: str) -> Item:
-    """The export of the labels that count. Raises `no_export`."""
-    fresh = [one for one in exports_of(api, sequence) if one["format"] == form and not one["is_stale"]]
+    """Return the export of the active labels. Raises `no_export`."""
+    fresh = [item for item in exports_of(api, sequence) if item["format"] == form and not item["is_stale"]]
     for export in fresh:
         if export["state"] == "succeeded":
             return export
@@ -54,19 +54,19 @@ def finished_export(api: Api, sequence: Item, form: str) -> Item:
 
 
 def download_archive(api: Api, export: Item, output: Path, progress: Report) -> dict[str, Any]:
-    """Fetch all files of an export as the archive that `output` is called by (`.tar` or `.zip`); what came.
+    """Download all files of an export as the archive `output` (`.tar` or `.zip`); return a record of it.
 
     Raises what `download_file` raises.
     """
     kind = output.suffix[1:]
-    wanted = next(one for one in export["archives"] if one["format"] == kind)
+    wanted = next(archive for archive in export["archives"] if archive["format"] == kind)
     path = f"/sequences/{export['sequence_id']}/exports/{export['id']}/archive?format={kind}"
     begun_bytes = download_file(api, path, wanted, output, progress)
     return {**wanted, "output": str(output), "export": export["id"], "resumed_at_bytes": begun_bytes}
 
 
 def download_file(api: Api, path: str, wanted: Item, output: Path, progress: Report) -> int:
-    """Fetch what is at `path`, whose `size_bytes` and `sha256` are known; how much of it was there already.
+    """Download `path`, with known `size_bytes` and `sha256`; return the number of bytes that existed before.
 
     Raises `damaged_download`, `download_under_way`, `output_exists`, and what `fetch` raises.
     """
@@ -85,7 +85,7 @@ def download_file(api: Api, path: str, wanted: Item, output: Path, progress: Rep
 
 
 def complete_file(api: Api, path: str, wanted: Item, output: Path, progress: Report) -> dict[str, Any]:
-    """Fetch what is at `path` unless `output` is that already, by its sha256; what is there now.
+    """Download `path` unless `output` already has its sha256; return a record of the file.
 
     Raises what `download_file` raises.
     """
@@ -96,12 +96,12 @@ def complete_file(api: Api, path: str, wanted: Item, output: Path, progress: Rep
 
 
 def exports_table(name: str, exports: list[Item]) -> Table:
-    """One row each."""
+    """Return a table with one row per export."""
     table = plain_table(f"exports of {name}", "format", "state", "files", "bytes", "made")
-    for one in exports:
-        state = f"{one['state']}, stale" if one["is_stale"] else one["state"]
-        counts = (f"{one['files']:,}", f"{one['size_bytes']:,}") if one["finished_at"] else (DASH, DASH)
-        table.add_row(one["format"], state, *counts, (one["finished_at"] or one["created_at"])[:19])
+    for export in exports:
+        state = f"{export['state']}, stale" if export["is_stale"] else export["state"]
+        counts = (f"{export['files']:,}", f"{export['size_bytes']:,}") if export["finished_at"] else (DASH, DASH)
+        table.add_row(export["format"], state, *counts, (export["finished_at"] or export["created_at"])[:19])
     return table
 
 
@@ -112,7 +112,7 @@ def _sha256(path: Path) -> str:
 
 @contextmanager
 def _partial(output: Path, sha256: str) -> Iterator[Path]:
-    """The partial file for this sha256, for us alone; those of others that nobody downloads any more are removed.
+    """Yield the locked partial file for this sha256; remove abandoned partial files of other hashes.
 
     Raises `download_under_way`.
     """

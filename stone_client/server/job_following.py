@@ -1,7 +1,7 @@
-"""Follows a job to its end: server-sent events while they last, polling where they do not.
+"""Following a job to its end by server-sent events, or by polling if there are none.
 
-**Conventions.** An event's data is the job as `GET /jobs/{id}` shows it. A stream that breaks is taken up again with
-the id of the last event; a server that is away for longer than `AWAY_S` is given up.
+**Conventions.** An event's data is the job as in `GET /jobs/{id}`. A broken stream resumes with the id of the last
+event. If the server is unreachable for longer than `AWAY_S`, following fails.
 """
 
 import json
@@ -24,7 +24,7 @@ NO_STREAM = frozenset({404, 405, 406, 429, 501, 503})
 
 @dataclass(frozen=True)
 class Event:
-    """One server-sent event; `id` is empty where it has none."""
+    """One server-sent event; `id` is empty if it has none."""
 
     name: str
     id: str
@@ -32,18 +32,18 @@ class Event:
 
 
 def follow(api: Api, job_id: str, progress: Report) -> Mapping[str, Any]:
-    """The job as it ended well. Raises `JobFailedError` for any other end, and what `Api.send` raises."""
-    told: dict[str, tuple[int, int]] = {}
+    """Return the job after success. Raises `JobFailedError` for any other end, and what `Api.send` raises."""
+    reported: dict[str, tuple[int, int]] = {}
     job: Mapping[str, Any] = {}
     for job in _states(api, job_id):
-        _report(job, told, progress)
+        _report(job, reported, progress)
     if job["state"] != "succeeded":
         raise JobFailedError(job)
     return job
 
 
 def events(lines: Iterable[str]) -> Iterator[Event]:
-    """The events of a stream, as the HTML standard reads it: fields until an empty line, comments skipped."""
+    """Yield the events of a stream as the HTML standard parses it: fields until an empty line, comments skipped."""
     name, event_id = "message", ""
     data: list[str] = []
     for line in lines:
@@ -62,7 +62,7 @@ def events(lines: Iterable[str]) -> Iterator[Event]:
 
 
 def _states(api: Api, job_id: str) -> Iterator[Mapping[str, Any]]:
-    """The job again and again until it has ended; the last one is how it ended."""
+    """Yield the job repeatedly until it has ended; the last value is its end."""
     job: Mapping[str, Any] = api.read(f"/jobs/{job_id}")
     yield job
     seen, patience = "", Patience(AWAY_S)
@@ -77,7 +77,7 @@ def _states(api: Api, job_id: str) -> Iterator[Mapping[str, Any]]:
         except ServerRefusedError as error:
             if error.status not in NO_STREAM or not patience.wait(POLL_S):
                 raise
-        if job["state"] not in TERMINAL:  # the stream ended, or there is none: look for ourselves
+        if job["state"] not in TERMINAL:  # no stream, or it ended: poll
             job = api.read(f"/jobs/{job_id}")
             yield job
 
@@ -89,17 +89,17 @@ def _stream(api: Api, job_id: str, seen: str) -> Iterator[Event]:
 
 
 def _job_of(event: Event, before: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The job after an event; what the event leaves out is as before."""
-    said = json.loads(event.data)
-    return {**before, **said} if isinstance(said, dict) and "state" in said else before
+    """Return the job after an event; omitted fields keep their values."""
+    update = json.loads(event.data)
+    return {**before, **update} if isinstance(update, dict) and "state" in update else before
 
 
-def _report(job: Mapping[str, Any], told: dict[str, tuple[int, int]], progress: Report) -> None:
-    """Report what changed: a run's stages, or the job's own count, by the titles of the server's pages."""
+def _report(job: Mapping[str, Any], reported: dict[str, tuple[int, int]], progress: Report) -> None:
+    """Report changes: the stages of a run, or the job's own count, with the titles of the server's pages."""
     own = {"kind": job["kind"], "title": job.get("title"), **job["progress"]}
     stages, unit = (job["stages"], "jobs") if job.get("stages") else ((own,), "steps")
     for stage in stages:
         counts, title = (int(stage["done"]), int(stage["total"])), stage.get("title") or stage["kind"]
-        if counts[1] and told.get(title) != counts:
-            told[title] = counts
+        if counts[1] and reported.get(title) != counts:
+            reported[title] = counts
             progress(CountedStage(title, unit), *counts)

@@ -17,27 +17,27 @@ from stone_files.atomic import atomic_file
 
 
 def label_sets_of(api: Api, sequence_id: str) -> list[Item]:
-    """All of them, newest first; which counts is said of each."""
+    """Return all label sets, newest first, each with whether it is active."""
     return list(api.pages(f"/sequences/{sequence_id}/label-sets"))
 
 
 def compare_label_sets(api: Api, sequence: Item, named: tuple[str, str], progress: Report) -> Item:
-    """The finished comparison of A and B; one that stands already is not made again.
+    """Return the finished comparison of A and B; an existing comparison is reused.
 
     Raises `no_label_set`, `JobFailedError`, and what `Api.send` raises.
     """
-    ids = [str(one["id"]) for one in label_sets_of(api, sequence["id"])]
+    ids = [str(item["id"]) for item in label_sets_of(api, sequence["id"])]
     a_id, b_id = (_id_named(name, ids) for name in named)
     if a_id == b_id:
         raise typer.BadParameter(f"A and B are the same label set, {a_id}; name another", param_hint="B")
-    asked = api.create(f"/sequences/{sequence['id']}/label-comparisons", {"a_id": a_id, "b_id": b_id})
-    follow(api, asked["job"]["id"], progress)
-    return api.read(f"/sequences/{sequence['id']}/label-comparisons/{asked['comparison']['id']}")
+    accepted = api.create(f"/sequences/{sequence['id']}/label-comparisons", {"a_id": a_id, "b_id": b_id})
+    follow(api, accepted["job"]["id"], progress)
+    return api.read(f"/sequences/{sequence['id']}/label-comparisons/{accepted['comparison']['id']}")
 
 
 def label_set_named(api: Api, sequence: Item, named: str) -> str:
-    """Return the id of the label set so named. Raises `no_label_set`, and what `Api.send` raises."""
-    return _id_named(named, [str(one["id"]) for one in label_sets_of(api, sequence["id"])])
+    """Return the id of the label set `named`. Raises `no_label_set`, and what `Api.send` raises."""
+    return _id_named(named, [str(item["id"]) for item in label_sets_of(api, sequence["id"])])
 
 
 def deletion(sequence: Item, label_set_id: str) -> PermanentAct:
@@ -53,7 +53,7 @@ def delete_label_set(api: Api, sequence: Item, named: str) -> str:
 
 
 def fetch_pictures(api: Api, comparison: Item, folder: Path) -> list[Path]:
-    """`<frame_token>.png` of the frames that are least alike: A, B and the difference from above."""
+    """Save `<frame_token>.png` of the least similar frames: top views of A, B and the difference; return the paths."""
     folder.mkdir(parents=True, exist_ok=True)
     own = f"/sequences/{comparison['sequence_id']}/label-comparisons/{comparison['id']}"
     written = []
@@ -67,29 +67,29 @@ def fetch_pictures(api: Api, comparison: Item, folder: Path) -> list[Path]:
 
 
 def label_set_table(name: str, sets: list[Item]) -> Table:
-    """One row for each label set."""
+    """Return a table with one row per label set."""
     table = plain_table(f"label sets of {safe_text(name)}", "id", "profile", "frames", *QUALITY, "made", "by", "counts")
-    for one in sets:
-        counts = "yes" if one["is_counting"] else ""
+    for item in sets:
+        counts = "yes" if item["is_counting"] else ""
         facts = (
-            one["profile"],
-            f"{one['frames']:,}",
-            *quality_cells(one),
-            one["created_at"][:19],
-            one["code_version"],
+            item["profile"],
+            f"{item['frames']:,}",
+            *quality_cells(item),
+            item["created_at"][:19],
+            item["code_version"],
             counts,
         )
-        table.add_row(one["id"], *map(safe_text, facts))
+        table.add_row(item["id"], *map(safe_text, facts))
     return table
 
 
 def _id_named(named: str, ids: list[str]) -> str:
-    """Return the whole id of the named one of `ids`, newest first. Raises `no_label_set`, `ambiguous_id`."""
-    found = named if is_id(named) else chosen_id(named, ids)
-    if found is None:
+    """Return the whole id of `named` from `ids`, newest first. Raises `no_label_set`, `ambiguous_id`."""
+    whole = named if is_id(named) else chosen_id(named, ids)
+    if whole is None:
         raise Refused(
             "no_label_set",
             f"{named[:80]!r} is not a label set; give an id, or latest, latest~1, … (this sequence has {len(ids)}; "
             "`stone label-set list` lists them)",
         )
-    return found
+    return whole

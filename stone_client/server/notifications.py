@@ -1,4 +1,4 @@
-"""What the caller is told of by a server, and what was delivered."""
+"""The caller's notifications on a server, and their deliveries."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,7 +11,7 @@ CHANNELS = ("email", "webhook")
 
 
 def read_notifications(api: Api) -> Item:
-    """Events, choices and places."""
+    """Return the events, the choices and the addresses."""
     return api.read("/notifications")
 
 
@@ -35,6 +35,6 @@ def choose_events(api: Api, channel: str, kinds: Sequence[str], *, is_wanted: bo
 
 
 def read_deliveries(api: Api, limit: int) -> list[dict[str, Any]]:
-    """The last deliveries, newest first."""
-    found: list[dict[str, Any]] = api.read("/notifications/deliveries", limit=limit)["items"]
-    return found
+    """Return the last deliveries, newest first."""
+    deliveries: list[dict[str, Any]] = api.read("/notifications/deliveries", limit=limit)["items"]
+    return deliveries

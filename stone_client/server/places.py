@@ -1,4 +1,4 @@
-"""Recordings and datasets that a server reads where they lie."""
+"""Recordings and datasets that a server reads in place."""
 
 from dataclasses import dataclass
 from pathlib import PurePosixPath
@@ -12,7 +12,7 @@ from stone_client.server.sequences import Item, registered
 
 @dataclass(frozen=True)
 class Place:
-    """A bag or an archive below a root of the server's."""
+    """A bag or an archive below a root of the server."""
 
     root: str
     path: str
@@ -23,12 +23,12 @@ class Place:
 
     @property
     def called(self) -> str:
-        """The name of a sequence made of it."""
+        """The default name of its sequence."""
         return PurePosixPath(self.path).name.partition(".")[0]
 
 
 def place_named(text: str, *, with_pictures: bool) -> Place:
-    """The place `root:path`. Raises `bad_place`."""
+    """Return the place `root:path`. Raises `bad_place`."""
     root, colon, path = text.partition(":")
     if not (root and colon and path):
         raise Refused("bad_place", f"{text[:200]!r} is not a path on the server; write it as nas:2026/run.mcap")
@@ -36,7 +36,7 @@ def place_named(text: str, *, with_pictures: bool) -> Place:
 
 
 def add_in_place(api: Api, sequence: Item, place: Place, progress: Report) -> Item:
-    """Have the bag read; one that the sequence has already is not added twice.
+    """Request that the server reads the bag; an existing recording of the sequence is reused.
 
     Raises the code of a refused recording's first finding, and `JobFailedError`.
     """

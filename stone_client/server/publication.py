@@ -16,26 +16,26 @@ from stone_client.tables import plain_table, quality_cells, safe_text, show
 
 
 def planned_version(api: Api, name: str, licence: str) -> dict[str, Any]:
-    """Return what `publish_dataset` would publish: the draft splits, findings about them, and flagged label sets."""
+    """Return the content of a publication: the draft splits, findings about them, and flagged label sets."""
     draft = current(api)
     entries = {part: draft[part] for part in PARTS}
     parts = {
-        part: {"sequences": [one["name"] for one in held], "frames": sum(one["frames"] for one in held)}
+        part: {"sequences": [item["name"] for item in held], "frames": sum(item["frames"] for item in held)}
         for part, held in entries.items()
     }
-    flagged = [one for held in entries.values() for one in held if one["gravest"]]
+    flagged = [item for held in entries.values() for item in held if item["gravest"]]
     return {
         "name": name,
         "licence": licence,
         "revision": draft["revision"],
         "parts": parts,
-        "flagged": [{key: one[key] for key in ("name", "held_out_recall", "gravest")} for one in flagged],
+        "flagged": [{key: item[key] for key in ("name", "held_out_recall", "gravest")} for item in flagged],
         "findings": draft["findings"] or [],
     }
 
 
 def publishing(plan: Mapping[str, Any]) -> PermanentAct:
-    """The act of publishing the plan of `planned_version`."""
+    """Return the act of publishing the plan of `planned_version`."""
     parts = plan["parts"].items()
     sizes = ", ".join(
         f"{part} {counted(len(of['sequences']), 'sequence')} ({of['frames']:,} frames)" for part, of in parts
@@ -49,26 +49,26 @@ def show_version_plan(plan: Mapping[str, Any], *, as_json: bool) -> None:
     """Print flagged label sets on stdout, unless under `--json`, and findings on stderr."""
     if plan["flagged"] and not as_json:
         table = plain_table("label sets with a grave finding", "sequence", "held out", "gravest")
-        for one in plan["flagged"]:
-            table.add_row(safe_text(one["name"]), *map(safe_text, quality_cells(one)))
+        for item in plan["flagged"]:
+            table.add_row(safe_text(item["name"]), *map(safe_text, quality_cells(item)))
         show(table)
     _echo_rules(plan["findings"])
 
 
 def planned_splits(api: Api, path: Path) -> dict[str, Any]:
-    """Return the difference between the splits of a file and the saved draft, and what the rules find.
+    """Return the differences between the splits of a file and the saved draft, and the findings of the rules.
 
     Raises `bad_splits_file`, `not_found`, `ambiguous_name`, and what `Api.send` raises.
     """
     draft = current(api)
     ids, revision = wanted_splits(draft, path)
-    names = {one["sequence_id"]: one["name"] for part in (*PARTS, "unassigned") for one in draft[part]}
-    before = {one["sequence_id"]: part for part in PARTS for one in draft[part]}
-    after = {one: part for part in PARTS for one in ids[part]}
+    names = {entry["sequence_id"]: entry["name"] for part in (*PARTS, "unassigned") for entry in draft[part]}
+    before = {entry["sequence_id"]: part for part in PARTS for entry in draft[part]}
+    after = {entry: part for part in PARTS for entry in ids[part]}
     changes = [
-        {"sequence": names[one], "from": before.get(one), "to": after.get(one)}
-        for one in names
-        if before.get(one) != after.get(one)
+        {"sequence": names[entry], "from": before.get(entry), "to": after.get(entry)}
+        for entry in names
+        if before.get(entry) != after.get(entry)
     ]
     verdict = api.create("/splits/verdicts", ids)
     return {
@@ -81,7 +81,7 @@ def planned_splits(api: Api, path: Path) -> dict[str, Any]:
 
 
 def saving(plan: Mapping[str, Any]) -> PermanentAct:
-    """The act of saving the plan of `planned_splits`."""
+    """Return the act of saving the plan of `planned_splits`."""
     sizes = ", ".join(f"{part} {size}" for part, size in plan["sizes"].items())
     moved = counted(len(plan["changes"]), "sequence")
     act = f"save splits ({sizes}) over the draft of revision {plan['revision']}; {moved} would move to another split"
@@ -89,11 +89,11 @@ def saving(plan: Mapping[str, Any]) -> PermanentAct:
 
 
 def show_splits_plan(plan: Mapping[str, Any], *, as_json: bool) -> None:
-    """Print each sequence that changes its part on stdout, unless under `--json`, and findings on stderr."""
+    """Print each sequence that changes its split on stdout, unless under `--json`, and findings on stderr."""
     if plan["changes"] and not as_json:
         table = plain_table("changes", "sequence", "from", "to")
-        for one in plan["changes"]:
-            table.add_row(safe_text(one["sequence"]), one["from"] or "unassigned", one["to"] or "unassigned")
+        for change in plan["changes"]:
+            table.add_row(safe_text(change["sequence"]), change["from"] or "unassigned", change["to"] or "unassigned")
         show(table)
     _echo_rules(plan["findings"])
 

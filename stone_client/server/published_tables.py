@@ -1,7 +1,7 @@
-"""Tables of results that publications print, as they print them.
+"""Tables of published results, exactly as printed.
 
-**Conventions.** Per cent are the characters of the publication, so that 61.2 stays 61.2. A row is known by its method
-and modality: two rows of Table II are called OccFusion.
+**Conventions.** Percentages keep the characters of the publication, so that 61.2 stays 61.2. Method and modality
+together identify a row: two rows of Table II are called OccFusion.
 
 Source: STONE Dataset: A Scalable Multi-Modal Surround-View 3D Traversability Dataset for Off-Road Robot Navigation
 (ICRA 2026), Table II.
@@ -21,7 +21,9 @@ RATIOS = ("iou_occ", "iou_t", "iou_p", "iou_n", "miou")
 
 @dataclass(frozen=True)
 class PublishedRow:
-    """A method's per cent as printed, in the order of `RATIOS`, None if undefined; `remark` is about this row alone."""
+    """A method's percentages as printed, in the order of `RATIOS`, None if undefined; `remark` applies to this row
+    alone.
+    """
 
     method: str
     modality: str
@@ -31,7 +33,7 @@ class PublishedRow:
 
 @dataclass(frozen=True)
 class PublishedTable:
-    """`note` and `kind` (of a reported row in the API) are about every row."""
+    """A published table; `note` and `kind` (of a reported row in the API) apply to every row."""
 
     title: str
     source: str
@@ -40,15 +42,15 @@ class PublishedTable:
     kind: str = "published"
 
     def reported(self) -> list[dict[str, Any]]:
-        """The rows as the API takes them."""
+        """Return the rows in the form of the API."""
         return [self._row(row) for row in self.rows]
 
     def _row(self, row: PublishedRow) -> dict[str, Any]:
         printed = [Decimal(value) if value else None for value in row.percent]
         ratios = {name: float(v.scaleb(-2)) if v is not None else None for name, v in zip(RATIOS, printed, strict=True)}
         digits = max(len((value or "").partition(".")[2]) for value in row.percent)
-        said = {"source": self.source, "note": f"{self.note} {row.remark}".rstrip(), "percent_digits": digits}
-        return {"method": row.method, "modality": row.modality, "kind": self.kind, **said, **ratios}
+        fields = {"source": self.source, "note": f"{self.note} {row.remark}".rstrip(), "percent_digits": digits}
+        return {"method": row.method, "modality": row.modality, "kind": self.kind, **fields, **ratios}
 
 
 TABLE2 = PublishedTable(
@@ -80,7 +82,7 @@ TABLES: Mapping[str, PublishedTable] = {"table2": TABLE2}
 
 
 def table_named(name: str) -> PublishedTable:
-    """Return the table of this name, or the one in this file of `stone ceiling`. Raises `no_such_table`."""
+    """Return the table of this name, or the table in this file of `stone ceiling`. Raises `no_such_table`."""
     if name in TABLES:
         return TABLES[name]
     try:

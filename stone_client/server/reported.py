@@ -1,7 +1,7 @@
-"""The rows of a published table or a ceiling put on a board as reported ones, beside those that stand there already.
+"""The rows of a published table or a ceiling, added to a board as reported rows.
 
-**Conventions.** Rows that are not of the table stay as they are. A row of the table that stands already is left; one
-that stands otherwise is an error, unless it is to be replaced: somebody wrote it, and may know better.
+**Conventions.** Rows outside the table stay as they are. An equal existing row is kept. A differing existing row is an
+error unless it is to be replaced, because its author may have corrected it.
 """
 
 from collections.abc import Iterable, Mapping
@@ -23,17 +23,17 @@ DONE = {"put": "put", "left": "unchanged", "replaced": "replaced"}
 
 
 def reported_differs(pairs: Iterable[tuple[Item, Item]]) -> Refused:
-    said = "; ".join(f"{_named(new)}: {_difference(old, new)}" for old, new in pairs)
+    differences = "; ".join(f"{_named(new)}: {_difference(old, new)}" for old, new in pairs)
     return Refused(
         "reported_differs",
-        f"rows of these methods exist and differ from the published rows, so nothing was written: {said}; check which "
-        "rows are right, and add --replace to write the published rows",
+        f"rows of these methods exist and differ from the published rows, so nothing was written: {differences}; "
+        "check which rows are right, and add --replace to write the published rows",
     )
 
 
 @dataclass(frozen=True)
 class Putting:
-    """Onto which board rows are put, why, and whether those that differ are replaced."""
+    """The board, the reason, and whether differing rows are replaced."""
 
     benchmark: str
     phase: str
@@ -42,7 +42,7 @@ class Putting:
 
 
 def put_table(api: Api, table: PublishedTable, how: Putting) -> dict[str, Any]:
-    """Put the rows that do not stand there yet; what became of each. Raises `reported_differs`."""
+    """Add the missing rows; return the outcome for each row. Raises `reported_differs`."""
     path = f"{administered_phase(api, how.benchmark, how.phase)}/reported"
     answer = api.send("GET", path)
     standing: dict[tuple[str, str], Item] = {_key(row): row for row in answer.json()["items"]}
@@ -55,12 +55,12 @@ def put_table(api: Api, table: PublishedTable, how: Putting) -> dict[str, Any]:
         whole = standing | {_key(row): row for row in rows}
         body = {"rows": list(whole.values()), "reason": how.reason}
         api.send("PUT", path, json=body, headers={"If-Match": answer.headers["ETag"]})
-    told = [row | {"done": what} for row, what in zip(rows, done, strict=True)]
-    return {"benchmark": how.benchmark, "phase": how.phase, "title": table.title, "source": table.source, "rows": told}
+    shown = [row | {"done": what} for row, what in zip(rows, done, strict=True)]
+    return {"benchmark": how.benchmark, "phase": how.phase, "title": table.title, "source": table.source, "rows": shown}
 
 
 def shown_table(record: Mapping[str, Any]) -> Table:
-    """The table with what became of each row."""
+    """Return the table with the outcome for each row."""
     title = safe_text(f"{record['title']} on {record['benchmark']} / {record['phase']}: reported, not ranked, %")
     table = plain_table(title, "method", "track", *RATIOS.values(), "")
     for row in record["rows"]:
@@ -93,5 +93,5 @@ def _difference(old: Item, new: Item) -> str:
 
 
 def _whole(ratio: float | None) -> str:
-    """Per cent with every digit that it has."""
+    """Return per cent with every digit of the ratio."""
     return DASH if ratio is None else f"{100 * ratio:.10g}"

@@ -1,4 +1,4 @@
-"""Follows a run to its end, with a progress bar for every stage."""
+"""Following a run to its end, with a progress bar for every stage."""
 
 from typing import Any
 
@@ -9,6 +9,6 @@ from stone_client.server.sequences import Item
 
 
 def watch_run(api: Api, job: Item) -> dict[str, Any]:
-    """The job as it ended well. Raises `JobFailedError` for any other end."""
+    """Return the job after success. Raises `JobFailedError` for any other end."""
     with reported() as progress:
         return dict(follow(api, job["id"], progress))

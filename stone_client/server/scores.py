@@ -1,6 +1,6 @@
 """Scores of submissions, as records of the server and as tables for people.
 
-**Conventions.** Ratios are shown in percent; null is a dash: undefined, or not shown to the caller yet.
+**Conventions.** Ratios are shown in per cent. A dash is a null: undefined, or not visible to the caller yet.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,22 +26,22 @@ EXTRAS = {
 
 
 def submission_id(api: Api, named: str) -> str:
-    """Return the whole id of the named submission. Raises `no_submission`, `ambiguous_id`.
+    """Return the whole id of the submission `named`. Raises `no_submission`, `ambiguous_id`.
 
-    By age only submissions that are scored count; a short id may name a validation too.
+    An age counts scored submissions only; a short id may also name a validation.
     """
     if is_id(named):
         return named
     own = read_submissions(api)
-    scored = [str(one["id"]) for one in own if one["kind"] != "validation"]
-    found = chosen_id(named, [str(one["id"]) for one in own] if is_short_id(named) else scored)
-    if found is None:
+    scored = [str(item["id"]) for item in own if item["kind"] != "validation"]
+    chosen = chosen_id(named, [str(item["id"]) for item in own] if is_short_id(named) else scored)
+    if chosen is None:
         raise Refused(
             "no_submission",
             f"{named[:80]!r} is not a submission; give an id, or latest, latest~1, … (your teams have "
             f"{len(scored)}; `stone benchmark results` lists them)",
         )
-    return found
+    return chosen
 
 
 def read_results(api: Api, submission_id: str) -> dict[str, Any]:
@@ -49,23 +49,23 @@ def read_results(api: Api, submission_id: str) -> dict[str, Any]:
 
 
 def read_breakdown(api: Api, submission_id: str, by: str) -> dict[str, Any]:
-    """The breakdown of a score; of a hidden phase once it has ended."""
+    """Return the breakdown of a score; in a hidden phase only after its end."""
     return api.read(f"/submissions/{submission_id}/results/breakdowns", by=by)
 
 
 def read_submissions(api: Api) -> list[Item]:
-    """The submissions of one's teams, newest first."""
+    """Return the submissions of the caller's teams, newest first."""
     return list(api.pages("/submissions"))
 
 
 def compare(api: Api, a: str, b: str) -> dict[str, Any]:
-    """The differences of two submissions to one phase, and whether they are more than chance."""
+    """Return the differences of two submissions to one phase, with their significance."""
     of = read_results(api, a)
     return api.read(f"{phase_path(of['benchmark'], of['phase'])}/compare", a=a, b=b)
 
 
 def results_tables(record: Mapping[str, Any]) -> list[Table]:
-    """The totals with their intervals, then what else is shown to the caller."""
+    """Return the totals with their intervals, then the other visible scores."""
     named = f"{record['method']} ({record['modality']}) in {record['benchmark']} / {record['phase']}"
     table = plain_table(safe_text(named), "", "%", "95 % here", "95 % in new places", *READINGS.values())
     readings = [record.get(reading) or {} for reading in READINGS]
@@ -78,17 +78,17 @@ def results_tables(record: Mapping[str, Any]) -> list[Table]:
 
 
 COUNTED = ("traversable", "potentially_traversable", "non_traversable")
-"""The keys of numbers of voxels, in the order of `CLASSES` without free."""
+"""The keys of voxel counts, in the order of `CLASSES` without free."""
 
 
 def _told(record: Mapping[str, Any], scope: str, ratio: str) -> str:
-    """The interval, or in a word why there is none."""
+    """Return the interval, or the word for its absence."""
     bounds, silence = (((record.get(part) or {}).get(scope) or {}).get(ratio) for part in ("intervals", "silences"))
     return silence.replace("_", " ") if bounds is None and silence else interval(bounds)
 
 
 def breakdown_table(record: Mapping[str, Any]) -> Table:
-    """One row for each sequence, environment, illumination or ring of distance."""
+    """Return a table with one row per sequence, environment, illumination or ring of distance."""
     names = (*RATIOS.values(), "frames", *(f"{name} voxels" for name in CLASSES[1:]))
     table = plain_table(f"by {record['by']}, %", str(record["by"]), *names)
     for part in record["parts"]:
@@ -98,26 +98,26 @@ def breakdown_table(record: Mapping[str, Any]) -> Table:
 
 
 def comparison_table(record: Mapping[str, Any]) -> Table:
-    """A, B and their difference, ratio by ratio."""
+    """Return a table of A, B and their difference, ratio by ratio."""
     columns = ("A", "B", "A − B", "95 % of A − B", "p", "p in new places")
     table = plain_table(f"A {record['a']}  B {record['b']}, %", "", *columns)
     for key, name in RATIOS.items():
-        one = record["ratios"][key]
-        here, elsewhere = one["these_places"] or {}, one["new_place"] or {}
-        said = (percent(one[which]) for which in ("a", "b", "difference"))
+        item = record["ratios"][key]
+        here, elsewhere = item["these_places"] or {}, item["new_place"] or {}
+        values = (percent(item[which]) for which in ("a", "b", "difference"))
         tests = (chance(here.get("p")), chance(elsewhere.get("p")))
-        told = (one.get("silences") or {}).get("these_places") if not here else None
-        table.add_row(name, *said, told.replace("_", " ") if told else interval(here.get("interval")), *tests)
+        silence = (item.get("silences") or {}).get("these_places") if not here else None
+        table.add_row(name, *values, silence.replace("_", " ") if silence else interval(here.get("interval")), *tests)
     return table
 
 
 def submissions_table(submissions: Sequence[Item]) -> Table:
     table = plain_table("submissions", "id", "method", "track", "kind", "state", "problems", "sent")
-    for one in submissions:
-        state = f"{one['state']}, withdrawn" if one["withdrawn_at"] else str(one["state"])
-        problems = DASH if one["problems_total"] is None else f"{one['problems_total']:,}"
-        sent = (one["finalized_at"] or one["created_at"])[:16]
-        table.add_row(one["id"], safe_text(one["method"]), one["modality"], one["kind"], state, problems, sent)
+    for item in submissions:
+        state = f"{item['state']}, withdrawn" if item["withdrawn_at"] else str(item["state"])
+        problems = DASH if item["problems_total"] is None else f"{item['problems_total']:,}"
+        sent = (item["finalized_at"] or item["created_at"])[:16]
+        table.add_row(item["id"], safe_text(item["method"]), item["modality"], item["kind"], state, problems, sent)
     return table
 
 

@@ -1,7 +1,7 @@
 """Server operations of several commands: sequences by name, calibrations, recordings, runs.
 
-**Conventions.** Answers are the API's own JSON objects (`/api/v1/openapi.json`). Everything may be asked again: what is
-there already is used, not made twice.
+**Conventions.** Answers are the API's own JSON objects (`/api/v1/openapi.json`). Every request may be repeated:
+existing objects are reused.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -23,7 +23,7 @@ Item = Mapping[str, Any]
 
 
 def sequence_named(api: Api, name: str) -> Item | None:
-    """The sequence of that name, rather one's own; None where there is none that the caller may see."""
+    """Return the visible sequence of that name, preferably the caller's own; None if there is none."""
     named = [item for item in api.pages("/sequences", name=name) if item["name"] == name]
     if len(named) > 1:
         own = str(api.read("/me")["user_id"])
@@ -32,7 +32,7 @@ def sequence_named(api: Api, name: str) -> Item | None:
 
 
 def ensure_sequence(api: Api, name: str) -> Item:
-    """One's own sequence of that name, made where there is none."""
+    """Return the caller's sequence of that name; create it if it is missing."""
     try:
         return api.create("/sequences", {"name": name})
     except ServerRefusedError as error:
@@ -49,22 +49,22 @@ def find_sequence(api: Api, subject: str) -> Item:
 
 def find_job(api: Api, subject: str) -> Item:
     """Return the job with that id, or the newest run of the sequence. Raises `not_found`, `ambiguous_id`."""
-    kind, found = find_subject(api, subject)
+    kind, item = find_subject(api, subject)
     if kind == "job":
-        return found
-    if found["job"] is None:
+        return item
+    if item["job"] is None:
         raise unknown_subject(subject)
-    return api.read(f"/jobs/{found['job']['id']}")
+    return api.read(f"/jobs/{item['job']['id']}")
 
 
 def find_subject(api: Api, subject: str) -> tuple[str, Item]:
-    """Return "job" or "sequence", and the one with that id, name or short id. Raises `not_found`, `ambiguous_id`."""
-    path, found = _found(api, subject, ("/jobs", "/sequences"))
-    return path[1:-1], found
+    """Return "job" or "sequence", and the object with that id, name or short id. Raises `not_found`, `ambiguous_id`."""
+    path, item = _found(api, subject, ("/jobs", "/sequences"))
+    return path[1:-1], item
 
 
 def pin_calibration(api: Api, sequence: Item, calibration: Path) -> Item:
-    """Have the sequence use this calibration file, or folder of files; the calibration with its findings."""
+    """Set the sequence's calibration to this file or folder of files; return the calibration with its findings."""
     if calibration.is_dir():
         sent = (f"{calibration.resolve().name}.zip", zipped(read_bundle(calibration)))
     else:
@@ -75,7 +75,7 @@ def pin_calibration(api: Api, sequence: Item, calibration: Path) -> Item:
 
 
 def add_recording(api: Api, sequence: Item, local: LocalBag, progress: Report) -> Item:
-    """Send the files of the bag and have it read; a bag that the sequence has already is not sent again.
+    """Upload the files of the bag and add them as a recording; an existing recording is reused.
 
     Raises the code of a refused recording's first finding, `JobFailedError`, and what `upload_in_parts` raises.
     """
@@ -95,13 +95,13 @@ def add_recording(api: Api, sequence: Item, local: LocalBag, progress: Report) -
 
 
 def has_other_recording(api: Api, sequence: Item, local: LocalBag) -> bool:
-    """Whether the sequence has a recording that is not this bag."""
+    """Return whether the sequence has a recording other than this bag."""
     recordings = api.pages(f"/sequences/{sequence['id']}/recordings")
     return any(recording["sha256"] != local.sha256 for recording in recordings)
 
 
 def recordings_named(api: Api, sequence: Item, subjects: Iterable[str]) -> list[str]:
-    """The ids of the sequence's recordings with these names or ids. Raises `not_found`."""
+    """Return the ids of the sequence's recordings with these names or ids. Raises `not_found`."""
     recordings = list(api.pages(f"/sequences/{sequence['id']}/recordings"))
     ids = {recording[key]: str(recording["id"]) for recording in recordings for key in ("filename", "id")}
     for subject in subjects:
@@ -115,20 +115,20 @@ def recordings_named(api: Api, sequence: Item, subjects: Iterable[str]) -> list[
 
 
 def start_run(api: Api, sequence: Item, body: Mapping[str, Any]) -> Item:
-    """Have the sequence processed; the run that does it, or has done it."""
+    """Request processing of the sequence; return the new or existing run."""
     return api.create(f"/sequences/{sequence['id']}/process", body)
 
 
 def _recorded(api: Api, sequence: Item, local: LocalBag) -> Item | None:
     for recording in api.pages(f"/sequences/{sequence['id']}/recordings"):
         if (recording["sha256"], recording["filename"]) == (local.sha256, local.name):
-            found: Item = recording
-            return found
+            read: Item = recording
+            return read
     return None
 
 
 def registered(api: Api, sequence: Item, recording: Item) -> Item:
-    """The recording once it has been read. Raises the code of its first finding."""
+    """Return the recording after it was read. Raises the code of its first finding."""
     path = f"/sequences/{sequence['id']}/recordings/{recording['id']}"
     read = _until(lambda: api.read(path), lambda item: item["state"] != "received")
     if read["state"] == "refused":
@@ -138,7 +138,7 @@ def registered(api: Api, sequence: Item, recording: Item) -> Item:
 
 
 def _until(read: Callable[[], Item], is_enough: Callable[[Item], bool]) -> Item:
-    """Read until it is as wished, or until waiting makes no sense any more: then what was read last."""
+    """Read until `is_enough` is true or the time is up; return the last value."""
     patience = Patience(AWAY_S)
     while True:
         item = read()
@@ -152,11 +152,11 @@ def _found(api: Api, subject: str, paths: Sequence[str]) -> tuple[str, Item]:
     Raises `not_found`, `ambiguous_id`.
     """
     for path in paths:
-        if found := _by_id(api, path, subject):
-            return path, found
+        if item := _by_id(api, path, subject):
+            return path, item
     if named := sequence_named(api, subject):
         return "/sequences", api.read(f"/sequences/{named['id']}")
-    path_of = {str(one["id"]): path for path in paths for one in api.pages(path)} if is_short_id(subject) else {}
+    path_of = {str(entry["id"]): path for path in paths for entry in api.pages(path)} if is_short_id(subject) else {}
     whole = whole_id(subject, path_of)
     if whole is None:
         raise unknown_subject(subject)

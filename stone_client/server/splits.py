@@ -1,7 +1,7 @@
 """The splits on a server: read, proposed, put from a file; as records and as tables.
 
-**Conventions.** A file holds an object with the keys train, val and test, each a list of sequences: their names, their
-ids, or objects with `sequence_id`, as the server's own answers. A file with a `revision` replaces that one only.
+**Conventions.** A file contains an object with the keys train, val and test, each a list of sequences: names, ids, or
+objects with `sequence_id`, as in the server's answers. A file with a `revision` replaces only that revision.
 """
 
 import json
@@ -36,13 +36,13 @@ def current(api: Api) -> dict[str, Any]:
 
 
 def proposal(api: Api, sizes: tuple[int, int, int], left_out: Sequence[str]) -> dict[str, Any]:
-    """A split proposed by the server, not saved. Raises `not_found`, `ambiguous_name`."""
+    """Return a split proposed by the server; nothing is saved. Raises `not_found`, `ambiguous_name`."""
     ids = _ids_of(current(api), left_out) if left_out else []
     return api.create("/splits/proposal", {"sizes": dict(zip(PARTS, sizes, strict=True)), "leave_out": ids})
 
 
 def put_file(api: Api, path: Path, reason: str, revision: int | None = None) -> dict[str, Any]:
-    """Save the splits of a file over the draft of `revision`; None: of the file's own revision, else the newest.
+    """Save the splits of a file over the draft of `revision` (None: the file's revision, else the newest).
 
     Raises `bad_splits_file`, `not_found`, `ambiguous_name`, and what `Api.send` raises.
     """
@@ -54,7 +54,7 @@ def put_file(api: Api, path: Path, reason: str, revision: int | None = None) -> 
 
 
 def wanted_splits(split_now: Item, path: Path) -> tuple[dict[str, list[str]], int]:
-    """Return the ids of each part as the file has them, and the revision that they replace.
+    """Return the ids of each split from the file, and the revision that they replace.
 
     Raises `bad_splits_file`, `not_found`, `ambiguous_name`.
     """
@@ -65,7 +65,7 @@ def wanted_splits(split_now: Item, path: Path) -> tuple[dict[str, list[str]], in
 
 
 def show_splits(record: Mapping[str, Any], *, as_json: bool) -> None:
-    """Tables of the splits, or of a proposal with its shares; what the rules say on stderr."""
+    """Print tables of the splits, or of a proposal with its shares; findings go to stderr."""
     if not as_json:
         for part in PARTS:
             _show_part(part, record[part])
@@ -75,40 +75,40 @@ def show_splits(record: Mapping[str, Any], *, as_json: bool) -> None:
             _show_shares(record["shares"])
         if record.get("gap"):
             typer.echo(safe_text(record["gap"]["message"]))
-    clash, said = record.get("conflict") or [], record["findings"] or []
+    clash, findings = record.get("conflict") or [], record["findings"] or []
     echo_findings(Finding(rule["code"], "error", "", rule["message"]) for rule in clash)
-    echo_findings(Finding(rule["code"], rule["severity"], "", rule["message"]) for rule in said)
+    echo_findings(Finding(rule["code"], rule["severity"], "", rule["message"]) for rule in findings)
 
 
 def _read(path: Path) -> dict[str, Any]:
     if path.stat().st_size > MOST_BYTES:
         raise bad_splits_file(path, f"it is larger than {MOST_BYTES} bytes")
     try:
-        found = json.loads(path.read_text("utf-8"))
+        content = json.loads(path.read_text("utf-8"))
     except (ValueError, RecursionError):
         raise bad_splits_file(path, "it is not JSON") from None
-    if not isinstance(found, dict) or not all(isinstance(found.get(part), list) for part in PARTS):
+    if not isinstance(content, dict) or not all(isinstance(content.get(part), list) for part in PARTS):
         raise bad_splits_file(path, "a list is missing")
-    named: dict[str, Any] = {part: [_named(path, one) for one in found[part]] for part in PARTS}
-    revision = found.get("revision")
+    named: dict[str, Any] = {part: [_named(path, item) for item in content[part]] for part in PARTS}
+    revision = content.get("revision")
     return {**named, "revision": revision} if isinstance(revision, int) else named
 
 
-def _named(path: Path, one: Any) -> str:
-    named = one.get("sequence_id") if isinstance(one, dict) else one
+def _named(path: Path, item: Any) -> str:
+    named = item.get("sequence_id") if isinstance(item, dict) else item
     if not isinstance(named, str):
         raise bad_splits_file(path, "a sequence is neither a name nor an id")
     return named
 
 
 def _ids_of(split_now: Mapping[str, Any], named: Sequence[str]) -> list[str]:
-    """The ids of sequences that are called by name or id."""
+    """Return the ids of sequences given by name or id."""
     entries = [entry for part in (*PARTS, "unassigned") for entry in split_now[part]]
     ids = {entry["sequence_id"] for entry in entries}
     by_name = dict[str, list[str]]()
     for entry in entries:
         by_name.setdefault(entry["name"], []).append(entry["sequence_id"])
-    return [one if one in ids else _only(one, by_name.get(one, [])) for one in named]
+    return [name if name in ids else _only(name, by_name.get(name, [])) for name in named]
 
 
 def _only(name: str, ids: list[str]) -> str:
@@ -125,16 +125,16 @@ def _only(name: str, ids: list[str]) -> str:
 def _show_part(title: str, entries: Sequence[Item]) -> None:
     table = plain_table(f"{title}: {len(entries)}", "sequence", "environment", "illumination", "region", "s", "frames")
     for entry in entries:
-        said = (safe_text(entry[key]) or DASH for key in ("environment", "illumination", "region"))
-        table.add_row(safe_text(entry["name"]), *said, f"{entry['duration_s']:.0f}", f"{entry['frames']:,}")
+        texts = (safe_text(entry[key]) or DASH for key in ("environment", "illumination", "region"))
+        table.add_row(safe_text(entry["name"]), *texts, f"{entry['duration_s']:.0f}", f"{entry['frames']:,}")
     show(table)
 
 
 def _show_shares(shares: Mapping[str, Any]) -> None:
     table = plain_table("shares", "part", "sequences", "of the time", "T", "P", "N")
     for part in ("whole", *PARTS):
-        one = shares[part]
-        ratios = one["class_ratios"]
+        share = shares[part]
+        ratios = share["class_ratios"]
         classes = [f"{100 * ratio:.1f} %" for ratio in ratios.values()] if ratios else [DASH] * 3
-        table.add_row(part, str(one["sequences"]), f"{100 * one['duration_ratio']:.1f} %", *classes)
+        table.add_row(part, str(share["sequences"]), f"{100 * share['duration_ratio']:.1f} %", *classes)
     show(table)

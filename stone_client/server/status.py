@@ -15,7 +15,7 @@ LAST_LINES = 12
 
 @dataclass(frozen=True)
 class ServerStatus:
-    """`record` is what `--json` prints; the tables show the same."""
+    """A status; `record` is printed by `--json`, and the tables show the same."""
 
     record: dict[str, Any]
     tables: tuple[Table, ...]
@@ -26,14 +26,14 @@ class ServerStatus:
 
 
 def server_status_of(api: Api, subject: str | None) -> ServerStatus:
-    """The status of all sequences the caller may see, of one, or of a job. Raises `not_found`."""
+    """Return the status of all visible sequences, of one sequence, or of a job. Raises `not_found`."""
     if subject is None:
         items = list(api.pages("/sequences"))
         return ServerStatus({"sequences": items}, (_sequences_table(api.url, items),))
-    kind, found = find_subject(api, subject)
+    kind, item = find_subject(api, subject)
     if kind == "job":
-        return _job_status(found, _last_lines(api, f"/jobs/{found['id']}/logs"))
-    sequence = found
+        return _job_status(item, _last_lines(api, f"/jobs/{item['id']}/logs"))
+    sequence = item
     recordings = list(api.pages(f"/sequences/{sequence['id']}/recordings"))
     tables = [_sequences_table(api.url, [sequence]), _recordings_table(recordings), *_later_tables(sequence)]
     if sequence["job"] is not None:
@@ -68,7 +68,7 @@ def _recordings_table(items: Iterable[Item]) -> Table:
 
 
 def _later_tables(sequence: Item) -> Iterable[Table]:
-    """A server of an earlier release says nothing of it."""
+    """Return the tables of newer fields, none for a server of an earlier release."""
     later = sequence.get("later_recordings")
     if later:
         table = plain_table("labels predate these recordings", "file", "made again")
@@ -102,7 +102,7 @@ def _left_of(job: Item) -> str:
 
 
 def _last_lines(api: Api, path: str) -> list[Item]:
-    """The job's last log lines; long logs are read from their beginning, a page at a time."""
+    """Return the job's last log lines; long logs are read page by page from the start."""
     lines: list[Item] = []
     after: dict[str, str | int] = {}
     while True:

@@ -1,7 +1,7 @@
-"""Submission of a file: announce, upload, finalise and follow; repeated, it resumes.
+"""Submission of a file: create, upload, finalise and follow; a repeated call resumes.
 
-**Conventions.** Nothing is kept on this side: the server is asked for the team's submission of the same bytes under the
-same name, so a client that was killed goes on where it was, and the same file is never scored twice by accident.
+**Conventions.** The client stores nothing: it looks up the team's submission of the same bytes under the same name. So
+a restarted client continues, and a file is never scored twice by accident.
 """
 
 from collections.abc import Mapping
@@ -38,14 +38,14 @@ class SubmissionDescription:
 
 
 class SubmissionInvalidError(StoneError):
-    """The file was checked and is not valid; `code` is that of the first problem, `report` the server's own."""
+    """The file was checked and is not valid; `code` is the code of the first problem, `report` the server's report."""
 
     code = "invalid"
 
     def __init__(self, report: Mapping[str, Any]) -> None:
         self.report = dict(report)
         first: Mapping[str, Any] = next(iter(report["errors"]), {})
-        self.code = str(first.get("code") or type(self).code)  # the problem names the reason
+        self.code = str(first.get("code") or type(self).code)
         where = (
             f"; the first is {first['file']}: expected {first['expected']}, found {first['actual']}" if first else ""
         )
@@ -53,14 +53,14 @@ class SubmissionInvalidError(StoneError):
 
 
 class SubmissionEndedError(StoneError):
-    """The submission failed for no fault of the file, or was cancelled; `code` is that of its failure."""
+    """The submission failed through no fault of the file, or was cancelled; `code` is the code of its failure."""
 
     code = "not_scored"
 
     def __init__(self, submission: Item) -> None:
         self.submission = dict(submission)
         failure = submission["failure"] or {}
-        self.code = str(failure.get("code") or submission["state"])  # the failure names the reason
+        self.code = str(failure.get("code") or submission["state"])
         why = failure.get("sentence") or f"it was {submission['state']}"
         super().__init__(
             f"submission {submission['id']} {submission['state']}: {why}; it does not count towards the quota"
@@ -68,7 +68,7 @@ class SubmissionEndedError(StoneError):
 
 
 def submit(api: Api, path: Path, entry: SubmissionDescription, progress: Report, *, again: bool = False) -> Item:
-    """The submission of the file at `path`, sent and finalised; one that stands is gone on with, unless `again`.
+    """Send and finalise the file at `path`, and return its submission; continue an existing one unless `again`.
 
     Raises what `Api.send` raises, and `file_changed`.
     """
@@ -82,7 +82,7 @@ def submit(api: Api, path: Path, entry: SubmissionDescription, progress: Report,
 
 
 def settled(api: Api, submission: Item, progress: Report) -> Item:
-    """The submission once it is scored or found valid.
+    """Return the submission after it is scored or found valid.
 
     Raises `SubmissionInvalidError`, `SubmissionEndedError`, and what `Api.send` raises.
     """
@@ -97,27 +97,27 @@ def settled(api: Api, submission: Item, progress: Report) -> Item:
 
 
 def withdrawal(api: Api, submission_id: str) -> PermanentAct:
-    """The act of withdrawing this submission, named by its id, method, track and date."""
-    one = api.read(f"/submissions/{submission_id}")
-    sent = (one["finalized_at"] or one["created_at"])[:16]
-    named = f"{one['method']}, {one['modality']}, sent {sent}"
+    """Return the act of withdrawing this submission, with its id, method, track and date."""
+    entry = api.read(f"/submissions/{submission_id}")
+    sent = (entry["finalized_at"] or entry["created_at"])[:16]
+    named = f"{entry['method']}, {entry['modality']}, sent {sent}"
     effect = "it leaves every board permanently and still counts towards the quota"
-    return PermanentAct(f"withdraw submission {one['id']} ({named})", effect)
+    return PermanentAct(f"withdraw submission {entry['id']} ({named})", effect)
 
 
 def withdraw(api: Api, submission_id: str, reason: str) -> Item:
-    """Take a submission off every board for good."""
+    """Withdraw a submission from every board permanently."""
     return api.create(f"/submissions/{submission_id}/withdraw", {"reason": reason})
 
 
 def _existing_submission(api: Api, entry: SubmissionDescription, local: LocalFile) -> Item | None:
-    """The newest submission of this file to this phase by this team, under this name and in this track."""
+    """Return the newest submission of this file to this phase by this team, with this name and track."""
     wanted = (local.sha256, local.size_bytes, entry.method, entry.modality)
     mine = api.pages("/submissions", phase_id=entry.phase_id, team_id=entry.team_id, kind=entry.kind)
-    for one in mine:
-        same = tuple(one[key] for key in ("sha256", "size_bytes", "method", "modality")) == wanted
-        if same and one["state"] in GONE_ON and one["withdrawn_at"] is None:
-            return api.read(f"/submissions/{one['id']}")
+    for item in mine:
+        same = tuple(item[key] for key in ("sha256", "size_bytes", "method", "modality")) == wanted
+        if same and item["state"] in GONE_ON and item["withdrawn_at"] is None:
+            return api.read(f"/submissions/{item['id']}")
     return None
 
 
@@ -132,7 +132,7 @@ def _announced(api: Api, entry: SubmissionDescription, local: LocalFile) -> Item
 
 
 def _described(api: Api, submission: Item, entry: SubmissionDescription) -> Item:
-    """The submission with the page that was given now, if one was."""
+    """Return the submission with the given description, if there is one."""
     if not entry.description or submission["description"] == entry.description:
         return submission
     own, match = f"/submissions/{submission['id']}", {"If-Match": f'"{submission["revision"]}"'}
@@ -141,7 +141,7 @@ def _described(api: Api, submission: Item, entry: SubmissionDescription) -> Item
 
 
 def _follow(api: Api, job_id: str, progress: Report) -> None:
-    """Stay with the run; another member's is not ours to see, and why one ended is told by its submission."""
+    """Follow the run if it is visible; a failure is reported by the submission instead."""
     try:
         follow(api, job_id, progress)
     except JobFailedError:
@@ -152,11 +152,11 @@ def _follow(api: Api, job_id: str, progress: Report) -> None:
 
 
 def _ended(api: Api, submission_id: str, progress: Report) -> Item:
-    """The submission as it ended, asked for until it has."""
+    """Poll the submission until it has ended, and return it."""
     while True:
         submission: Item = api.read(f"/submissions/{submission_id}")
         if submission["state"] in SETTLED:
             return submission
-        if said := submission["progress"]:
-            progress("score", int(said["done"]), int(said["total"]))
+        if counts := submission["progress"]:
+            progress("score", int(counts["done"]), int(counts["total"]))
         sleep(POLL_S)

@@ -1,4 +1,4 @@
-"""One's teams on a server: found by name, founded, entered by invitation."""
+"""The caller's teams on a server: found by name, created, joined by invitation."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -16,12 +16,12 @@ def unknown_team(name: str, known: Sequence[str]) -> Refused:
 
 
 def read_teams(api: Api) -> list[Item]:
-    """The caller's teams, newest first; for an administrator all."""
+    """Return the caller's teams, newest first; for an administrator all teams."""
     return list(api.pages("/teams"))
 
 
 def find_team(api: Api, named: str) -> Item:
-    """The team of that name, however it is written, or id. Raises `unknown_team`."""
+    """Return the team with that id or name, ignoring case. Raises `unknown_team`."""
     teams = read_teams(api)
     for team in teams:
         if named == team["id"] or named.strip().casefold() == str(team["name"]).casefold():
@@ -30,19 +30,19 @@ def find_team(api: Api, named: str) -> Item:
 
 
 def found_team(api: Api, name: str) -> Item:
-    """A new team, whose captain the caller is."""
+    """Create a team with the caller as its captain."""
     return api.create("/teams", {"name": name})
 
 
 def invite(api: Api, named: str) -> dict[str, Any]:
-    """An invitation into a team, with the secret that one user may join by."""
+    """Create an invitation into a team; the secret lets one user join."""
     team = find_team(api, named)
-    # not kept for repetition: the secret is shown once
+    # not repeated: the secret is shown once
     issued = api.send("POST", f"/teams/{team['id']}/invitations", json={}).json()
     return {"team": team["name"], **issued}
 
 
 def join(api: Api, secret: str) -> Item:
-    """The team that the invitation is into; the caller is a member from now on."""
+    """Join the team of the invitation and return it."""
     team: Item = api.send("POST", "/teams/memberships", json={"secret": secret}).json()
     return team

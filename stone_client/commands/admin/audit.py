@@ -1,4 +1,4 @@
-"""`stone admin audit`: the audit log, and whether it is whole."""
+"""`stone admin audit`: list and verify the audit log."""
 
 from itertools import islice
 from typing import Annotated
@@ -35,8 +35,8 @@ def audit(
         raise typer.BadParameter("--verify always checks the whole log", param_hint="--verify")
     with administering(server) as api:
         if not is_verification:
-            found = list(islice(api.pages("/admin/audit-log", **query), limit))
-            echo_records("entries", found, COLUMNS, as_json=as_json)
+            entries = list(islice(api.pages("/admin/audit-log", **query), limit))
+            echo_records("entries", entries, COLUMNS, as_json=as_json)
             return
         record = api.read("/admin/audit-log/verification")
     if as_json:

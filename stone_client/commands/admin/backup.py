@@ -18,7 +18,7 @@ DAMAGED = 1
 
 
 def take(folder: FolderArgument, data: DataOption = None, as_json: JsonOption = False) -> None:
-    """Back up database, store and uploads of a platform that may be in use; only new contents are copied."""
+    """Back up the database, store and uploads of a running or stopped platform; only new content is copied."""
     _echo(_backups().take(folder, data), as_json=as_json)
 
 
@@ -28,7 +28,7 @@ def listed(folder: BackupsArgument, as_json: JsonOption = False) -> None:
 
 
 def verify(folder: BackupsArgument, as_json: JsonOption = False) -> None:
-    """Read everything in a folder of backups, and compare it with its hashes."""
+    """Read all files in a folder of backups and compare them with their hashes."""
     _echo(_backups().verify(folder), as_json=as_json)
 
 
@@ -38,7 +38,7 @@ def prune(
     is_confirmed: YesOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Delete older snapshots, and contents that no other snapshot has."""
+    """Delete older snapshots, and content that no remaining snapshot uses."""
     act = PermanentAct(f"delete all but the newest {keep} snapshots of {folder}", "older states cannot be restored")
     require_confirmation(act, is_given=is_confirmed)
     _echo(_backups().prune(folder, keep), as_json=as_json)
@@ -50,7 +50,7 @@ def restore(
     data: DataOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Restore a snapshot onto an empty platform, of which no process runs; any other is refused."""
+    """Restore a snapshot onto an empty platform without running processes; any other platform is refused."""
     _echo(_backups().restore(folder, data, snapshot), as_json=as_json)
 
 
@@ -59,7 +59,7 @@ def _backups() -> Any:
 
 
 def _echo(outcome: Any, *, as_json: bool) -> None:
-    """Print the outcome; damage is on stderr and exit code 1."""
+    """Print the outcome; damage goes to stderr, with exit code 1."""
     if as_json:
         echo_json({**outcome.record, "is_well": outcome.is_well})
     else:

@@ -1,4 +1,4 @@
-"""`stone admin benchmarks`: benchmarks created and changed from a file."""
+"""`stone admin benchmarks`: create and change benchmarks from a file."""
 
 from pathlib import Path
 from typing import Annotated
@@ -34,7 +34,7 @@ def apply_file(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Create the benchmark of a file, or change it and its phases to what the file has; again, it changes nothing.
+    """Create the benchmark of a file, or change the benchmark and its phases to match the file.
 
     Fields and phases that the file leaves out stay as they are.
     """
@@ -46,7 +46,7 @@ def apply_file(
         changes = changes_of(api, wanted)
         beside = phases_beside(api, wanted) if wanted.phases else []
         findings = [] if is_dry_run else apply(api, changes, reason)
-    records = [one.as_record() for one in changes]
+    records = [item.as_record() for item in changes]
     if as_json:
         record = {"benchmark": wanted.name, "dry_run": is_dry_run, "changes": records}
         echo_json({**record, "phases_beside": beside, "findings": findings})

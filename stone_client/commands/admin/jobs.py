@@ -1,4 +1,4 @@
-"""`stone admin jobs`: everybody's jobs, listed, retried and stopped."""
+"""`stone admin jobs`: list, retry and stop the jobs of all users."""
 
 from itertools import islice
 from typing import Annotated
@@ -52,8 +52,8 @@ def listed(
     choices = {"state": state, "queue": queue, "owner": owner, "dead": "true" if is_dead else None}
     query = {key: str(value) for key, value in choices.items() if value is not None}
     with administering(server) as api:
-        found = list(islice(api.pages("/admin/jobs", **query), limit))
-    echo_records("jobs", found, COLUMNS, as_json=as_json)
+        jobs = list(islice(api.pages("/admin/jobs", **query), limit))
+    echo_records("jobs", jobs, COLUMNS, as_json=as_json)
 
 
 def show(
@@ -67,11 +67,11 @@ def show(
     from stone_client.server.status import any_job_status_of
 
     with administering(server) as api:
-        found = any_job_status_of(api, job_id_named(api, job))
+        status = any_job_status_of(api, job_id_named(api, job))
     if as_json:
-        echo_json(found.record)
+        echo_json(status.record)
     else:
-        found.show()
+        status.show()
 
 
 def retry(
@@ -96,18 +96,18 @@ def terminate(
 
 
 def _act(act: str, job_ids: list[str], reason: str, server: str | None, *, as_json: bool) -> None:
-    """Act on the run of each job; one that is refused does not keep the others from it, and ends with exit code 1."""
+    """Act on the run of each job; a refused job does not stop the others, and sets exit code 1."""
     from stone_client.connection import administering
     from stone_client.server.admin.jobs import job_id_named
 
     with administering(server) as api:
-        body = {"act": act, "job_ids": [job_id_named(api, one) for one in job_ids], "reason": reason}
+        body = {"act": act, "job_ids": [job_id_named(api, item) for item in job_ids], "reason": reason}
         answer = api.send("POST", "/admin/jobs/acts", json=body).json()
     done = items_of(answer)
     if as_json:
         echo_json({"jobs": done})
     else:
-        told = [{**one, "failure": one["failure"] and one["failure"]["sentence"]} for one in done]
-        echo_records("jobs", told, ACT_COLUMNS, as_json=False)
-    if any(one["failure"] for one in done):
+        rows = [{**item, "failure": item["failure"] and item["failure"]["sentence"]} for item in done]
+        echo_records("jobs", rows, ACT_COLUMNS, as_json=False)
+    if any(item["failure"] for item in done):
         raise typer.Exit(REFUSED)

@@ -1,4 +1,4 @@
-"""`stone admin phases`: a phase as its administrator sees it, its inputs, its alarms."""
+"""`stone admin phases`: a phase with the administrator's details, its inputs and its alarms."""
 
 from pathlib import Path
 from typing import Annotated
@@ -24,7 +24,7 @@ SHOWN = (
 def show(
     benchmark: BenchmarkArgument, phase: PhaseArgument, server: ServerOption = None, as_json: JsonOption = False
 ) -> None:
-    """Show the rules of a phase, and findings such as labels that became public."""
+    """Show the rules of a phase, and its findings, such as labels that became public."""
     from stone_client.connection import administering
     from stone_client.server.benchmarks import administered_phase
 
@@ -47,7 +47,7 @@ def inputs(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Create the missing inputs of a phase: what participants predict from."""
+    """Create the missing inputs of a phase: the data that participants predict from."""
     from stone_client.connection import administering
     from stone_client.server.admin.inputs import create_inputs
     from stone_client.server.benchmarks import read_phase
@@ -69,15 +69,15 @@ def alarms(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List the open alarms of a phase: entries that are too much alike, or too good."""
+    """List the open alarms of a phase: near-duplicate or implausibly good entries."""
     from stone_client.connection import administering
     from stone_client.server.benchmarks import administered_phase
 
     with administering(server) as api:
         path = f"{administered_phase(api, benchmark, phase)}/alarms"
-        found = list(api.pages(path, **({"dismissed": "true"} if has_dismissed else {})))
+        records = list(api.pages(path, **({"dismissed": "true"} if has_dismissed else {})))
     columns = {"kind": "kind", "subject": "subject", "raised": "created_at", "dismissed": "dismissed_at", "id": "id"}
-    echo_records("alarms", found, columns, as_json=as_json)
+    echo_records("alarms", records, columns, as_json=as_json)
 
 
 def dismiss(
@@ -102,14 +102,14 @@ def dismiss(
 def reported_rows(
     benchmark: BenchmarkArgument, phase: PhaseArgument, server: ServerOption = None, as_json: JsonOption = False
 ) -> None:
-    """List the reported rows of a phase: results that others published, never ranked."""
+    """List the reported rows of a phase: published results of others, never ranked."""
     from stone_client.connection import administering
     from stone_client.server.benchmarks import administered_phase
 
     with administering(server) as api:
-        found = items_of(api.send("GET", f"{administered_phase(api, benchmark, phase)}/reported").json())
+        rows = items_of(api.send("GET", f"{administered_phase(api, benchmark, phase)}/reported").json())
     columns = {"method": "method", "track": "modality", "kind": "kind", "mIoU": "miou", "source": "source"}
-    echo_records("reported", found, columns, as_json=as_json)
+    echo_records("reported", rows, columns, as_json=as_json)
 
 
 def report(
@@ -125,7 +125,7 @@ def report(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Replace all reported rows of a phase by those of a file."""
+    """Replace all reported rows of a phase with the rows of a file."""
     from stone_client.connection import administering
     from stone_client.files.yaml_file import read_yaml
     from stone_client.server.benchmarks import administered_phase

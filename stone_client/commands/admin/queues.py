@@ -1,4 +1,4 @@
-"""`stone admin queues`: the queues of jobs, listed, paused, drained and opened."""
+"""`stone admin queues`: list, pause, drain and resume the queues of jobs."""
 
 from typing import Annotated
 
@@ -36,28 +36,28 @@ def listed(server: ServerOption = None, as_json: JsonOption = False) -> None:
     from stone_client.connection import administering
 
     with administering(server) as api:
-        found = api.send("GET", "/admin/queues").json()
-    echo_records("queues", items_of(found), COLUMNS, as_json=as_json)
+        answer = api.send("GET", "/admin/queues").json()
+    echo_records("queues", items_of(answer), COLUMNS, as_json=as_json)
 
 
 def pause(
     queue: QueueArgument, reason: RequiredReason, server: ServerOption = None, as_json: JsonOption = False
 ) -> None:
-    """Start no more jobs of a queue."""
+    """Stop starting jobs of a queue."""
     _switch(queue, "pause", reason, server, as_json=as_json)
 
 
 def drain(
     queue: QueueArgument, reason: RequiredReason, server: ServerOption = None, as_json: JsonOption = False
 ) -> None:
-    """Run the queued jobs of a queue, and add no more."""
+    """Run the queued jobs of a queue, and accept no new jobs."""
     _switch(queue, "drain", reason, server, as_json=as_json)
 
 
 def resume(
     queue: QueueArgument, reason: RequiredReason, server: ServerOption = None, as_json: JsonOption = False
 ) -> None:
-    """Open a queue that was paused or drained."""
+    """Resume a queue that was paused or drained."""
     _switch(queue, "resume", reason, server, as_json=as_json)
 
 

@@ -1,4 +1,4 @@
-"""`stone admin rescores`: all entries of a phase scored again, compared, and put in force."""
+"""`stone admin rescores`: score all entries of a phase again, compare, and activate the result."""
 
 from typing import Annotated, Any
 
@@ -32,8 +32,8 @@ def listed(
     from stone_client.server.admin.rescores import rescores_path
 
     with administering(server) as api:
-        found = list(api.pages(rescores_path(api, benchmark, phase)))
-    echo_records("rescores", found, COLUMNS, as_json=as_json)
+        rescores = list(api.pages(rescores_path(api, benchmark, phase)))
+    echo_records("rescores", rescores, COLUMNS, as_json=as_json)
 
 
 def start(
@@ -50,7 +50,7 @@ def start(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Score all entries by another metric or ground truth; the board stays until `activate`."""
+    """Score all entries with another metric or ground truth; the board does not change until `activate`."""
     from stone_client.connection import administering
     from stone_client.server.admin.rescores import rescores_path
     from stone_client.server.job_following import follow
@@ -97,7 +97,7 @@ def activate(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Switch the board to a re-score; refused if the board was switched after the difference was read."""
+    """Switch the board to a re-score; refused if the board was switched since the difference was computed."""
     from stone_client.connection import administering
     from stone_client.server.admin.rescores import rescore_path
 
@@ -135,7 +135,7 @@ def abandon(
 
 
 def _switch(board: str, diff: dict[str, Any]) -> PermanentAct:
-    """The act of activating the re-score of this difference."""
+    """Return the act of activating the re-score of this difference."""
     leader = ", with a new leader" if diff["is_new_leader"] else ""
     moved = (
         f"ranks move by at most {diff['largest_rank_move']}, values by at most {diff['largest_value_move']:g}{leader}"

@@ -1,4 +1,4 @@
-"""`stone admin submissions`: entries hidden from boards, and shown again."""
+"""`stone admin submissions`: hide entries from boards, and show them again."""
 
 from typing import Annotated
 
@@ -14,7 +14,7 @@ SubmissionArgument = Annotated[str, typer.Argument(metavar="SUBMISSION", help="A
 def hide(
     submission: SubmissionArgument, reason: RequiredReason, server: ServerOption = None, as_json: JsonOption = False
 ) -> None:
-    """Leave a submission out of every board; its team reads the reason."""
+    """Hide a submission from all boards; its team can read the reason."""
     _put(submission, reason, server, is_hidden=True, as_json=as_json)
 
 

@@ -1,4 +1,4 @@
-"""`stone admin teams`: every team of the platform, its captain, its members, its grants."""
+"""`stone admin teams`: all teams of the platform, with captains, members and grants."""
 
 from typing import Annotated, Any
 
@@ -20,9 +20,9 @@ def listed(server: ServerOption = None, as_json: JsonOption = False) -> None:
     from stone_client.server.teams import read_teams
 
     with administering(server) as api:
-        found = read_teams(api)
+        teams = read_teams(api)
     columns = {"name": "name", "captain": "captain", "members": "members", "id": "id"}
-    echo_records("teams", found, columns, as_json=as_json)
+    echo_records("teams", teams, columns, as_json=as_json)
 
 
 def captain(
@@ -71,7 +71,7 @@ def grant(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Grant a team more submissions in a phase than its rules allow, or take a grant back."""
+    """Grant a team more submissions in a phase than its rules allow, or reduce a grant."""
     from stone_client.connection import administering
     from stone_client.server.benchmarks import read_phase
     from stone_client.server.teams import find_team

@@ -1,4 +1,4 @@
-"""`stone admin tokens`: the tokens of a user, listed and revoked."""
+"""`stone admin tokens`: list and revoke the tokens of a user."""
 
 from typing import Annotated
 
@@ -15,13 +15,13 @@ COLUMNS = {"name": "name", "scopes": "scopes", "expires": "expires_at", "used": 
 
 
 def listed(user: UserArgument, server: ServerOption = None, as_json: JsonOption = False) -> None:
-    """List a user's tokens, newest first; secrets are stored nowhere."""
+    """List a user's tokens, newest first; their secrets are not stored."""
     from stone_client.connection import administering
     from stone_client.server.admin.users import user_named
 
     with administering(server) as api:
-        found = list(api.pages(f"/admin/users/{user_named(api, user)['id']}/tokens"))
-    echo_records("tokens", found, COLUMNS, as_json=as_json)
+        tokens = list(api.pages(f"/admin/users/{user_named(api, user)['id']}/tokens"))
+    echo_records("tokens", tokens, COLUMNS, as_json=as_json)
 
 
 def revoke(
@@ -32,14 +32,14 @@ def revoke(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """End one token of a user, or all tokens and sessions, but not the token of this command."""
+    """Revoke one token of a user, or all tokens and sessions except the token of this command."""
     from stone_client.connection import administering
     from stone_client.server.admin.users import user_named
 
     with administering(server) as api:
-        found = user_named(api, user)
-        own, what = f"/admin/users/{found['id']}", f"token {token}" if token else "all tokens and sessions"
-        act = PermanentAct(f"revoke {what} of {found['name']}", "programs that use them are refused immediately")
+        owner = user_named(api, user)
+        own, what = f"/admin/users/{owner['id']}", f"token {token}" if token else "all tokens and sessions"
+        act = PermanentAct(f"revoke {what} of {owner['name']}", "programs that use them are refused immediately")
         require_confirmation(act, is_given=is_confirmed)
         if token is None:
             record = api.create(f"{own}/credentials/revoke", {"reason": reason})
@@ -47,6 +47,6 @@ def revoke(
             api.send("POST", f"{own}/tokens/{token}/revoke", json={"reason": reason})
             record = {"tokens": 1, "browsers": 0}
     if as_json:
-        echo_json({"user": found["name"], **record})
+        echo_json({"user": owner["name"], **record})
     else:
         typer.echo(f"revoked: {record['tokens']} tokens, {record['browsers']} sessions")

@@ -1,4 +1,4 @@
-"""`stone admin truths`: the ground truths of a phase, listed and built."""
+"""`stone admin truths`: list and build the ground truths of a phase."""
 
 from typing import Annotated
 
@@ -30,8 +30,8 @@ def listed(
     from stone_client.server.benchmarks import administered_phase
 
     with administering(server) as api:
-        found = list(api.pages(f"{administered_phase(api, benchmark, phase)}/ground-truths"))
-    echo_records("ground truths", found, COLUMNS, as_json=as_json)
+        truths = list(api.pages(f"{administered_phase(api, benchmark, phase)}/ground-truths"))
+    echo_records("ground truths", truths, COLUMNS, as_json=as_json)
 
 
 def build(
@@ -45,7 +45,7 @@ def build(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Build a ground truth; the first of a phase is in force when it is ready, a later one after a re-score."""
+    """Build a ground truth; the first of a phase becomes active when it is ready, a later one by a re-score."""
     from stone_client.connection import administering
     from stone_client.server.benchmarks import administered_phase
     from stone_client.server.job_following import follow
@@ -57,7 +57,7 @@ def build(
         if is_awaited:
             with reported() as progress:
                 follow(api, accepted["job"]["id"], progress)
-        (record,) = (one for one in api.pages(own) if one["id"] == accepted["ground_truth"]["id"])
+        (record,) = (truth for truth in api.pages(own) if truth["id"] == accepted["ground_truth"]["id"])
     if as_json:
         echo_json({"ground_truth": record, "job_id": accepted["job"]["id"]})
         return

@@ -39,8 +39,8 @@ def listed(
 
     query = {key: str(value) for key, value in (("role", role), ("name", name)) if value is not None}
     with administering(server) as api:
-        found = list(api.pages("/admin/users", **query))
-    echo_records("users", found, {**COLUMNS, "id": "id"}, as_json=as_json)
+        users = list(api.pages("/admin/users", **query))
+    echo_records("users", users, {**COLUMNS, "id": "id"}, as_json=as_json)
 
 
 def add(
@@ -52,7 +52,7 @@ def add(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Add a user; without a password the user can sign in only by the platform's provider."""
+    """Add a user; without a password the user can sign in only with the platform's provider."""
     from stone_client.connection import administering
 
     body = {"name": name, "role": str(role), "reason": reason}
@@ -80,7 +80,7 @@ def set_password(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Set a user's password; it is prompted for, or read from stdin."""
+    """Set a user's password, from a prompt or from stdin."""
     body = {"password": _password(is_from_stdin=password_stdin), "reason": reason}
     _change(user, body, server, as_json=as_json)
 
@@ -100,15 +100,15 @@ def deactivate(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Keep a user from signing in; all tokens of the user end permanently."""
+    """Prevent a user from signing in, and revoke all tokens of the user permanently."""
     from stone_client.connection import administering
     from stone_client.server.admin.users import user_named
 
     with administering(server) as api:
-        found = user_named(api, user)
-        act = PermanentAct(f"deactivate {found['name']} ({found['id']})", "all tokens and sessions of the user end")
-        confirm(act, {"user": dict(found)}, is_given=is_confirmed, is_dry_run=is_dry_run, as_json=as_json)
-        answer = api.send("PATCH", f"/admin/users/{found['id']}", json={"is_active": False, "reason": reason})
+        account = user_named(api, user)
+        act = PermanentAct(f"deactivate {account['name']} ({account['id']})", "all tokens and sessions of the user end")
+        confirm(act, {"user": dict(account)}, is_given=is_confirmed, is_dry_run=is_dry_run, as_json=as_json)
+        answer = api.send("PATCH", f"/admin/users/{account['id']}", json={"is_active": False, "reason": reason})
         _echo(answer.json(), "deactivated", as_json=as_json)
 
 
@@ -120,16 +120,16 @@ def delete(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Delete an account for good; sequences and submissions of the user stay, under no name."""
+    """Delete an account permanently; the user's sequences and submissions stay, without a name."""
     from stone_client.connection import administering
     from stone_client.server.admin.users import user_named
 
     with administering(server) as api:
-        found = user_named(api, user)
+        account = user_named(api, user)
         effect = "name, password, tokens and sessions are lost; sequences and submissions stay, without a name"
-        act = PermanentAct(f"delete {found['name']} ({found['id']})", effect)
-        confirm(act, {"user": dict(found)}, is_given=is_confirmed, is_dry_run=is_dry_run, as_json=as_json)
-        _echo(api.create(f"/admin/users/{found['id']}/erase", {"reason": reason}), "deleted", as_json=as_json)
+        act = PermanentAct(f"delete {account['name']} ({account['id']})", effect)
+        confirm(act, {"user": dict(account)}, is_given=is_confirmed, is_dry_run=is_dry_run, as_json=as_json)
+        _echo(api.create(f"/admin/users/{account['id']}/erase", {"reason": reason}), "deleted", as_json=as_json)
 
 
 def _change(user: str, body: dict[str, Any], server: str | None, *, as_json: bool) -> None:

@@ -31,9 +31,9 @@ def login(
     admin: AdminOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Sign in to a server; its token is kept in ~/.config/stone/credentials.json and used by the other commands.
+    """Sign in to a server, and store its token in ~/.config/stone/credentials.json for the other commands.
 
-    Where people sign in with a provider, or with --browser, a code is shown to approve in a browser.
+    With --browser, or if the server uses a sign-in provider, the command shows a code to approve in a browser.
     """
     from stone_client.browser_sign_in import asks_for_browser, sign_in_by_browser
     from stone_client.credentials import plain_url
@@ -46,7 +46,7 @@ def login(
     server = plain_url(url)
     if token_stdin:
         signed_in = sign_in_by_token(server, sys.stdin.readline().strip())
-    elif (asks_for_browser(server) and not (name or password_stdin)) or browser:  # a dead server ends it first
+    elif (asks_for_browser(server) and not (name or password_stdin)) or browser:  # fails before any prompt
         signed_in = sign_in_by_browser(server, _show, as_administrator=admin)
     else:
         name = name or typer.prompt("Name", err=True)

@@ -1,4 +1,4 @@
-"""`stone auth logout`: the token of a server, revoked and forgotten."""
+"""`stone auth logout`: revoke and delete the token of a server."""
 
 from typing import Annotated
 
@@ -20,18 +20,18 @@ def logout(
     from stone_client.credentials import forget, stored_server
     from stone_client.errors import ServerRefusedError
 
-    found = stored_server(server)
+    stored = stored_server(server)
     is_revoked = False
     if not is_local:
-        with Api(found) as api:
+        with Api(stored) as api:
             try:
                 api.send("DELETE", "/tokens/current")
                 is_revoked = True
             except ServerRefusedError as error:
-                if error.status != 401:  # it ended before
+                if error.status != 401:  # the token has already ended
                     raise
-    forget(found.url)
+    forget(stored.url)
     if as_json:
-        echo_json({"url": found.url, "is_revoked": is_revoked})
+        echo_json({"url": stored.url, "is_revoked": is_revoked})
     else:
-        typer.echo(f"signed out of {found.url}")
+        typer.echo(f"signed out of {stored.url}")

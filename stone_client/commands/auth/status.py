@@ -17,7 +17,7 @@ def status(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Show the server, user, role and scopes of the commands, and when the token expires."""
+    """Show the server, user, role and scopes that the commands use, and when the token expires."""
     from stone_client.connection import connected
     from stone_client.credentials import read_credentials
 

@@ -1,4 +1,4 @@
-"""`stone benchmark inputs`: the sensor data of a phase's sequences, downloaded."""
+"""`stone benchmark inputs`: download the sensor data of a phase's sequences."""
 
 from pathlib import Path
 from typing import Annotated

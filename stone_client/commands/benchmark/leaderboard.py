@@ -14,7 +14,7 @@ from stone_files.atomic import atomic_file
 
 
 class Form(StrEnum):
-    """For programs, and for papers."""
+    """Formats for programs and for papers."""
 
     JSON = "json"
     CSV = "csv"
@@ -61,12 +61,12 @@ def leaderboard(
     if form is Form.PARQUET and output is None:
         raise typer.BadParameter("parquet is binary; name a file with --output", param_hint="--output")
     tracked = "all" if track is None else track.value
-    asked = BoardSelection(benchmark, phase, tracked, as_of, "all" if everything else "best")
+    selection = BoardSelection(benchmark, phase, tracked, as_of, "all" if everything else "best")
     with connected(server) as api:
         if form is not None:
-            _write(board_file(api, asked, form.value), output)
+            _write(board_file(api, selection, form.value), output)
             return
-        record = read_board(api, asked)
+        record = read_board(api, selection)
     if as_json:
         echo_json(record)
         return

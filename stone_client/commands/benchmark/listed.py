@@ -20,13 +20,13 @@ def listed(benchmark: BenchmarkArgument = None, server: ServerOption = None, as_
     from stone_client.server.benchmarks import phases_table, read_benchmark, read_benchmarks
 
     with connected(server) as api:
-        found = read_benchmarks(api) if benchmark is None else [read_benchmark(api, benchmark)]
-    record: dict[str, Any] = {"benchmarks": found}
+        benchmarks = read_benchmarks(api) if benchmark is None else [read_benchmark(api, benchmark)]
+    record: dict[str, Any] = {"benchmarks": benchmarks}
     if as_json:
         echo_json(record)
         return
-    for one in found:
-        show(phases_table(one))
-        for phase in one["phases"] if benchmark is not None else ():
+    for item in benchmarks:
+        show(phases_table(item))
+        for phase in item["phases"] if benchmark is not None else ():
             for line in phase["visibility"]:
                 typer.echo(one_line(f"{phase['name']}: {line}"))

@@ -1,4 +1,4 @@
-"""`stone benchmark manifest`: which frames a submission to a phase must hold."""
+"""`stone benchmark manifest`: the frames that a submission to a phase must contain."""
 
 from pathlib import Path
 from typing import Annotated
@@ -22,15 +22,15 @@ def manifest(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write the manifest of a phase, which `stone validate` and `stone baseline` read."""
+    """Write the manifest of a phase, for `stone validate` and `stone baseline`."""
     from stone_client.connection import connected
     from stone_client.server.benchmarks import fetch_manifest
     from stone_submissions.manifest import read_manifest
 
     with connected(server) as api:
         written = fetch_manifest(api, (benchmark, phase), output)
-    found = read_manifest(output)
-    record = {**written, "frames": len(found.tokens), "sequences": len(found.sequences)}
+    read = read_manifest(output)
+    record = {**written, "frames": len(read.tokens), "sequences": len(read.sequences)}
     if as_json:
         echo_json(record)
     else:

@@ -1,4 +1,4 @@
-"""`stone benchmark reported`: rows of a publication, or a ceiling, on a board and marked as not scored here."""
+"""`stone benchmark reported`: add published rows, or a ceiling, to a board, marked as not scored here."""
 
 from typing import Annotated
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class ResultGrouping(StrEnum):
-    """What the frames of a result are grouped by."""
+    """The property by which the frames of a result are grouped."""
 
     SEQUENCE = "sequence"
     ENVIRONMENT = "environment"
@@ -59,8 +59,8 @@ def results(
 def _listed(api: "Api") -> tuple[dict[str, Any], list["Table"]]:
     from stone_client.server.scores import read_submissions, submissions_table
 
-    found = read_submissions(api)
-    return {"submissions": found}, [submissions_table(found)]
+    submissions = read_submissions(api)
+    return {"submissions": submissions}, [submissions_table(submissions)]
 
 
 def _found(api: "Api", submission_id: str, by: ResultGrouping | None) -> tuple[dict[str, Any], list["Table"]]:

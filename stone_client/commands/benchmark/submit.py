@@ -1,4 +1,4 @@
-"""`stone benchmark submit`: a zip of predictions to a benchmark, and what it scored."""
+"""`stone benchmark submit`: submit a zip of predictions to a benchmark and print its scores."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -57,7 +57,7 @@ def submit(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Submit predictions, wait and print the scores; run again, it resumes where it stopped."""
+    """Submit predictions, wait and print the scores. If the command is run again, it resumes."""
     from stone_client.connection import connected
     from stone_client.server.benchmarks import read_phase
     from stone_client.server.scores import read_results

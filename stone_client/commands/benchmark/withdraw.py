@@ -1,4 +1,4 @@
-"""`stone benchmark withdraw`: a submission off every board."""
+"""`stone benchmark withdraw`: withdraw a submission from every board."""
 
 from typing import Annotated
 
@@ -29,10 +29,10 @@ def withdraw(
     from stone_client.server.submission import withdrawal
 
     with connected(server) as api:
-        found = submission_id(api, submission)
-        act = withdrawal(api, found)
-        confirm(act, {"id": found}, is_given=is_confirmed, is_dry_run=is_dry_run, as_json=as_json, named=submission)
-        taken = take_off(api, found, reason)
+        chosen_id = submission_id(api, submission)
+        act = withdrawal(api, chosen_id)
+        confirm(act, {"id": chosen_id}, is_given=is_confirmed, is_dry_run=is_dry_run, as_json=as_json, named=submission)
+        taken = take_off(api, chosen_id, reason)
     if as_json:
         echo_json(dict(taken))
     else:

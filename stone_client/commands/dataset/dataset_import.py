@@ -1,4 +1,4 @@
-"""`stone dataset import`: a published dataset with its labels to a server."""
+"""`stone dataset import`: import a published dataset with its labels on a server."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -57,10 +57,10 @@ def import_dataset(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Import a published dataset with its labels: a sequence for every scene, all of them or none.
+    """Import a published dataset with its labels: one sequence per scene, all of them or none.
 
-    Run again after an interruption, it resumes. `stone check` finds the faults of a dataset beforehand.
-    ROOT is a name that the server's administrator gave to a folder or a bucket.
+    If the command is run again after an interruption, it resumes. `stone check` finds faults in a dataset beforehand.
+    With --in-place, ROOT is the administrator's name for a folder or bucket of the server.
     """
     from stone_client.connection import connected
     from stone_client.files.datasets import dataset_name
@@ -110,7 +110,9 @@ def _path(dataset: str) -> Path:
 
 
 def _imported(api: Any, where: "Path | Place", wishes: Any, *, waits: bool) -> dict[str, Any]:
-    """The import as it ended well, or as it is. Raises `JobFailedError`, `splits_forbidden`."""
+    """Return the import after success, or its current state without waiting. Raises `JobFailedError`,
+    `splits_forbidden`.
+    """
     from stone_client.server.dataset_imports import import_in_place, read_import, send_dataset
     from stone_client.server.run_watch import watch_run
 
@@ -144,21 +146,21 @@ def _say(record: dict[str, Any]) -> None:
         return
     names = [scene["name"] for scene in record["scenes"]]
     more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-    told = f"{counted(len(names), 'sequence')}, {counted(record['frames'], 'frame')}"
-    typer.echo(f"{told}: {', '.join(names[:MOST_NAMED])}{more}")
+    counts = f"{counted(len(names), 'sequence')}, {counted(record['frames'], 'frame')}"
+    typer.echo(f"{counts}: {', '.join(names[:MOST_NAMED])}{more}")
     refused = record["splits_refused"]
     if refused == ["no_splits"]:
         typer.echo("The draft splits were not changed: the dataset has no split train, val or test")
     elif refused:
         typer.echo(f"The draft splits were not changed: the dataset's splits violate the rules ({', '.join(refused)})")
-    if place := record["place"]:
-        where = f"{place['root']}:{place['path']}"
+    if root_path := record["place"]:
+        where = f"{root_path['root']}:{root_path['path']}"
         typer.echo(f"Read in place: {where} as it was at {record['created_at'][:19]}")
         typer.echo("If it has changed since, import it again with --add-to-existing and another --name")
     echo_notice(f"Next: stone sequence download {names[0]} -o DIR")
 
 
 def _text(path: Path) -> str:
-    """The content of the file, which the server reads; of one that is too large, what shows it so."""
+    """Return the text of the file for the server to parse, cut off just above the server's size limit."""
     with path.open("rb") as file:
         return file.read(MOST_CLASSES_BYTES + 1).decode("utf-8", "replace")

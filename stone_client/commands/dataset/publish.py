@@ -1,4 +1,4 @@
-"""`stone dataset publish`: the draft splits as a version that never changes."""
+"""`stone dataset publish`: publish the draft splits as a version that never changes."""
 
 from typing import Annotated
 

@@ -24,8 +24,8 @@ def listed(server: ServerOption = None, as_json: JsonOption = False) -> None:
     from stone_client.server.datasets import read_datasets
 
     with connected(server) as api:
-        found = read_datasets(api)
-    _show({"datasets": found}, as_json)
+        versions = read_datasets(api)
+    _show({"datasets": versions}, as_json)
 
 
 def show(version: VersionArgument, server: ServerOption = None, as_json: JsonOption = False) -> None:
@@ -34,8 +34,8 @@ def show(version: VersionArgument, server: ServerOption = None, as_json: JsonOpt
     from stone_client.server.datasets import read_dataset
 
     with connected(server) as api:
-        found = read_dataset(api, version)
-    _show(found, as_json)
+        record = read_dataset(api, version)
+    _show(record, as_json)
 
 
 def download(

@@ -1,1 +1,1 @@
-"""Commands for the label sets of a sequence on a server, or of folders here."""
+"""Commands for the label sets of a sequence on a server, or in local folders."""

@@ -1,4 +1,4 @@
-"""`stone label-set activate`: the label set that pages, exports and new versions use."""
+"""`stone label-set activate`: choose the label set that pages, exports and new versions use."""
 
 from typing import Annotated
 
@@ -16,16 +16,16 @@ LabelSetArgument = Annotated[
 def activate(
     sequence: SequenceArgument, label_set: LabelSetArgument, server: ServerOption = None, as_json: JsonOption = False
 ) -> None:
-    """Make a label set the active one of its sequence: pages, exports and new versions use it from then on."""
+    """Make a label set the active label set of its sequence, for pages, exports and new versions."""
     from stone_client.connection import connected
     from stone_client.server.label_sets import label_set_named
     from stone_client.server.sequences import find_sequence
 
     with connected(server) as api:
-        found = find_sequence(api, sequence)
-        path = f"/sequences/{found['id']}/label-sets/{label_set_named(api, found, label_set)}/activate"
+        item = find_sequence(api, sequence)
+        path = f"/sequences/{item['id']}/label-sets/{label_set_named(api, item, label_set)}/activate"
         record = api.send("POST", path).json()
     if as_json:
         echo_json(record)
     else:
-        typer.echo(one_line(f"active label set of {found['name']}: {record['id']}"))
+        typer.echo(one_line(f"active label set of {item['name']}: {record['id']}"))

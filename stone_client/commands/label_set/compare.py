@@ -1,4 +1,4 @@
-"""`stone label-set compare`: two label sets of one run, of a server or in folders here."""
+"""`stone label-set compare`: compare two label sets of one run, on a server or in local folders."""
 
 import os
 from collections.abc import Mapping
@@ -37,7 +37,7 @@ def compare(
 ) -> None:
     """Compare two label sets of one run: IoU, confusion, by distance; neither is ground truth.
 
-    Folders of this machine need the platform.
+    Comparing local folders requires the platform.
     """
     if sequence is None and server is not None:
         raise typer.BadParameter("it applies to label sets on a server and requires --sequence", param_hint="--server")

@@ -1,4 +1,4 @@
-"""`stone label-set delete`: a label set off a server, with its bytes."""
+"""`stone label-set delete`: delete a label set from a server."""
 
 from typing import Annotated
 
@@ -21,19 +21,19 @@ def delete(
     is_dry_run: DryRunOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Delete a label set and free its bytes; refused if an export, a version or a phase relies on the label set."""
+    """Delete a label set and free its storage; refused if an export, a version or a phase uses the label set."""
     from stone_client.connection import connected
     from stone_client.server.label_sets import delete_label_set, deletion, label_set_named
     from stone_client.server.sequences import find_sequence
 
     with connected(server) as api:
-        found = find_sequence(api, sequence)
-        deleted = label_set_named(api, found, label_set)
-        act = deletion(found, deleted)
+        item = find_sequence(api, sequence)
+        deleted = label_set_named(api, item, label_set)
+        act = deletion(item, deleted)
         confirm(
             act, {"label_set": deleted}, is_given=is_confirmed, is_dry_run=is_dry_run, as_json=as_json, named=label_set
         )
-        delete_label_set(api, found, deleted)
+        delete_label_set(api, item, deleted)
     if as_json:
         echo_json({"deleted": deleted})
         return

@@ -1,1 +1,1 @@
-"""Commands for the sequences on a server: recordings in, runs, labels and exports out."""
+"""Commands for the sequences on a server: recordings, runs, labels and exports."""

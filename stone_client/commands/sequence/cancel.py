@@ -1,4 +1,4 @@
-"""`stone sequence cancel`: a run, stopped."""
+"""`stone sequence cancel`: stop a run."""
 
 from typing import Annotated
 
@@ -14,7 +14,7 @@ ReasonOption = Annotated[str, typer.Option(metavar="TEXT", help="Reason, shown w
 def cancel(
     subject: SubjectArgument, reason: ReasonOption = "", server: ServerOption = None, as_json: JsonOption = False
 ) -> None:
-    """Stop a run at its next report of progress; finished stages are kept, and processing again continues."""
+    """Stop a run at its next report of progress; finished stages are kept for the next run."""
     from stone_client.connection import connected
     from stone_client.server.sequences import find_job
 

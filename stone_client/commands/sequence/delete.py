@@ -14,20 +14,20 @@ def delete(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Delete a sequence with its recordings and labels; its jobs stop. Published versions keep what they name."""
+    """Delete a sequence with its recordings and labels, and stop its jobs. Published versions keep their content."""
     from stone_client.connection import connected
     from stone_client.server.sequences import find_sequence
 
     with connected(server) as api:
-        found = find_sequence(api, sequence)
-        recordings = len(list(api.pages(f"/sequences/{found['id']}/recordings")))
-        labels = len(list(api.pages(f"/sequences/{found['id']}/label-sets")))
+        item = find_sequence(api, sequence)
+        recordings = len(list(api.pages(f"/sequences/{item['id']}/recordings")))
+        labels = len(list(api.pages(f"/sequences/{item['id']}/label-sets")))
         held = f"{recordings} recordings and {labels} label sets"
-        act = PermanentAct(f"delete sequence {found['name']} ({found['id']})", f"its {held} cannot be restored")
-        details = {"id": found["id"], "recordings": recordings, "label_sets": labels}
+        act = PermanentAct(f"delete sequence {item['name']} ({item['id']})", f"its {held} cannot be restored")
+        details = {"id": item["id"], "recordings": recordings, "label_sets": labels}
         confirm(act, details, is_given=is_confirmed, is_dry_run=is_dry_run, as_json=as_json)
-        api.send("DELETE", f"/sequences/{found['id']}", headers={"If-Match": f'"{found["revision"]}"'})
+        api.send("DELETE", f"/sequences/{item['id']}", headers={"If-Match": f'"{item["revision"]}"'})
     if as_json:
-        echo_json({"deleted": found["id"]})
+        echo_json({"deleted": item["id"]})
     else:
-        typer.echo(f"deleted {found['name']} ({found['id']})")
+        typer.echo(f"deleted {item['name']} ({item['id']})")

@@ -1,4 +1,4 @@
-"""`stone sequence download`: the labels of a sequence from a server, or one of its exports as an archive."""
+"""`stone sequence download`: download the labels of a sequence, or one of its exports as an archive."""
 
 from pathlib import Path
 from typing import Annotated, Any

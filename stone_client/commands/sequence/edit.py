@@ -1,4 +1,4 @@
-"""`stone sequence edit`: the name, place and visibility of a sequence."""
+"""`stone sequence edit`: change the name, environment, region and visibility of a sequence."""
 
 from typing import Annotated, Any
 
@@ -26,7 +26,7 @@ def edit(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Change the facts about a sequence; omitted options leave them as they are."""
+    """Change the properties of a sequence; omitted options leave them unchanged."""
     from stone_client.connection import connected
     from stone_client.server.sequences import find_sequence
 
@@ -36,9 +36,9 @@ def edit(
     if not changes:
         raise typer.BadParameter("give at least one option, such as --region", param_hint="OPTIONS")
     with connected(server) as api:
-        found = find_sequence(api, sequence)
-        match = {"If-Match": f'"{found["revision"]}"'}
-        record = api.send("PATCH", f"/sequences/{found['id']}", json=changes, headers=match).json()
+        item = find_sequence(api, sequence)
+        match = {"If-Match": f'"{item["revision"]}"'}
+        record = api.send("PATCH", f"/sequences/{item['id']}", json=changes, headers=match).json()
     if as_json:
         echo_json({"id": record["id"], **{key: record[key] for key in SHOWN}})
     else:

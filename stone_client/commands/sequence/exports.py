@@ -1,4 +1,4 @@
-"""`stone sequence exports`: a sequence's labels in the formats that others open, made on the server."""
+"""`stone sequence exports`: a sequence's labels in common formats, created on the server."""
 
 from typing import Annotated, Any
 
@@ -12,8 +12,9 @@ from stone_client.tables import show
 
 
 class Format(StrEnum):
-    """What an export is opened with: the nuScenes devkit (inputs: without labels), SemanticKITTI tools, mesh viewers,
-    Foxglove, Rerun, eyes, the viewer."""
+    """The formats of exports: nuScenes devkit (inputs: without labels), SemanticKITTI tools, mesh viewers, Foxglove,
+    Rerun, previews and the playback of the viewer.
+    """
 
     NUSCENES = "nuscenes"
     INPUTS = "inputs"
@@ -37,17 +38,17 @@ def exports(
     from stone_client.server.sequences import find_sequence
 
     with connected(server) as api:
-        found = find_sequence(api, sequence)
+        item = find_sequence(api, sequence)
         if form is not None:
             with reported() as progress:
-                make_export(api, found, form.value, progress)
-        listed = exports_of(api, found)
-    record: dict[str, Any] = {"sequence": found["name"], "exports": listed}
+                make_export(api, item, form.value, progress)
+        listed = exports_of(api, item)
+    record: dict[str, Any] = {"sequence": item["name"], "exports": listed}
     if as_json:
         echo_json(record)
         return
-    show(exports_table(found["name"], listed))
+    show(exports_table(item["name"], listed))
     if form is not None:
         echo_notice(
-            f"Next: stone sequence download {found['name']} --format {form.value} -o {found['name']}-{form.value}.tar"
+            f"Next: stone sequence download {item['name']} --format {form.value} -o {item['name']}-{form.value}.tar"
         )

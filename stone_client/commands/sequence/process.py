@@ -43,8 +43,8 @@ def process(
 ) -> None:
     """Label every frame of a sequence; a repeated request reuses the same run.
 
-    The run uses all recordings of the sequence on one clock, and starts again automatically if a recording is added,
-    unless recordings are named.
+    The run uses all recordings of the sequence on one clock. Unless recordings are named, it starts again automatically
+    when a recording is added.
     """
     from stone_client.connection import connected
     from stone_client.server.run_watch import watch_run
@@ -59,13 +59,13 @@ def process(
     body |= {"grid": chosen_grid(grid).as_record()} if grid else {}
     body |= clock_offsets_body(clock_offset)
     with connected(server) as api:
-        found = find_sequence(api, sequence)
-        body |= {"recording_ids": recordings_named(api, found, recording)} if recording else {}
-        run = start_run(api, found, body)
+        item = find_sequence(api, sequence)
+        body |= {"recording_ids": recordings_named(api, item, recording)} if recording else {}
+        run = start_run(api, item, body)
         run = watch_run(api, run) if wait else run
     if as_json:
         echo_json(run)
     else:
         typer.echo(f"{run['kind']} {run['id']} {run['state']}")
-        following = f"download {found['name']} -o DIR" if run["state"] == "succeeded" else f"watch {run['id']}"
+        following = f"download {item['name']} -o DIR" if run["state"] == "succeeded" else f"watch {run['id']}"
         echo_notice(f"Next: stone sequence {following}")

@@ -1,4 +1,4 @@
-"""`stone sequence register`: recordings that a server reads where they lie."""
+"""`stone sequence register`: register recordings that a server reads in place."""
 
 from typing import Annotated, Any
 
@@ -43,22 +43,22 @@ def register(
     from stone_client.server.run_watch import watch_run
     from stone_client.server.sequences import ensure_sequence, pin_calibration, start_run
 
-    found = [place_named(text, with_pictures=with_pictures) for text in places]
+    server_places = [place_named(text, with_pictures=with_pictures) for text in places]
     with connected(server) as api:
-        sequence = ensure_sequence(api, name or found[0].called)
+        sequence = ensure_sequence(api, name or server_places[0].called)
         kept = pin_calibration(api, sequence, calibration)
         recordings = []
-        for place in found:
+        for place in server_places:
             with transferred() as progress:
                 recordings.append(add_in_place(api, sequence, place, progress))
         record: dict[str, Any] = {"sequence": sequence["id"], "name": sequence["name"], "calibration": kept["id"]}
-        record |= {"recordings": [{key: one[key] for key in ("id", "filename", "sha256")} for one in recordings]}
+        record |= {"recordings": [{key: item[key] for key in ("id", "filename", "sha256")} for item in recordings]}
         if process:
             record["job"] = watch_run(api, start_run(api, sequence, {}))
     if as_json:
         echo_json(record)
     else:
-        for place in found:
+        for place in server_places:
             typer.echo(f"{sequence['name']}: {api.url} reads {place} in place")
         following = f"download {sequence['name']} -o DIR" if process else f"process {sequence['name']} --wait"
         echo_notice(f"Next: stone sequence {following}")

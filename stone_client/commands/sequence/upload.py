@@ -1,4 +1,4 @@
-"""`stone sequence upload`: recordings and their calibration to a server."""
+"""`stone sequence upload`: upload recordings and their calibration to a server."""
 
 from typing import Annotated, Any
 
@@ -24,11 +24,10 @@ def upload(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Upload the recordings of a run and its calibration; run again, it resumes where it stopped.
+    """Upload the recordings of a run and its calibration. If the command is run again, it resumes.
 
-    A folder of a split bag is one recording, and so are files whose names count on (run_0.mcap run_1.mcap): every file
-    of the bag is sent, and then they are sealed together. Other files are recordings of their own (LiDAR here, cameras
-    there), of one sequence, which is processed from all of them.
+    A folder of a split bag is one recording, and so are consecutively numbered files (run_0.mcap run_1.mcap). Other
+    files (such as LiDAR and cameras) are separate recordings of one sequence; processing uses all of them.
     """
     from stone_client.connection import connected
     from stone_client.files.bags import bags_among, hashed_parts
@@ -39,16 +38,16 @@ def upload(
         refuse_options(
             "it requires --process; or give it to `stone sequence process`", {"--clock-offset": clock_offset}
         )
-    found, choices = bags_among(bags), clock_offsets_body(clock_offset)
+    recorded_bags, choices = bags_among(bags), clock_offsets_body(clock_offset)
     with connected(server) as api:
-        sequence = ensure_sequence(api, name or found[0].called)
+        sequence = ensure_sequence(api, name or recorded_bags[0].called)
         kept = pin_calibration(api, sequence, calibration)
         recordings = []
-        for bag in found:
+        for bag in recorded_bags:
             with transferred() as progress:
                 recordings.append(add_recording(api, sequence, hashed_parts(bag, progress), progress))
         record: dict[str, Any] = {"sequence": sequence["id"], "name": sequence["name"], "calibration": kept["id"]}
-        record |= {"recordings": [{key: one[key] for key in ("id", "filename", "sha256")} for one in recordings]}
+        record |= {"recordings": [{key: item[key] for key in ("id", "filename", "sha256")} for item in recordings]}
         record |= {"recording": recordings[0]["id"], "sha256": recordings[0]["sha256"]}
         if process:
             record["job"] = watch_run(api, start_run(api, sequence, choices))

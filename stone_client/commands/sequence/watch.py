@@ -16,7 +16,7 @@ SubjectArgument = Annotated[
 
 
 def watch(subject: SubjectArgument, server: ServerOption = None, as_json: JsonOption = False) -> None:
-    """Follow a job to its end. Exit code 1, with code and reason, when it fails."""
+    """Follow a job to its end. If the job fails, print code and reason with exit code 1."""
     from stone_client.connection import connected
     from stone_client.server.run_watch import watch_run
     from stone_client.server.sequences import find_job

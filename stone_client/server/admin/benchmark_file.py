@@ -1,9 +1,8 @@
-"""A benchmark described by a file: what the server has differently, and the requests that make it so.
+"""A benchmark described by a file: the differences from the server, and the requests that remove them.
 
 **Conventions.** `benchmark.yaml` has `name`, `dataset`, `title`, `description`, `is_public` and `phases`, each phase by
-its name with the fields of the API. A field that the file leaves out stays as it is on the server; so does a phase that
-the file does not name. Applied again, the file changes nothing. An application that was cut off is completed by the
-next one.
+its name with the fields of the API. Fields and phases that the file leaves out stay as they are on the server. Applying
+a file twice changes nothing more. Applying it again completes an interrupted application.
 """
 
 from collections.abc import Iterator, Mapping
@@ -29,7 +28,7 @@ OF_PHASE = (
 
 @dataclass(frozen=True)
 class BenchmarkFile:
-    """A benchmark as a file describes it: its own fields, and those of each phase by name."""
+    """A benchmark from a file: its own fields, and the fields of each phase by name."""
 
     name: str
     dataset: str
@@ -75,15 +74,15 @@ def read_benchmark_file(path: Path) -> BenchmarkFile:
 
 
 def changes_of(api: Api, wanted: BenchmarkFile) -> list[BenchmarkChange]:
-    """Return the requests that bring the server to the file, in their order; none if it is as the file says."""
+    """Return the ordered requests that make the server match the file; none if it already does."""
     standing = _standing(api, wanted.name)
     return list(_creation(wanted) if standing is None else _changes(wanted, standing))
 
 
 def phases_beside(api: Api, wanted: BenchmarkFile) -> list[str]:
-    """Return the names of phases on the server that the file does not name; they stay."""
+    """Return the names of phases on the server that the file does not contain; they stay."""
     standing = _standing(api, wanted.name)
-    return [one["name"] for one in (standing or {"phases": []})["phases"] if one["name"] not in wanted.phases]
+    return [phase["name"] for phase in (standing or {"phases": []})["phases"] if phase["name"] not in wanted.phases]
 
 
 def apply(api: Api, changes: list[BenchmarkChange], reason: str) -> list[str]:
@@ -93,7 +92,7 @@ def apply(api: Api, changes: list[BenchmarkChange], reason: str) -> list[str]:
         match = {} if change.revision is None else {"If-Match": f'"{change.revision}"'}
         answer = api.send(change.method, change.path, json={**change.body, "reason": reason}, headers=match).json()
         for phase in (answer, *answer.get("phases", ())):
-            findings += [f"{phase['name']}: {one['message']}" for one in phase.get("findings", ())]
+            findings += [f"{phase['name']}: {finding['message']}" for finding in phase.get("findings", ())]
     return findings
 
 
@@ -107,9 +106,9 @@ def _standing(api: Api, name: str) -> Item | None:
 
 
 def _creation(wanted: BenchmarkFile) -> Iterator[BenchmarkChange]:
-    """The benchmark with its phases in one request; then its visibility, which has no place in that."""
-    said = {key: value for key, value in wanted.fields.items() if key != "is_public"}
-    body = {"name": wanted.name, "dataset": wanted.dataset, **said}
+    """Yield one request for the benchmark with its phases, then one for its visibility."""
+    settings = {key: value for key, value in wanted.fields.items() if key != "is_public"}
+    body = {"name": wanted.name, "dataset": wanted.dataset, **settings}
     if wanted.phases:
         body["phases"] = [{"name": name, **fields} for name, fields in wanted.phases.items()]
     shown = {**body, "phases": list(wanted.phases) or ["val and test, by default"]}
@@ -122,7 +121,7 @@ def _creation(wanted: BenchmarkFile) -> Iterator[BenchmarkChange]:
 def _changes(wanted: BenchmarkFile, standing: Item) -> Iterator[BenchmarkChange]:
     if different := [key for key, value in wanted.fields.items() if standing[key] != value]:
         yield _of_benchmark(wanted, standing, different)
-    phases = {one["name"]: one for one in standing["phases"]}
+    phases = {item["name"]: item for item in standing["phases"]}
     for name, fields in wanted.phases.items():
         subject, effective = f"phase {name}", {"dataset": wanted.dataset, **fields}
         if name not in phases:
@@ -160,7 +159,7 @@ def _is_same(key: str, standing: Any, wanted: Any) -> bool:
 
 
 def _moment(text: str) -> datetime:
-    return datetime.fromisoformat(text.replace("Z", "+00:00"))  # Python 3.10 reads no Z
+    return datetime.fromisoformat(text.replace("Z", "+00:00"))  # Python 3.10 cannot parse Z
 
 
 def _mapping(path: Path, what: str, value: Any) -> Mapping[str, Any]:

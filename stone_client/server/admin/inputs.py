@@ -1,4 +1,4 @@
-"""Inputs of a phase or of a version of the dataset: what participants predict from, and train on."""
+"""Inputs of a phase or of a dataset version: the data for prediction and training."""
 
 from typing import Any
 

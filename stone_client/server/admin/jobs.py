@@ -1,4 +1,4 @@
-"""Any job of a server, by its id or a part of it."""
+"""Any job of a server, by its id or short id."""
 
 from itertools import islice
 from typing import Any
@@ -15,7 +15,7 @@ def job_id_named(api: Api, named: str) -> str:
     matching: list[dict[str, Any]] = []
     if is_short_id(named):
         matching = list(islice(api.pages("/admin/jobs", id_part=named), MOST_CANDIDATES + 1))
-    found = whole_id(named, (str(one["id"]) for one in matching))
-    if found is None:
+    job_id = whole_id(named, (str(job["id"]) for job in matching))
+    if job_id is None:
         raise Refused("not_found", f"{named[:80]!r} is not a job id; `stone admin jobs list` lists them")
-    return found
+    return job_id

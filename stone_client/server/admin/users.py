@@ -14,9 +14,9 @@ def user_named(api: Api, named: str) -> Item:
         if user["name"] == named:
             return cast(Item, user)
     by_id = {str(user["id"]): user for user in api.pages("/admin/users")} if is_id(named) or is_short_id(named) else {}
-    found = named if named in by_id else whole_id(named, by_id)
-    if found is not None:
-        return cast(Item, by_id[found])
+    user_id = named if named in by_id else whole_id(named, by_id)
+    if user_id is not None:
+        return cast(Item, by_id[user_id])
     raise Refused(
         "unknown_user", f"{named[:80]!r} is not a user's name or id; `stone admin users list` lists all users"
     )

@@ -1,4 +1,4 @@
-"""`stone dataset splits propose`: splits of these sizes, as the server's solver finds them."""
+"""`stone dataset splits propose`: splits of given sizes from the server's solver."""
 
 import re
 from typing import Annotated
@@ -38,8 +38,8 @@ def propose(
 
 
 def _sizes(text: str) -> tuple[int, int, int]:
-    found = SIZES.fullmatch(text.replace(" ", ""))
-    if found is None:
+    match = SIZES.fullmatch(text.replace(" ", ""))
+    if match is None:
         raise typer.BadParameter(f"{text!r} is not three whole numbers, such as 31,7,5", param_hint="TRAIN,VAL,TEST")
-    train, val, test = (int(part) for part in found.groups())
+    train, val, test = (int(part) for part in match.groups())
     return train, val, test

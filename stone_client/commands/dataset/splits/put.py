@@ -1,4 +1,4 @@
-"""`stone dataset splits put`: the draft splits, replaced by those of a file."""
+"""`stone dataset splits put`: replace the draft splits with the splits of a file."""
 
 from pathlib import Path
 from typing import Annotated
@@ -27,7 +27,7 @@ def put(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Save the splits of a file as the draft, in the place of the present ones."""
+    """Save the splits of a file as the draft, replacing the current draft."""
     from stone_client.connection import connected
     from stone_client.server.publication import planned_splits, saving, show_splits_plan
     from stone_client.server.splits import put_file, show_splits
