@@ -62,11 +62,11 @@ def file_table(files: Sequence[Mapping[str, Any]]) -> Table:
 def notes(record: Mapping[str, Any]) -> Iterator[str]:
     """Lines on the footprint, the vehicle's limits, the boxes, what is missing and the ground."""
     footprint = record["footprint"]
-    origin = "the default, none is given" if footprint["is_default"] else "given"
+    origin = "default" if footprint["is_default"] else "given"
     yield f"footprint: {footprint['length_m']:g} x {footprint['width_m']:g} m ({origin})"
     vehicle = record["vehicle"]
     limits = f"slope {vehicle['max_slope_deg']:g}°, step {vehicle['max_step_m']:g} m, height {vehicle['height_m']:g} m"
-    yield f"vehicle: {limits} ({'the default' if vehicle['is_default'] else 'given'})"
+    yield f"vehicle: {limits} ({'default' if vehicle['is_default'] else 'given'})"
     yield f"self boxes: {len(record['self_boxes_ego'])}"
     yield from (f"missing: {one}" for one in record["missing"])
     ground = record.get("ground")

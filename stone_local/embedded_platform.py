@@ -78,7 +78,7 @@ def password_line(settings: Settings) -> str:
     file = first_password_file(settings)
     if file is None:
         return ""
-    return f"Administrator: {ADMINISTRATOR}; the first password is in {file}, unless it has been changed"
+    return f"Administrator: {ADMINISTRATOR}; the initial password is in {file}, unless it was changed"
 
 
 def wait_for_ctrl_c() -> None:

@@ -17,9 +17,7 @@ if TYPE_CHECKING:
 
 HtmlOption = Annotated[
     Path | None,
-    typer.Option(
-        "--html", metavar="OUT.html", dir_okay=False, help="Also measure its quality and write that as a page."
-    ),
+    typer.Option("--html", metavar="OUT.html", dir_okay=False, help="Also measure the quality and write it as a page."),
 ]
 
 

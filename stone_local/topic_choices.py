@@ -21,17 +21,17 @@ if TYPE_CHECKING:
 
 TopicsOption = Annotated[
     Path | None,
-    typer.Option("--topics", metavar="FILE", exists=True, dir_okay=False, help="The robot's saved choice of topics."),
+    typer.Option("--topics", metavar="FILE", exists=True, dir_okay=False, help="Saved topic choices of the robot."),
 ]
 TopicOption = Annotated[
     list[str],
     typer.Option(
-        "--topic", metavar="PART=TOPIC", help="One choice: lidar, pose, imu, CAM_FRONT, RADAR_LEFT, …; repeatable."
+        "--topic", metavar="PART=TOPIC", help="Topic of a role: lidar, pose, imu, CAM_FRONT, RADAR_LEFT, …; repeatable."
     ),
 ]
 SaveTopicsOption = Annotated[
     Path | None,
-    typer.Option("--save-topics", metavar="FILE", dir_okay=False, help="Save the resolved topics, for --topics."),
+    typer.Option("--save-topics", metavar="FILE", dir_okay=False, help="Save the resolved topics for --topics."),
 ]
 
 
@@ -58,7 +58,11 @@ def _choice(text: str) -> tuple[str, str]:
 PosesOption = Annotated[
     Path | None,
     typer.Option(
-        "--poses", metavar="FILE", exists=True, dir_okay=False, help="The poses: TUM (stamped), or KITTI (one a sweep)."
+        "--poses",
+        metavar="FILE",
+        exists=True,
+        dir_okay=False,
+        help="File of poses: TUM (stamped), or KITTI (one per sweep).",
     ),
 ]
 PosesFrameOption = Annotated[
@@ -66,7 +70,7 @@ PosesFrameOption = Annotated[
     typer.Option(
         "--poses-frame",
         metavar="FRAME",
-        help="Robot frame of the poses: base_link or a sensor's; default: the robot's base.",
+        help="Robot frame of the poses: base_link or a sensor (default: the robot's base).",
     ),
 ]
 
@@ -93,7 +97,7 @@ TimeOffsetOption = Annotated[
     typer.Option(
         "--time-offset",
         metavar="PART=TIME",
-        help="Add to the stamps of lidar or pose, as in lidar=-18s or pose=12.5ms; repeatable.",
+        help="Time to add to the stamps of lidar or pose, such as lidar=-18s or pose=12.5ms; repeatable.",
     ),
 ]
 

@@ -26,11 +26,11 @@ from stone_local.topic_choices import (
 
 FileArgument = Annotated[
     Path,
-    typer.Argument(metavar="FILE", exists=True, readable=True, help="A calibration: file, folder, zip or recording."),
+    typer.Argument(metavar="FILE", exists=True, readable=True, help="Calibration: file, folder, zip or recording."),
 ]
 BagOption = Annotated[
     Path | None,
-    typer.Option("--bag", metavar="BAG", exists=True, help="A recording of the same robot to check against."),
+    typer.Option("--bag", metavar="BAG", exists=True, help="Recording of the same robot to check against."),
 ]
 PictureOption = Annotated[
     Path | None,
@@ -85,7 +85,7 @@ def init(
             metavar="ROBOT.yaml",
             dir_okay=False,
             callback=in_folder,
-            help="A new file for the calibration.",
+            help="New file for the calibration.",
         ),
     ],
     topics: TopicsOption = None,

@@ -39,8 +39,8 @@ class MaskName(StrEnum):
     CAMERA = "camera"
 
 
-ByOption = Annotated[Half, typer.Option(help="Halves of the drive: even and odd sweeps, or even and odd rings.")]
-MaskOption = Annotated[MaskName, typer.Option(help="Evaluated voxels, as in the benchmark's phase.")]
+ByOption = Annotated[Half, typer.Option(help="How to halve the drive: even and odd sweeps, or even and odd rings.")]
+MaskOption = Annotated[MaskName, typer.Option(help="Voxels to evaluate, as in the benchmark's phase.")]
 OutputOption = Annotated[Path, typer.Option("-o", "--output", metavar="DIR", file_okay=False, help="Output folder.")]
 
 

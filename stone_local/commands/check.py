@@ -19,10 +19,10 @@ DatasetArgument = Annotated[
     str,
     typer.Argument(
         metavar="DATASET",
-        help="A folder, tar or ZIP: nuScenes tables, or Occ3D's layout; or the address of a ZIP.",
+        help="A folder, tar or ZIP in nuScenes or Occ3D layout, or the https URL of a ZIP.",
     ),
 ]
-FaultsOption = Annotated[int, typer.Option("--faults", min=1, max=100_000, help="List at most this many faults.")]
+FaultsOption = Annotated[int, typer.Option("--faults", min=1, max=100_000, help="Maximum number of listed faults.")]
 
 
 def check(
@@ -75,7 +75,9 @@ def _refuse(found: "DatasetCheck", *, as_json: bool) -> NoReturn:
     if found.faults.left_out:
         echo_notice(f"… and {found.faults.left_out} more")
     if found.reached not in ("files", "sweeps"):
-        echo_notice(f"These are of its {found.reached}: what follows was not checked; fix them and check again")
+        echo_notice(
+            f"These faults are from its {found.reached}; later parts were not checked. Fix them and check again"
+        )
     if as_json:
         faults = [fault.as_record() for fault in found.faults.found]
         echo_json({"faults": faults, "faults_total": found.faults.total, "reached": found.reached})

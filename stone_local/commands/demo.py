@@ -19,11 +19,11 @@ OutputOption = Annotated[
     Path,
     typer.Option("-o", "--output", metavar="DIR", help="Output folder: new, empty, or an earlier demo to replace."),
 ]
-SecondsOption = Annotated[float, typer.Option(min=2.0, max=600.0, help="How long the simulated robot drives.")]
+SecondsOption = Annotated[float, typer.Option(min=2.0, max=600.0, help="Duration of the simulated drive, seconds.")]
 KeepOption = Annotated[
     bool | None,
     typer.Option(
-        "--keep-serving/--no-keep-serving", help="Keep the platform running until Ctrl-C. Default: only in a terminal."
+        "--keep-serving/--no-keep-serving", help="Keep the platform running until Ctrl-C (default: only in a terminal)."
     ),
 ]
 
@@ -46,7 +46,7 @@ def demo(
     simulation = SimulateOptions(seconds=seconds, camera_detail="half", host_delay_max_ns=0)
     if server is not None:
         if data is not None or workers is not None or keep_serving:
-            raise typer.BadParameter("a platform elsewhere has its own data and workers", param_hint="--server")
+            raise typer.BadParameter("a remote server has its own data and workers", param_hint="--server")
         _at_server(server, simulation, output, as_json)
         return
     _here(simulation, output, (data, workers, keep_serving), as_json)

@@ -20,7 +20,7 @@ def _formats() -> Iterable[str]:
 
 
 FolderArgument = Annotated[
-    Path, typer.Argument(metavar="DIR", exists=True, file_okay=False, help="A folder that `stone label` wrote.")
+    Path, typer.Argument(metavar="DIR", exists=True, file_okay=False, help="Folder written by `stone label`.")
 ]
 FormatOption = Annotated[
     str,
@@ -38,12 +38,12 @@ OutputOption = Annotated[
         "-o",
         "--output",
         metavar="OUT",
-        help="A new folder, or an export in this format to add the sequence to.",
+        help="New folder, or an export in this format to add the sequence to.",
         show_default="DIR-FORMAT",
     ),
 ]
 BagOption = Annotated[
-    Path | None, typer.Option("--bag", metavar="BAG", exists=True, help="Where the recording is now, if it was moved.")
+    Path | None, typer.Option("--bag", metavar="BAG", exists=True, help="Path of the recording, if it was moved.")
 ]
 
 

@@ -65,7 +65,7 @@ class Solver(StrEnum):
 
 
 SolverOption = Annotated[
-    Solver, typer.Option(help="Of the screened Poisson equation; octree is Open3D's, several times as slow.")
+    Solver, typer.Option(help="Solver of the screened Poisson equation; octree (Open3D) is several times slower.")
 ]
 
 
@@ -78,7 +78,7 @@ class Refine(StrEnum):
 RefineOption = Annotated[
     Refine | None,
     typer.Option(
-        help="Refine poses by aligning each sweep with the map of the earlier ones; the report says what changed."
+        help="Refine poses by aligning each sweep with the map of the earlier ones; the report lists the changes."
     ),
 ]
 

@@ -11,9 +11,7 @@ from stone_client.streams import JsonOption, echo_findings, echo_json
 
 OutputOption = Annotated[
     Path,
-    typer.Option(
-        "-o", "--output", metavar="OUT.mcap", dir_okay=False, callback=in_folder, help="The recording to write."
-    ),
+    typer.Option("-o", "--output", metavar="OUT.mcap", dir_okay=False, callback=in_folder, help="Output recording."),
 ]
 
 

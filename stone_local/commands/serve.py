@@ -9,8 +9,10 @@ import typer
 from stone_client.options import DataOption, WorkersOption
 from stone_client.streams import JsonOption, echo_json, echo_notice
 
-HostOption = Annotated[str | None, typer.Option(help="The address to listen on.", show_default="127.0.0.1")]
-PortOption = Annotated[int | None, typer.Option(min=0, max=65535, help="0: any free port.", show_default="8080")]
+HostOption = Annotated[str | None, typer.Option(help="Address to listen on.", show_default="127.0.0.1")]
+PortOption = Annotated[
+    int | None, typer.Option(min=0, max=65535, help="Port to listen on; 0 for any free port.", show_default="8080")
+]
 StopOption = Annotated[
     bool, typer.Option("--stop", help="Stop the server of the data folder and wait until it has ended.")
 ]
@@ -29,7 +31,7 @@ def serve(
 
     if is_stop:
         if host is not None or port is not None or workers is not None:
-            raise typer.BadParameter("it takes --data alone", param_hint="--stop")
+            raise typer.BadParameter("it combines with --data only", param_hint="--stop")
         _stop(data, as_json=as_json)
         return
 

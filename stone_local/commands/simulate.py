@@ -25,17 +25,17 @@ from stone_client.streams import JsonOption, echo_json
 
 DEFAULT = SimulateOptions()
 
-OutputArgument = Annotated[Path, typer.Argument(metavar="OUT.mcap", dir_okay=False, help="The recording to write.")]
-SecondsOption = Annotated[float, typer.Option(min=0.2, max=MAX_SECONDS, help="How long the robot drives.")]
+OutputArgument = Annotated[Path, typer.Argument(metavar="OUT.mcap", dir_okay=False, help="Output recording.")]
+SecondsOption = Annotated[float, typer.Option(min=0.2, max=MAX_SECONDS, help="Duration of the drive, seconds.")]
 SeedOption = Annotated[
     int, typer.Option(min=0, max=2**31, help="Seed of the world and the noise; equal seeds give equal recordings.")
 ]
 TruthOption = Annotated[
     Path | None, typer.Option("--truth", metavar="DIR", file_okay=False, help="Also write the exact terrain and poses.")
 ]
-ChannelsOption = Annotated[int, typer.Option(min=2, max=MAX_CHANNELS, help="Beams of the LiDAR.")]
-ColumnsOption = Annotated[int, typer.Option(min=12, max=MAX_COLUMNS, help="Firings in one LiDAR revolution.")]
-CamerasOption = Annotated[bool, typer.Option(help="Also render the six cameras; they make most of the file.")]
+ChannelsOption = Annotated[int, typer.Option(min=2, max=MAX_CHANNELS, help="Number of LiDAR beams.")]
+ColumnsOption = Annotated[int, typer.Option(min=12, max=MAX_COLUMNS, help="Number of firings per LiDAR revolution.")]
+CamerasOption = Annotated[bool, typer.Option(help="Also render the six cameras; their images are most of the file.")]
 CameraWidthOption = Annotated[
     int,
     typer.Option(
@@ -47,7 +47,7 @@ CameraDetailOption = Annotated[
     typer.Option(
         metavar="|".join(get_args(CameraDetail)),
         **one_of(lambda: get_args(CameraDetail)),
-        help="coarse: 80 × 50 rays a picture, enlarged; half: a ray for every 2 × 2 pixels; full: a ray for each.",
+        help="Rays per image: coarse (80 × 50, enlarged), half (one per 2 × 2 pixels) or full (one per pixel).",
     ),
 ]
 IlluminationOption = Annotated[
@@ -60,13 +60,13 @@ IlluminationOption = Annotated[
 ]
 RangeNoiseOption = Annotated[
     bool,
-    typer.Option("--range-noise", help="LiDAR ranges as real ones: dropouts at grazing angles, mixed pixels, rain."),
+    typer.Option("--range-noise", help="Realistic LiDAR ranges: dropouts at grazing angles, mixed pixels, rain."),
 ]
 BesideTrackOption = Annotated[
     bool,
     typer.Option(
         "--beside-track",
-        help="Rocks and bushes within reach of the robot's way, and tall grass that it drives through.",
+        help="Add rocks and bushes near the robot's path, and tall grass on it.",
     ),
 ]
 TrafficOption = Annotated[
@@ -74,12 +74,12 @@ TrafficOption = Annotated[
     typer.Option(
         metavar="WHO",
         **one_of(lambda: get_args(Traffic)),
-        help=f"Moving objects besides the robot: {', '.join(get_args(Traffic))} (three walkers, two vehicles).",
+        help=f"Moving objects: {', '.join(get_args(Traffic))} (three walkers, two vehicles).",
     ),
 ]
 LidarHzOption = Annotated[
     int,
-    typer.Option(metavar="HZ", help=f"Sweeps a second: {', '.join(map(str, LIDAR_HZ))}.", **one_of(lambda: LIDAR_HZ)),
+    typer.Option(metavar="HZ", help=f"Sweeps per second: {', '.join(map(str, LIDAR_HZ))}.", **one_of(lambda: LIDAR_HZ)),
 ]
 FaultOption = Annotated[
     list[str],

@@ -13,7 +13,7 @@ MEANINGS = (
     ("potentially_traversable", "potentially traversable (ground like that, not driven over)"),
     ("non_traversable", "non-traversable (all other surface)"),
 )
-NO_BOARD = "none: the platform has splits or a password of its own, or the run is too short for a split"
+NO_BOARD = "none: the platform has other splits or a changed password, or the run is too short for a split"
 
 
 def summary_lines(record: Mapping[str, Any], folders: tuple[Path, ...], spent_s: float, *, stays: bool) -> list[str]:

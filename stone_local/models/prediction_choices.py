@@ -21,10 +21,10 @@ def refuse_contradictions(inputs: list[Path] | None, bag: Path | None, of_record
     if inputs and bag is not None:
         raise typer.BadParameter("frames come from INPUTS or from a recording, not from both", param_hint="--bag")
     if not inputs and bag is None:
-        raise typer.BadParameter("give exports to predict, or a recording by --bag", param_hint="INPUTS...")
+        raise typer.BadParameter("give exports to predict, or a recording with --bag", param_hint="INPUTS...")
     if bag is None:
         said = next((name for name, value in of_recordings.items() if value), None)
         if said is not None:
-            raise typer.BadParameter("it applies to recordings, and needs --bag", param_hint=said)
+            raise typer.BadParameter("it applies to recordings and requires --bag", param_hint=said)
     elif of_recordings["--calibration"] is None:
-        raise typer.BadParameter("a recording needs it: the calibration of its sensors", param_hint="--calibration")
+        raise typer.BadParameter("a recording requires the calibration of its sensors", param_hint="--calibration")

@@ -51,13 +51,13 @@ class RecordedContent:
         """Raises `damaged_sample`, and what `sample_file` raises."""
         content, _ = sample_file(self.samples, self.channel, self.place)
         if len(content) > most_bytes:
-            raise self.damaged(f"it has {len(content)} bytes, at most {most_bytes} are expected")
+            raise self.damaged(f"it has {len(content)} bytes, expected at most {most_bytes}")
         return content
 
     def damaged(self, why: str) -> Refused:
         return Refused(
             "damaged_sample",
-            f"frame {int(self.channel.frames[self.place])} cannot be predicted from what {self.channel.name} "
+            f"frame {int(self.channel.frames[self.place])} cannot be predicted from the data of {self.channel.name} "
             f"recorded: {why}",
         )
 
@@ -225,8 +225,8 @@ def _asked(plan: RecordingPlan, loaded: LoadedRun) -> tuple[int, ...]:
         raise Refused(
             "not_of_recording",
             f"{len(missing)} frames of the manifest are not of this recording as sequence {plan.sequence.name} "
-            f"(the first is {missing[0]}): tokens follow the sequence's name (--sequence), and a bag gives one "
-            "sequence; several are predicted from their exports",
+            f"(the first is {missing[0]}): tokens depend on the sequence's name (--sequence). For several "
+            "sequences predict from their exports",
         )
     return tuple(sorted(places[token] for token in asked))
 

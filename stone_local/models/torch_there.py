@@ -19,6 +19,5 @@ def torch_needed() -> Iterator[None]:
             raise
         raise Refused(
             "no_torch",
-            f"{missing} is not installed here: run `make baselines`, then .venv-baselines/bin/stone with the same "
-            "arguments",
+            f"{missing} is not installed; run `make baselines`, then .venv-baselines/bin/stone with the same arguments",
         ) from error

@@ -71,8 +71,8 @@ def test_a_file_alone_is_told_with_its_mounts_lenses_and_gaps(run: Path, native:
     assert (record["channels"], record["ground"], record["findings"]) == (None, None, [])
     bare = calibration("check", native)
     assert bare.exit_code == 0
-    assert "footprint: 1.06 x 0.85 m (the default, none is given)" in bare.stdout
-    assert "vehicle: slope 20°, step 0.12 m, height 1.6 m (the default)" in bare.stdout
+    assert "footprint: 1.06 x 0.85 m (default)" in bare.stdout
+    assert "vehicle: slope 20°, step 0.12 m, height 1.6 m (default)" in bare.stdout
     assert "verdict: can be used for labels" in bare.stdout
     assert bare.stderr.startswith("info: CAL-436: no footprint is given")
     assert [line.split(":")[1].strip() for line in bare.stdout.splitlines() if line.startswith("missing")] == [

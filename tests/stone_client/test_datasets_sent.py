@@ -213,7 +213,7 @@ def test_every_fault_is_a_line_and_the_exit_code_is_one(dataset: Path) -> None:
     lines = found.stderr.splitlines()
     assert [line.partition(":")[0] for line in lines if line.startswith("DST")] == ["DST-022", "DST-022"]
     assert "… and 1 more" in lines
-    assert "These are of its rows" in lines[-1]
+    assert "These faults are from its rows" in lines[-1]
     record = json.loads(found.stdout)
     assert (record["faults_total"], record["reached"]) == (3, "rows")
     assert record["faults"][0]["file"] == f"{VERSION}/ego_pose.json"

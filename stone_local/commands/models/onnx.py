@@ -13,7 +13,7 @@ from stone_local.models.torch_there import torch_needed
 
 OutputOption = Annotated[
     Path,
-    typer.Option("-o", "--output", metavar="MODEL.onnx", dir_okay=False, callback=in_folder, help="The file to write."),
+    typer.Option("-o", "--output", metavar="MODEL.onnx", dir_okay=False, callback=in_folder, help="Output file."),
 ]
 
 

@@ -29,7 +29,7 @@ from stone_local.topic_choices import (
 
 RunArgument = Annotated[
     Path,
-    typer.Argument(metavar="RUN", exists=True, file_okay=False, help="The folder of a run of `stone model train`."),
+    typer.Argument(metavar="RUN", exists=True, file_okay=False, help="Run folder of `stone model train`."),
 ]
 InputsArgument = Annotated[
     list[Path] | None,
@@ -39,13 +39,11 @@ InputsArgument = Annotated[
 ]
 SomeManifestOption = Annotated[
     Path | None,
-    typer.Option("--manifest", metavar="M.json", exists=True, dir_okay=False, help="The frames to predict."),
+    typer.Option("--manifest", metavar="M.json", exists=True, dir_okay=False, help="Manifest of the frames."),
 ]
 OutputOption = Annotated[
     Path,
-    typer.Option(
-        "-o", "--output", metavar="OUT", help="The submission; of a recording without a manifest, a folder of frames."
-    ),
+    typer.Option("-o", "--output", metavar="OUT", help="Output zip; for a recording without a manifest, a folder."),
 ]
 BagOption = Annotated[
     Path | None,
@@ -59,12 +57,12 @@ SequenceOption = Annotated[
     str | None,
     typer.Option(metavar="NAME", show_default="the bag's", help="With --bag: the sequence's name, for frame tokens."),
 ]
-SubmitOption = Annotated[bool, typer.Option("--submit", help="Send it to --benchmark, --phase, as --team.")]
-BenchmarkOption = Annotated[str | None, typer.Option("--benchmark", metavar="B", help="With --submit: where to.")]
-PhaseOption = Annotated[str | None, typer.Option("--phase", metavar="P", help="With --submit: a phase of it.")]
-TeamOption = Annotated[str | None, typer.Option("--team", metavar="TEAM", help="With --submit: a team of yours.")]
+SubmitOption = Annotated[bool, typer.Option("--submit", help="Submit to --benchmark and --phase as --team.")]
+BenchmarkOption = Annotated[str | None, typer.Option("--benchmark", metavar="B", help="With --submit: the benchmark.")]
+PhaseOption = Annotated[str | None, typer.Option("--phase", metavar="P", help="With --submit: its phase.")]
+TeamOption = Annotated[str | None, typer.Option("--team", metavar="TEAM", help="With --submit: one of your teams.")]
 MethodOption = Annotated[
-    str | None, typer.Option(metavar="NAME", show_default="the row's", help="With --submit: its name on the board.")
+    str | None, typer.Option(metavar="NAME", show_default="the row's", help="With --submit: the name on the board.")
 ]
 
 
@@ -103,10 +101,10 @@ def predict(
     }  # fmt: skip
     refuse_contradictions(inputs, bag, of_bags)
     if submit and (benchmark is None or phase is None or team is None or manifest is None):
-        raise typer.BadParameter("it also needs --manifest, --benchmark, --phase and --team", param_hint="--submit")
+        raise typer.BadParameter("it also requires --manifest, --benchmark, --phase and --team", param_hint="--submit")
     if not submit:
         to_board = {"--benchmark": benchmark, "--phase": phase, "--team": team, "--method": method, "--server": server}
-        refuse_options("it needs --submit", to_board)
+        refuse_options("it requires --submit", to_board)
     if bag is None or calibration is None:
         written = _of_exports(run, inputs or [], (manifest, output), device)
     else:
@@ -131,7 +129,7 @@ def predict(
 def _of_exports(run: Path, inputs: list[Path], files: tuple[Path | None, Path], device: Device) -> dict[str, Any]:
     manifest, output = files
     if manifest is None:
-        raise typer.BadParameter("INPUTS need it: it says which of their frames to predict", param_hint="--manifest")
+        raise typer.BadParameter("INPUTS require a manifest of the frames to predict", param_hint="--manifest")
     with torch_needed():
         from baselines.predict import PredictionPlan
         from baselines.predict import predict as predicted

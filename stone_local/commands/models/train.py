@@ -28,21 +28,17 @@ class Precision(StrEnum):
 
 THE_ROWS = "the row's"
 
-RowArgument = Annotated[
-    str, typer.Argument(metavar="ROW", help="A row's name (docs/train.md), or a YAML file of one.")
-]
+RowArgument = Annotated[str, typer.Argument(metavar="ROW", help="Name of a row (docs/train.md), or its YAML file.")]
 ExportsArgument = Annotated[
     list[Path],
     typer.Argument(
         metavar="EXPORTS...",
         exists=True,
         help="Exports of format nuscenes, or inputs beside the tars of a dataset version (folders or tars), or a "
-        "published ZIP; with manifests among them only their frames.",
+        "published ZIP. Manifests among them select frames.",
     ),
 ]
-RunOption = Annotated[
-    Path, typer.Option("-o", "--output", metavar="RUN", file_okay=False, help="The folder of the run.")
-]
+RunOption = Annotated[Path, typer.Option("-o", "--output", metavar="RUN", file_okay=False, help="Folder of the run.")]
 WatchOption = Annotated[
     list[Path] | None,
     typer.Option(
@@ -73,24 +69,27 @@ LeastConfidenceOption = Annotated[
         min=0.0,
         max=1.0,
         show_default=THE_ROWS,
-        help="Losses ignore occupied voxels whose label is right with a lower probability.",
+        help="Losses ignore occupied voxels with a lower label confidence.",
     ),
 ]
 SeedOption = Annotated[
     int | None, typer.Option(min=0, show_default=THE_ROWS, help="Seed of weights, order and augmentation.")
 ]
-PrecisionOption = Annotated[Precision | None, typer.Option(show_default=THE_ROWS, help="Of the network.")]
+PrecisionOption = Annotated[Precision | None, typer.Option(show_default=THE_ROWS, help="Precision of the network.")]
 BackboneOption = Annotated[
     Path | None,
-    typer.Option("--backbone", metavar="FILE", exists=True, dir_okay=False, help="Image weights, torchvision's names."),
+    typer.Option(
+        "--backbone", metavar="FILE", exists=True, dir_okay=False, help="Image weights, by torchvision's names."
+    ),
 ]
 CacheOption = Annotated[
     Path | None,
     typer.Option("--cache", metavar="DIR", file_okay=False, help="Cache folder for read frames, shared by runs."),
 ]
-LoadersOption = Annotated[int, typer.Option(min=0, max=64, help="Processes that read frames beside the training.")]
+LoadersOption = Annotated[int, typer.Option(min=0, max=64, help="Number of processes that read frames.")]
 CheckpointOption = Annotated[
-    int | None, typer.Option("--checkpoint-steps", min=1, show_default=THE_ROWS, help="Steps between checkpoints.")
+    int | None,
+    typer.Option("--checkpoint-steps", min=1, show_default=THE_ROWS, help="Number of steps between checkpoints."),
 ]
 
 GradientsOption = Annotated[
