@@ -1,1 +1,1 @@
-"""The commands of `stone` that need the platform itself: recordings, labels and models here, and `serve`."""
+"""The commands of `stone` that require the platform itself: local recordings, labels and models, and `serve`."""

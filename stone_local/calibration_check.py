@@ -1,10 +1,10 @@
-"""A calibration file checked before anything is labelled with it: by itself, and against a recording.
+"""Checks of a calibration file before labelling: by itself, and against a recording.
 
-**Conventions.** The file is read as ingest reads it. With a recording the run is synchronised as for labels, so that
-the ground and the cameras are measured by the same code; of what that notices the findings of calibrations (`CAL-*`,
-and cameras that miss their phase, `TIM-205`) are kept, the rest is `stone inspect`'s. A recording without a LiDAR or
-without poses is no fault of the calibration: that nothing was measured is then a warning. Whatever else keeps the run
-from being synchronised keeps it from being labelled, and is an error.
+**Conventions.** The file is read as ingest reads it. With a recording, the run is synchronised as for labels, so that
+the ground and the cameras are measured by the same code. Only the findings about calibrations (`CAL-*`, and cameras
+that miss their phase, `TIM-205`) are kept; `stone inspect` reports the others. A recording without a LiDAR or without
+poses is no fault of the calibration: a warning then states that nothing was measured. Any other reason that prevents
+synchronisation also prevents labelling, and is an error.
 """
 
 from collections.abc import Mapping
@@ -35,7 +35,7 @@ OF_CALIBRATIONS = ("CAL-", "TIM-205")
 
 @dataclass(frozen=True)
 class BagChoice:
-    """The recording to check against; topics where its roles leave a doubt."""
+    """The recording to check against, with topics for its ambiguous roles."""
 
     bag: Path
     profile: TopicProfile = field(default_factory=TopicProfile)
@@ -44,7 +44,7 @@ class BagChoice:
 
 @dataclass(frozen=True, eq=False)
 class CalibrationCheck:
-    """What was read and found; `channels` and `ground` are of the recording, None without one."""
+    """The result of a check; `channels` and `ground` are of the recording, None without one."""
 
     read: CalibrationRead
     findings: tuple[Finding, ...]
@@ -66,7 +66,9 @@ class CalibrationCheck:
 
 
 def check_calibration_file(path: Path, choice: BagChoice | None = None) -> CalibrationCheck:
-    """Raises as `read_any_calibration` does, and as opening and inspecting the recording do."""
+    """Return the check of a calibration file. Raises as `read_any_calibration` does, and as opening and inspecting the
+    recording do.
+    """
     read = read_any_calibration(path)
     if choice is None:
         return CalibrationCheck(read, read.findings)
@@ -78,7 +80,7 @@ def check_calibration_file(path: Path, choice: BagChoice | None = None) -> Calib
 
 
 def ground_record(ground: GroundFit) -> Mapping[str, float | int]:
-    """Where the ground lies in the ego frame."""
+    """Return the position of the ground in the ego frame."""
     return {
         "height_m": round(ground.height_m, 4),
         "tilt_deg": round(float(np.rad2deg(ground.tilt_rad)), 3),
@@ -89,7 +91,7 @@ def ground_record(ground: GroundFit) -> Mapping[str, float | int]:
 
 
 def _on_the_run(bag: Bag, path: Path, options: SynchroniseOptions) -> tuple[tuple[Finding, ...], GroundFit | None]:
-    """What synchronising the run says of the calibration, and the ground where it was measured."""
+    """Return the findings of synchronising the run that concern the calibration, and the ground if it was measured."""
     try:
         sequence, _ = sequence_in(bag, path, sequence_name(bag.path), options)
     except StoneError as error:
@@ -105,5 +107,5 @@ def _on_the_run(bag: Bag, path: Path, options: SynchroniseOptions) -> tuple[tupl
 
 
 def _is_said_by_channels(finding: Finding) -> bool:
-    """The cameras that the calibration does not know, all in one sentence."""
+    """Return whether the finding lists cameras unknown to the calibration, as the channel findings already do."""
     return finding.code == MissingSensorError.code and not finding.topic

@@ -1,6 +1,6 @@
-"""A calibration as tables for people: sensors, lenses, the recording's channels, and what each file of a half says.
+"""A calibration as tables for people: sensors, lenses, the recording's channels, and the content of each partial file.
 
-**Conventions.** As `stone_client.tables`: every value comes from the record that `--json` prints.
+**Conventions.** As in `stone_client.tables`, every value comes from the record that `--json` prints.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,7 +12,7 @@ from stone_client.tables import DASH, plain_table, safe_text
 
 
 def sensor_table(record: Mapping[str, Any], file: str) -> Table:
-    """Where each sensor sits on the robot."""
+    """Return the pose of each sensor on the robot."""
     title = (
         f"{safe_text(file)}, read as {record['format']}: {safe_text(record['name'])}; in the ego frame, m and degrees"
     )
@@ -27,7 +27,7 @@ def sensor_table(record: Mapping[str, Any], file: str) -> Table:
 
 
 def lens_table(record: Mapping[str, Any]) -> Table | None:
-    """The lens of each camera; None without cameras."""
+    """Return the lens of each camera; None without cameras."""
     cameras = [sensor for sensor in record["sensors"] if sensor["kind"] == "camera"]
     table = plain_table("intrinsics, pixels", "camera", "model", "size", "fx", "fy", "cx", "cy", "sees")
     table.add_column("distortion", overflow="fold")
@@ -37,7 +37,7 @@ def lens_table(record: Mapping[str, Any]) -> Table | None:
 
 
 def channel_table(channels: Sequence[Mapping[str, Any]]) -> Table:
-    """Which topic of the recording is whose."""
+    """Return the sensor of each topic of the recording."""
     table = Table(box=plain_table("").box, title="topics of the recording", title_justify="left")
     for column in ("topic", "role", "frame", "sensor"):
         table.add_column(column, overflow="fold")
@@ -48,19 +48,19 @@ def channel_table(channels: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def file_table(files: Sequence[Mapping[str, Any]]) -> Table:
-    """What each file says by itself."""
+    """Return the content of each file."""
     table = Table(box=plain_table("").box, title="findings", title_justify="left")
     for column in ("file", "read as", "transforms", "lenses"):
         table.add_column(column, overflow="fold")
-    for one in files:
-        pairs = ", ".join(f"{parent} <- {child}" for parent, child in one["transforms"][:12])
-        names = (one["file"], one["format"], pairs or DASH, ", ".join(one["lenses"][:12]) or DASH)
+    for item in files:
+        pairs = ", ".join(f"{parent} <- {child}" for parent, child in item["transforms"][:12])
+        names = (item["file"], item["format"], pairs or DASH, ", ".join(item["lenses"][:12]) or DASH)
         table.add_row(*map(safe_text, names))
     return table
 
 
 def notes(record: Mapping[str, Any]) -> Iterator[str]:
-    """Lines on the footprint, the vehicle's limits, the boxes, what is missing and the ground."""
+    """Yield lines on the footprint, the vehicle's limits, the boxes, missing parts and the ground."""
     footprint = record["footprint"]
     origin = "default" if footprint["is_default"] else "given"
     yield f"footprint: {footprint['length_m']:g} x {footprint['width_m']:g} m ({origin})"
@@ -68,7 +68,7 @@ def notes(record: Mapping[str, Any]) -> Iterator[str]:
     limits = f"slope {vehicle['max_slope_deg']:g}°, step {vehicle['max_step_m']:g} m, height {vehicle['height_m']:g} m"
     yield f"vehicle: {limits} ({'default' if vehicle['is_default'] else 'given'})"
     yield f"self boxes: {len(record['self_boxes_ego'])}"
-    yield from (f"missing: {one}" for one in record["missing"])
+    yield from (f"missing: {part}" for part in record["missing"])
     ground = record.get("ground")
     if ground is not None:
         yield (

@@ -1,9 +1,9 @@
 """The ceiling of a benchmark: one drive labelled twice, each time from half of its points, and scored against itself.
 
-**Conventions.** Both halves have the same frames, poses and track. The labels of the even half are the ground truth and
-those of the odd half the submission. A half has fewer points than the whole, so labels of the whole agree better: the
-figure is a careful one. Outputs: `even/` and `odd/` (label sets), `odd.zip` (the submission), `ceiling.json` (a row for
-`stone benchmark reported`).
+**Conventions.** Both halves have the same frames, poses and track. The labels of the even half are the ground truth;
+the labels of the odd half are the submission. A half has fewer points than the whole, so labels of the whole agree
+better: the figure is conservative. Outputs: `even/` and `odd/` (label sets), `odd.zip` (the submission), `ceiling.json`
+(a row for `stone benchmark reported`).
 """
 
 import json
@@ -37,7 +37,7 @@ NOTE = (
 
 @dataclass(frozen=True)
 class CeilingPlan:
-    """How a drive is halved, labelled and scored; `output` is a folder."""
+    """How to halve, label and score a drive; `output` is a folder."""
 
     output: Path
     by: Halving
@@ -47,7 +47,7 @@ class CeilingPlan:
 
 
 def ceiling(opened: OpenedSequence, plan: CeilingPlan, progress: Progress) -> dict[str, Any]:
-    """Return the record of the score of one half against the other; files are written into the output folder.
+    """Write the files into the output folder; return the record of the score of one half against the other.
 
     Raises what labelling raises, and `no_rings`.
     """
@@ -69,14 +69,14 @@ def ceiling(opened: OpenedSequence, plan: CeilingPlan, progress: Progress) -> di
 
 
 def row_of(record: Mapping[str, Any], name: str, by: Halving) -> dict[str, Any]:
-    """Return the score as a table of one row that `stone benchmark reported` puts on a board."""
-    told = {reading: {ratio: _percent(record[reading][ratio]) for ratio in RATIOS} for reading in READINGS}
-    row = {"method": f"Ceiling by {by}: {name}"[:100], "modality": "L", "percent": list(told["total"].values())}
+    """Return the score as a table of one row for `stone benchmark reported`."""
+    percents = {reading: {ratio: _percent(record[reading][ratio]) for ratio in RATIOS} for reading in READINGS}
+    row = {"method": f"Ceiling by {by}: {name}"[:100], "modality": "L", "percent": list(percents["total"].values())}
     return {
         "title": f"Ceiling of {name}",
         "kind": "ceiling",
         "source": f"stone ceiling --by {by}, {record['frames']} frames, {record['signature']}"[:300],
-        "note": NOTE.format(by=by, danger=_percent(record["extras"]["n_predicted_drivable_ratio"]), **told),
+        "note": NOTE.format(by=by, danger=_percent(record["extras"]["n_predicted_drivable_ratio"]), **percents),
         "rows": [row],
     }
 

@@ -1,4 +1,4 @@
-"""What a published dataset holds, as tables: the record of `stone check --json`."""
+"""The contents of a published dataset as tables: the record of `stone check --json`."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -16,14 +16,20 @@ def show_contents(record: Mapping[str, Any]) -> None:
     sequences = record["sequences"]
     title = f"{record['layout']} layout, {counted(len(sequences), 'sequence')}, {counted(record['frames'], 'frame')}, "
     table = plain_table(title + _size(record["size_bytes"]), "sequence", "frames", "seconds", "labels", "split")
-    for one in sequences[:MOST_SEQUENCES]:
-        splits = ", ".join(one["splits"]) or DASH
-        labels = "yes" if one["is_labelled"] else DASH
-        table.add_row(safe_text(one["name"]), str(one["frames"]), f"{one['seconds']:.1f}", labels, safe_text(splits))
+    for sequence in sequences[:MOST_SEQUENCES]:
+        splits = ", ".join(sequence["splits"]) or DASH
+        labels = "yes" if sequence["is_labelled"] else DASH
+        table.add_row(
+            safe_text(sequence["name"]),
+            str(sequence["frames"]),
+            f"{sequence['seconds']:.1f}",
+            labels,
+            safe_text(splits),
+        )
     if len(sequences) > MOST_SEQUENCES:
         table.add_row(f"… {len(sequences) - MOST_SEQUENCES} more")
     show(table)
-    undated = [one["name"] for one in sequences if not one["is_dated"]]
+    undated = [sequence["name"] for sequence in sequences if not sequence["is_dated"]]
     if undated:
         echo_notice(f"undated: the stamps of {safe_text(_named(undated))} are of simulated time, or of a clock not set")
     sensors = plain_table("Sensors", "channel", "files")
@@ -34,7 +40,7 @@ def show_contents(record: Mapping[str, Any]) -> None:
 
 
 def _classes(record: Mapping[str, Any]) -> Any:
-    """Shares of the occupied voxels, and how many frames have which mask."""
+    """Return the shares of the occupied voxels, and the number of frames with each mask."""
     title = f"Labels of {counted(record['labelled_frames'], 'frame')}, by the classes of {safe_text(record['classes'])}"
     table = plain_table(title, "", "")
     table.add_row("grid", safe_text(str(grid_of(record["grid"]))))

@@ -1,7 +1,7 @@
-"""The embedded platform run by a command: started, announced, known to the other commands, drained at the end.
+"""The embedded platform run by a command: start, sign-in of the other commands, and drain at the end.
 
-**Conventions.** The first Ctrl-C or SIGTERM drains, the second ends at once. The token of this machine is kept with
-this user's credentials; it becomes the default only where no server elsewhere is.
+**Conventions.** The first Ctrl-C or SIGTERM drains, the second ends at once. The token of this machine is stored with
+the user's credentials; it becomes the default only if there is no other server.
 """
 
 import signal
@@ -24,7 +24,7 @@ from stone_client.streams import echo_notice
 
 @dataclass(frozen=True)
 class Address:
-    """The host and port the API listens on; None: as the environment says."""
+    """The host and port of the API; None: from the environment."""
 
     host: str | None = None
     port: int | None = None
@@ -32,7 +32,7 @@ class Address:
 
 @contextmanager
 def hangups_interrupt() -> Iterator[None]:
-    """SIGTERM, and the end of the terminal, are Ctrl-C meanwhile. Entered before whatever else looks at signals."""
+    """Treat SIGTERM and the end of the terminal as Ctrl-C. Must be entered before other signal handlers."""
     before = {number: signal.signal(number, _interrupt) for number in (signal.SIGTERM, signal.SIGHUP)}
     try:
         yield
@@ -50,7 +50,7 @@ def served(settings: Settings, *, is_awaited: bool = True) -> Iterator[RunningPl
 
 
 def settings_for(data: Path | None, address: Address, workers: int | None) -> Settings:
-    """The environment's settings with what the command line says in their place."""
+    """Return the environment's settings, overridden by the command line."""
     settings = Settings()
     host = settings.api.host if address.host is None else address.host
     port = settings.api.port if address.port is None else address.port
@@ -64,7 +64,7 @@ def settings_for(data: Path | None, address: Address, workers: int | None) -> Se
 
 
 def demo_settings(data: Path | None, workers: int | None) -> Settings:
-    """The settings of a platform whose port matters little: any where the usual one is taken."""
+    """Return the settings of a demo platform: if its usual port is taken, any free port."""
     settings = settings_for(data, Address(), workers)
     try:
         listen(settings.api).close()
@@ -74,11 +74,11 @@ def demo_settings(data: Path | None, workers: int | None) -> Settings:
 
 
 def password_line(settings: Settings) -> str:
-    """Where the administrator's first password is; empty where no file holds one."""
+    """Return where the administrator's initial password is; empty if no file contains it."""
     file = first_password_file(settings)
     if file is None:
         return ""
-    return f"Administrator: {ADMINISTRATOR}; the initial password is in {file}, unless it was changed"
+    return f"Administrator: {ADMINISTRATOR}; the first password is in {file}, unless it was changed"
 
 
 def wait_for_ctrl_c() -> None:

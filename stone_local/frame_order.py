@@ -1,8 +1,8 @@
-"""Ground truth frames in time and the drives of their sequences, from the tables that lie beside them.
+"""The time order of ground truth frames and the drives of their sequences, from the tables beside them.
 
 **Conventions.** A table is a `frames.parquet` (`services/labeler/tables.py`): beside `gts`, or in the folder of a
-sequence below it, where several label sets lie together. Without it, tables of the nuScenes schema beside `gts` are
-read. Frame tokens are hashes: their own order says nothing.
+sequence below it if a folder contains several label sets. Without it, tables of the nuScenes schema beside `gts` are
+read. Frame tokens are hashes, so their own order means nothing.
 """
 
 import json
@@ -23,7 +23,9 @@ PLACE = ("x_m", "y_m", "z_m")
 
 @dataclass(frozen=True)
 class _FrameTable:
-    """Stamps and, if the table has them, places of frames by token; the vehicle, and the origin of the places' map."""
+    """Stamps and, if the table has them, positions of frames by token; the vehicle, and the origin of the positions'
+    map.
+    """
 
     stamps_ns: dict[str, int] = field(default_factory=dict)
     places_m: dict[str, tuple[float, ...]] = field(default_factory=dict)
@@ -32,10 +34,9 @@ class _FrameTable:
 
 
 def in_time_order(root: Path, sequences: Mapping[str, Sequence[str]]) -> dict[str, TimedSequence] | None:
-    """The tokens of each sequence by their stamps, and its drive; None where a frame is in none of the tables.
+    """Return the tokens of each sequence in stamp order, and its drive; None if a frame is in none of the tables.
 
-    `root` is the folder of the sequences. Raises `GroundTruthError` for a table that cannot be read, and a
-    `DatasetFaultError`.
+    `root` is the folder of the sequences. Raises `GroundTruthError` for an unreadable table, and a `DatasetFaultError`.
     """
     folder = root.parent if root.name == "gts" else root
     beside = _frame_table(folder / TABLE)
@@ -55,32 +56,32 @@ def in_time_order(root: Path, sequences: Mapping[str, Sequence[str]]) -> dict[st
 
 
 def _named(drive: Sequence[str]) -> str | None:
-    """The name of a drive of several sequences: that of its first."""
+    """Return the name of a drive of several sequences: the name of its first sequence."""
     return drive[0] if len(drive) > 1 else None
 
 
 def _published(folder: Path, sequences: Mapping[str, Sequence[str]]) -> dict[str, TimedSequence] | None:
-    """The order and drives that tables of the nuScenes schema tell."""
+    """Return the order and drives from tables of the nuScenes schema."""
     if not any(folder.glob("v1.0-*")):
         return None
     from stone_datasets.drives import drives_among
     from stone_datasets.reading import read_dataset
 
-    known = {one.name: one for one in read_dataset(folder).sequences if one.name in sequences}
+    known = {item.name: item for item in read_dataset(folder).sequences if item.name in sequences}
     drive_of = {name: drive for drive in drives_among(list(known.values())) for name in drive}
-    found = dict[str, TimedSequence]()
+    timed = dict[str, TimedSequence]()
     for name, tokens in sequences.items():
         if name not in known or not set(tokens) <= set(known[name].tokens):
             return None
         listed, wanted = known[name].tokens, set(tokens)
-        first_ns = int(known[name].stamps_ns[listed.index(next(one for one in listed if one in wanted))])
+        first_ns = int(known[name].stamps_ns[listed.index(next(item for item in listed if item in wanted))])
         ordered = tuple(token for token in listed if token in wanted)
-        found[name] = TimedSequence(ordered, first_ns, _named(drive_of.get(name, ())))
-    return found
+        timed[name] = TimedSequence(ordered, first_ns, _named(drive_of.get(name, ())))
+    return timed
 
 
 def _track(table: _FrameTable, tokens: Sequence[str]) -> DrivenTrack | None:
-    """The track of frames in time order; None if the table lacks a place, or two frames have one stamp."""
+    """Return the track of frames in time order; None if the table lacks a position, or two frames have one stamp."""
     from services.labeler.totals import common_map
 
     if any(token not in table.places_m for token in tokens):
@@ -94,7 +95,7 @@ def _track(table: _FrameTable, tokens: Sequence[str]) -> DrivenTrack | None:
 
 
 def _frame_table(path: Path) -> _FrameTable:
-    """The table of frames that have labels; of no file, an empty one."""
+    """Return the table of frames that have labels; an empty table without a file."""
     if not path.is_file():
         return _FrameTable()
     import pyarrow as pa
@@ -109,10 +110,10 @@ def _frame_table(path: Path) -> _FrameTable:
         has_places = set(PLACE) <= set(table.column_names)
         places = np.array([table[name].to_pylist() for name in PLACE], np.float64).T.tolist() if has_places else []
         about = json.loads((table.schema.metadata or {}).get(b"stone", b"{}"))
-        said = about.get("map_origin_deg_m")
-        origin = None if said is None else tuple(map(float, said))
+        stated = about.get("map_origin_deg_m")
+        origin = None if stated is None else tuple(map(float, stated))
         if origin is not None and not (len(origin) == 3 and np.isfinite(origin).all()):
-            raise ValueError(f"map_origin_deg_m is {str(said)[:60]}")
+            raise ValueError(f"map_origin_deg_m is {str(stated)[:60]}")
         places_m = dict(zip(tokens, places, strict=False))
         return _FrameTable(dict(zip(tokens, stamps_ns, strict=True)), places_m, str(about.get("vehicle", "")), origin)
     except (OSError, KeyError, TypeError, ValueError, OverflowError, AttributeError, pa.ArrowException) as error:

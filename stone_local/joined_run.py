@@ -1,6 +1,6 @@
-"""Several recordings of one run on the command line: the arguments, `--clock-offset`, and the recording they make.
+"""Several recordings of one run on the command line: the arguments, `--clock-offset`, and the joined recording.
 
-**Conventions.** One recording is itself. Several are joined into a folder of links that lasts as long as the command.
+**Conventions.** One recording stays as it is. Several are joined into a temporary folder of links.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RunRecordings:
-    """What the command was given; `options` are asked for where clocks are compared, for topics and poses."""
+    """The command's arguments; `options` are for the comparison of clocks, topics and poses."""
 
     paths: Sequence[Path]
     clock_offsets: Sequence[str]
@@ -29,7 +29,7 @@ class RunRecordings:
 
 @dataclass(frozen=True)
 class OpenRun:
-    """The recording of a run; `joined` is None for one alone."""
+    """The recording of a run; `joined` is None for a single recording."""
 
     bag: Path
     name: str
@@ -38,7 +38,7 @@ class OpenRun:
 
 @contextmanager
 def run_of(recordings: RunRecordings) -> Iterator[OpenRun]:
-    """Raises: `typer.BadParameter`, and what `join_recordings` raises."""
+    """Yield the open recording of a run. Raises `typer.BadParameter`, and what `join_recordings` raises."""
     given_ns = chosen_clock_offsets(recordings.clock_offsets)
     if len(recordings.paths) == 1 and not given_ns:
         yield OpenRun(recordings.paths[0], sequence_name(recordings.paths[0]))
@@ -47,8 +47,8 @@ def run_of(recordings: RunRecordings) -> Iterator[OpenRun]:
     from stone_recordings.bags.private_folder import PrivateFolder
     from stone_recordings.joining.joined_recording import write_joined
 
-    asked = JoinRequest(tuple(recordings.paths), recordings.calibration, given_ns, recordings.options())
-    joined = join_recordings(asked)
+    request = JoinRequest(tuple(recordings.paths), recordings.calibration, given_ns, recordings.options())
+    joined = join_recordings(request)
     private = PrivateFolder()
     try:
         folder = private.path / joined.name

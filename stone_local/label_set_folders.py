@@ -1,4 +1,4 @@
-"""Label sets in folders of this machine, compared: the platform's part of `stone label-set compare`."""
+"""Comparison of label sets in local folders: the platform's part of `stone label-set compare`."""
 
 import os
 from pathlib import Path
@@ -9,7 +9,7 @@ from stone_client.progress import Report
 
 
 def compare(folders: tuple[Path, Path], pictures: Path | None, progress: Report) -> dict[str, Any]:
-    """Return the record of the comparison, with the paths of the pictures that were written."""
+    """Return the record of the comparison, with the paths of the written images."""
     opened = open_folders(*folders)
     record = compare_folders(opened, progress)
     written = write_pictures(opened, record, pictures) if pictures else []

@@ -1,4 +1,4 @@
-"""The quality of a recording as a page on the disk, for `stone inspect --html`."""
+"""The quality of a recording as a page on disk, for `stone inspect --html`."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -37,9 +37,11 @@ def write_quality_page(bag: "Bag", inspection: "Inspection", out: Path) -> "Qual
 
 
 def deduction_table(record: Mapping[str, Any]) -> Table:
-    """What the score lost and by what (the `quality` of `stone inspect --html OUT.html --json`)."""
+    """Return the deductions from the score with their reasons (the `quality` of `stone inspect --html OUT.html
+    --json`).
+    """
     table = plain_table(f"quality {record['score']} of 100", "code", "points")
     table.add_column("why", overflow="fold")
-    for one in record["deductions"]:
-        table.add_row(safe_text(one["code"]), f"-{one['points']}", safe_text(one["message"]))
+    for deduction in record["deductions"]:
+        table.add_row(safe_text(deduction["code"]), f"-{deduction['points']}", safe_text(deduction["message"]))
     return table

@@ -1,4 +1,4 @@
-"""The platform's commands, as the `stone` command finds them (`stone_client/platform_part.py`)."""
+"""The platform's commands, as `stone_client/platform_part.py` loads them."""
 
 from stone_client.lazy_commands import CommandPlace, GroupPlace, Place, places
 

@@ -1,6 +1,6 @@
 """Topic roles chosen on the command line: a saved profile and single overrides.
 
-**Conventions.** A choice reads PART=TOPIC (`--topic CAM_FRONT=/camera/front/image_raw`), as the findings print it.
+**Conventions.** A choice has the form PART=TOPIC (`--topic CAM_FRONT=/camera/front/image_raw`), as in the findings.
 """
 
 import re
@@ -36,7 +36,7 @@ SaveTopicsOption = Annotated[
 
 
 def chosen_topics(saved: Path | None, choices: list[str]) -> "TopicProfile":
-    """The saved profile with the single choices in place. Raises what reading it raises, and `BadParameter`."""
+    """Return the saved profile with the single choices applied. Raises what reading it raises, and `BadParameter`."""
     from stone_recordings.topics.profiles import TopicProfile, read_profile
 
     profile = read_profile(saved) if saved is not None else TopicProfile()
@@ -76,7 +76,7 @@ PosesFrameOption = Annotated[
 
 
 def chosen_poses(poses: Path | None, frame: str, odometry: str | None = None) -> "PoseFile | None":
-    """The file, None without. Raises `typer.BadParameter` where a topic is asked for as well."""
+    """Return the file, None without one. Raises `typer.BadParameter` if a topic is given as well."""
     from stone_recordings.poses.file_poses import PoseFile
 
     if poses is not None and odometry is not None:
@@ -86,7 +86,7 @@ def chosen_poses(poses: Path | None, frame: str, odometry: str | None = None) ->
     return None if poses is None else PoseFile(poses, frame)
 
 
-# The option `--time-offset lidar=-18s`: how much is added to the stamps of the LiDAR, or of the pose source.
+# The option `--time-offset lidar=-18s`: time to add to the stamps of the LiDAR, or of the pose source.
 
 
 PARTS = ("lidar", "pose")
@@ -103,21 +103,21 @@ TimeOffsetOption = Annotated[
 
 
 def chosen_offsets(choices: Sequence[str]) -> dict[str, int]:
-    """Nanoseconds by part. Raises `typer.BadParameter`."""
+    """Return the offsets in nanoseconds by part. Raises `typer.BadParameter`."""
     chosen: dict[str, int] = {}
     for choice in choices:
-        found = CHOICE.fullmatch(choice)
-        if found is None or found["part"] not in PARTS:
+        match = CHOICE.fullmatch(choice)
+        if match is None or match["part"] not in PARTS:
             raise typer.BadParameter(
                 f"{choice[:80]!r} is not a time offset; write lidar=-18s or pose=12.5ms (parts: {', '.join(PARTS)}; "
                 f"units: {', '.join(UNITS_NS)})",
                 param_hint="--time-offset",
             )
-        offset_ns = int(Decimal(found["number"]) * UNITS_NS[found["unit"]])
+        offset_ns = int(Decimal(match["number"]) * UNITS_NS[match["unit"]])
         if abs(offset_ns) > MOST_OFFSET_NS:
             raise typer.BadParameter(
                 f"{choice[:80]!r} is more than {MOST_OFFSET_NS / 1e9:.0f} s; is the unit right?",
                 param_hint="--time-offset",
             )
-        chosen[found["part"]] = offset_ns
+        chosen[match["part"]] = offset_ns
     return chosen

@@ -1,7 +1,7 @@
-"""The bytes of a file behind an https address, read by HTTP ranges: by the command alone, never by the platform.
+"""The bytes of a file behind an https URL, read by HTTP ranges: by the command alone, never by the platform.
 
-**Conventions.** The file must not change while it is read: its ETag, or else its time of change, is required of every
-answer. An answer without the range that was requested is refused, so that nobody downloads hundreds of gigabytes.
+**Conventions.** The file must not change while it is read: every answer must have the same ETag, or else modification
+time. An answer without the requested range is refused, which prevents downloads of hundreds of gigabytes.
 
 Source: RFC 9110, 13.1.5 (If-Range), 14 (range requests).
 """
@@ -24,7 +24,7 @@ SCHEMES = ("https://", "http://")
 
 @dataclass(frozen=True)
 class UrlRanges:
-    """The file at `url`; `made_of` are its size and what identifies its bytes, as the server first gave them."""
+    """The file at `url`; `made_of` is its size and validator from the first answer."""
 
     url: str
     made_of: tuple[int, str]
@@ -39,7 +39,7 @@ class UrlRanges:
         return self.made_of[0]
 
     def read_at(self, offset: int, count: int) -> bytes:
-        """Return the bytes from `offset` on. Raises `url_unreadable`, `url_changed`."""
+        """Return `count` bytes from `offset`. Raises `url_unreadable`, `url_changed`."""
         stop = min(offset + count, self.size_bytes)
         if stop <= offset:
             return b""
@@ -53,19 +53,19 @@ class UrlRanges:
 
 
 def is_url(text: str) -> bool:
-    """Whether this is an address rather than a path."""
+    """Return whether the text is a URL rather than a path."""
     return text.startswith(SCHEMES)
 
 
 def open_url(url: str, transport: httpx.BaseTransport | None = None) -> UrlRanges:
-    """Return the file at an address whose server answers ranges. Raises `url_unreadable`."""
+    """Return the file at a URL whose server supports ranges. Raises `url_unreadable`."""
     client = httpx.Client(timeout=TIMEOUT_S, follow_redirects=True, transport=transport)
     _, made_of = _fetched(client, url, (0, 1))
     return UrlRanges(url, made_of, client)
 
 
 def _fetched(client: httpx.Client, url: str, span: tuple[int, int]) -> tuple[bytes, tuple[int, str]]:
-    """The bytes [start, stop), and the size and the identity of the file."""
+    """Return the bytes [start, stop), and the size and the identity of the file."""
     why = ""
     for _ in range(TRIES):
         try:
@@ -83,11 +83,11 @@ def _fetched(client: httpx.Client, url: str, span: tuple[int, int]) -> tuple[byt
 
 
 def _answered_range(url: str, status: int, headers: Mapping[str, str], span: tuple[int, int]) -> int:
-    """The size of the whole file, if the answer is of this range. Raises `url_unreadable`."""
-    said = CONTENT_RANGE.fullmatch(headers.get("Content-Range", ""))
-    if status != PARTIAL or said is None or (int(said[1]), int(said[2]) + 1) != span:
+    """Return the size of the whole file, if the answer has this range. Raises `url_unreadable`."""
+    match = CONTENT_RANGE.fullmatch(headers.get("Content-Range", ""))
+    if status != PARTIAL or match is None or (int(match[1]), int(match[2]) + 1) != span:
         what = f"status {status}, {headers.get('Content-Range', 'no Content-Range')!r}"
         raise Refused("url_unreadable", f"{url} did not answer the range that was requested ({what[:120]})")
     if headers.get("Content-Encoding", "identity") != "identity":
         raise Refused("url_unreadable", f"{url} was answered in another encoding than its own bytes")
-    return int(said[3])
+    return int(match[3])

@@ -1,1 +1,1 @@
-"""One module per command of the platform: its words, its options, one call into a pipeline, its table."""
+"""One module per command of the platform: its words and options, one call of a pipeline, and its table."""

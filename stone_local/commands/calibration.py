@@ -1,4 +1,4 @@
-"""`stone calibration`: a calibration file checked, and drawn."""
+"""`stone calibration`: check, create and draw a calibration."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -54,8 +54,8 @@ def check(
 ) -> None:
     """Check a calibration: its format, sensor poses and findings.
 
-    With --bag also which topics of the recording it does not place, which of its sensors have no topic, whether the
-    LiDAR's points fit the cameras' pictures, and where the ground lies. Exit code 1 where it cannot be used for labels.
+    With --bag it also reports unmatched topics and sensors, whether the LiDAR's points fit the camera images, and the
+    height and tilt of the ground. Exit code 1 if the calibration cannot be used for labels.
     """
     from services.ingest.pipeline import SynchroniseOptions
     from stone_client.progress import reported
@@ -66,12 +66,12 @@ def check(
         options = SynchroniseOptions(odometry, lidar, topics=profile.topics, progress=progress)
         options = replace(options, poses=chosen_poses(poses, poses_frame, odometry), poses_frame=poses_frame)
         choice = None if bag is None else BagChoice(bag, profile, replace(options, is_hashed=False))
-        found = check_calibration_file(file, choice)
-    _say(file, found.as_record(), as_json)
+        result = check_calibration_file(file, choice)
+    _say(file, result.as_record(), as_json)
     if not as_json:
-        typer.echo(f"verdict: {'can' if found.is_usable else 'cannot'} be used for labels")
-    echo_findings(found.findings)
-    if not found.is_usable:
+        typer.echo(f"verdict: {'can' if result.is_usable else 'cannot'} be used for labels")
+    echo_findings(result.findings)
+    if not result.is_usable:
         raise typer.Exit(REFUSED)
 
 
@@ -92,7 +92,7 @@ def init(
     topic: TopicOption = [],  # noqa: B006
     as_json: JsonOption = False,
 ) -> None:
-    """Write a calibration of what a recording knows, with FILL_IN in the place of what it does not.
+    """Write a calibration from the data of a recording, with FILL_IN for unknown values.
 
     Extrinsics come from /tf_static, lenses from CameraInfo. `stone calibration check` refuses the file until every
     FILL_IN is replaced. An existing file is not overwritten.
@@ -120,9 +120,9 @@ def init(
 
 
 def show_rig(file: FileArgument, output: PictureOption = None, as_json: JsonOption = False) -> None:
-    """Show the sensor poses of a calibration and what it lacks; with -o draw the rig.
+    """Show the sensor poses of a calibration and its missing parts; with -o draw the rig.
 
-    The drawing has the robot from above and from the right, its footprint, and what each sensor sees.
+    The drawing shows the robot from above and from the right, its footprint, and the field of view of each sensor.
     """
     from stone_files.atomic import atomic_file
     from stone_local.calibration_check import check_calibration_file
@@ -132,22 +132,22 @@ def show_rig(file: FileArgument, output: PictureOption = None, as_json: JsonOpti
     if output is not None and output.suffix.lower() not in PICTURES:
         raise typer.BadParameter(f"{output.name!r} is neither .svg nor .png", param_hint="--output")
     with _refused_with_what_was_found(file, as_json):
-        found = check_calibration_file(file)
+        result = check_calibration_file(file)
     if output is not None:
         picture = PICTURES[output.suffix.lower()]
         with atomic_file(output) as staging:
-            staging.write_bytes(rig_figure(found.read.calibration, is_footprint_given(found.read), picture))
-    _say(file, found.as_record(), as_json)
+            staging.write_bytes(rig_figure(result.read.calibration, is_footprint_given(result.read), picture))
+    _say(file, result.as_record(), as_json)
     if output is not None and not as_json:
         typer.echo(f"Drawing: {output}")
-    echo_findings(found.findings)
+    echo_findings(result.findings)
 
 
 @contextmanager
 def _refused_with_what_was_found(file: Path, as_json: bool) -> Iterator[None]:
-    """Where the file is no whole calibration: what each of its files says, before the refusal.
+    """Print the content of each file before the refusal of an incomplete calibration.
 
-    What is refused of the recording is refused as by every command.
+    Refusals of the recording are printed as by every command.
     """
     from stone_client.tables import show
     from stone_local.calibration_tables import file_table

@@ -1,4 +1,4 @@
-"""`stone ceiling`: a drive labelled twice from half of its points, and the score of one half against the other."""
+"""`stone ceiling`: label a drive twice from half of its points, and score one half against the other."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -25,14 +25,14 @@ from stone_files.recording_name import sequence_name
 
 
 class Half(StrEnum):
-    """How a drive is halved: every other sweep, or every other ring of each sweep."""
+    """The halves of a drive: every other sweep, or every other ring of each sweep."""
 
     SWEEPS = "sweeps"
     RINGS = "rings"
 
 
 class MaskName(StrEnum):
-    """The voxels that are evaluated: all of them, or those seen by the LiDAR or by a camera."""
+    """The evaluated voxels: all of them, or those seen by the LiDAR or by a camera."""
 
     ALL = "all"
     LIDAR = "lidar"
@@ -57,9 +57,9 @@ def ceiling(
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure how well labels agree with themselves: label a drive from each half of its points, and compare both.
+    """Measure the consistency of labels: label a drive from each half of its points, and compare both.
 
-    A method is not expected to score higher than that. `stone benchmark reported` puts the result on a board.
+    No method is expected to score higher than this ceiling. `stone benchmark reported` adds the result to a board.
     """
     from services.ingest.pipeline import SynchroniseOptions
     from services.ingest.sequence import OpenedSequence, with_sequence

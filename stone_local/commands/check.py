@@ -1,4 +1,4 @@
-"""`stone check`: is this published dataset complete and well-formed, and what does it hold?"""
+"""`stone check`: check that a published dataset is complete and well-formed, and show its contents."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
@@ -35,8 +35,8 @@ def check(
 ) -> None:
     """Check a published dataset completely and show its contents, or its faults by table, row and file.
 
-    Every row of the tables, every sweep, scan and label file is read; of pictures the head and the end. A ZIP is read
-    where it lies, and nothing is unpacked. Exit code 1 if anything is wrong.
+    It reads every row of the tables, every sweep, scan and label file, and the beginning and end of every image. A ZIP
+    is read in place, without unpacking. Exit code 1 if there is any fault.
     """
     from stone_datasets.classes import OWN_CLASSES, read_class_map
     from stone_datasets.reading import check_dataset
@@ -44,12 +44,12 @@ def check(
     from stone_files.grid_file import chosen_grid
 
     where, stated = _opened(dataset), StatedLayout(layout, None if grid is None else chosen_grid(grid))
-    said = OWN_CLASSES if classes is None else read_class_map(classes)
+    class_map = OWN_CLASSES if classes is None else read_class_map(classes)
     with reported() as progress:
-        found = check_dataset(where, said, faults, lambda done, of: progress("frames", done, of), stated)
-    if found.contents is None:
-        _refuse(found, as_json=as_json)
-    record = found.contents.as_record()
+        result = check_dataset(where, class_map, faults, lambda done, of: progress("frames", done, of), stated)
+    if result.contents is None:
+        _refuse(result, as_json=as_json)
+    record = result.contents.as_record()
     if as_json:
         echo_json(record)
     else:
@@ -57,7 +57,7 @@ def check(
 
 
 def _opened(dataset: str) -> "Path | ByteRanges":
-    """The path, or the ranges of an address."""
+    """Return the path, or the byte ranges of a URL."""
     from stone_local.url_ranges import is_url, open_url
 
     if is_url(dataset):
@@ -68,17 +68,17 @@ def _opened(dataset: str) -> "Path | ByteRanges":
     return path
 
 
-def _refuse(found: "DatasetCheck", *, as_json: bool) -> NoReturn:
-    """Every fault on a line of its own, then how far the check came."""
-    for fault in found.faults.found:
+def _refuse(result: "DatasetCheck", *, as_json: bool) -> NoReturn:
+    """Print every fault on its own line, then how far the check came."""
+    for fault in result.faults.found:
         echo_notice(f"{fault.code}: {fault}")
-    if found.faults.left_out:
-        echo_notice(f"… and {found.faults.left_out} more")
-    if found.reached not in ("files", "sweeps"):
+    if result.faults.left_out:
+        echo_notice(f"… and {result.faults.left_out} more")
+    if result.reached not in ("files", "sweeps"):
         echo_notice(
-            f"These faults are from its {found.reached}; later parts were not checked. Fix them and check again"
+            f"These faults are from its {result.reached}; later parts were not checked. Fix them and check again"
         )
     if as_json:
-        faults = [fault.as_record() for fault in found.faults.found]
-        echo_json({"faults": faults, "faults_total": found.faults.total, "reached": found.reached})
+        faults = [fault.as_record() for fault in result.faults.found]
+        echo_json({"faults": faults, "faults_total": result.faults.total, "reached": result.reached})
     raise typer.Exit(REFUSED)

@@ -1,4 +1,4 @@
-"""`stone demo`: every step once, on a simulated robot and a platform on this machine, or on a server."""
+"""`stone demo`: run every step once, with a simulated robot and a local platform or a server."""
 
 import sys
 import time
@@ -37,11 +37,12 @@ def demo(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Simulate three runs of a robot, label them on a platform on this machine, predict and submit: a whole benchmark.
+    """Simulate three runs of a robot, label them on a local platform, predict and submit: a whole benchmark.
 
-    The second and third are val, long enough together for intervals; with less than 20 seconds there is one run only.
+    The second and third runs are val, long enough together for confidence intervals. With less than 20 seconds there is
+    only one run.
 
-    With --server no platform is started: the run goes to that one, as whoever signed in there.
+    With --server no local platform is started; the demo uses the server with your sign-in.
     """
     simulation = SimulateOptions(seconds=seconds, camera_detail="half", host_delay_max_ns=0)
     if server is not None:

@@ -1,4 +1,4 @@
-"""`stone export`: labels of this machine in the formats that other tools open."""
+"""`stone export`: convert local labels to the formats of other tools."""
 
 from collections.abc import Iterable
 from dataclasses import asdict
@@ -54,9 +54,9 @@ def export(
     bag: BagOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Export a labelled sequence; what did not change since is not written again.
+    """Export a labelled sequence; unchanged parts are not written again.
 
-    The recording is read again for pictures and points, and must be the one that was labelled.
+    Images and points are read from the recording, which must be the labelled one.
     """
     from services.labeler.exports.folder import ExportRequest
     from services.labeler.exports.folder import export as export_folder

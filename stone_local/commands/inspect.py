@@ -1,4 +1,4 @@
-"""`stone inspect`: what is in a recording, and what is wrong with it."""
+"""`stone inspect`: show the contents and faults of a recording."""
 
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -58,13 +58,14 @@ def inspect(
 ) -> None:
     """Show a recording's topics with their roles, rates, gaps and findings.
 
-    Where several topics fit one role, choose with --topic and save the choice for the robot's next recording.
-    What labelling with the same options would refuse or leave out is shown too; with --calibration also what is wrong
-    with the mounts.
-    Several recordings of one run are joined first, with --calibration where their clocks must be measured; their
-    offsets, what two of them hold and what lies between them is shown.
-    With --html its quality is measured too: a page with plots, and under --json one more key.
-    Exit code 1 if labels cannot be made of it so, or something in it cannot be used: an error line names it.
+    If several topics fit one role, choose with --topic and save the choice for the robot's next recording. The findings
+    include everything that labelling with the same options would refuse or skip.
+
+    With --calibration the findings include faults of the mounts. Several recordings of one run are joined first; if
+    their clocks must be measured, give --calibration. The output shows clock offsets, overlaps and gaps.
+
+    --html also measures the quality and writes a page with plots; with --json the output includes the quality. Exit
+    code 1 if the recording cannot be labelled with these options or contains unusable data.
     """
     from stone_recordings.bags.bag import open_bag
     from stone_recordings.topics.profiles import write_profile
@@ -89,21 +90,21 @@ def inspect(
     with run_of(RunRecordings(bags, clock_offset, calibration, options)) as run, open_bag(run.bag) as opened:
         given = {role: topic for role, topic in {"lidar": lidar, "pose": odometry}.items() if topic}
         asked_topics = AskedTopics.of_roles({**profile.topics, **given}, has_pose_file=poses is not None)
-        with scanning(opened, asked_topics) as scan:  # which inflates while these are loaded
+        with scanning(opened, asked_topics) as scan:  # it inflates chunks while these modules load
             from services.ingest.sandboxed_inspection import inspected_in
             from stone.kernels.loading import load_compiler
 
             load_compiler()
-            asked = options()
-        inspection = inspected_in(opened, profile, calibration, asked, scan=scan.result())
+            chosen_options = options()
+        inspection = inspected_in(opened, profile, calibration, chosen_options, scan=scan.result())
         record: dict[str, Any] = inspection.as_record()
         if opened.recordings:
             record["recordings"] = [asdict(recording) for recording in opened.recordings]
         findings = inspection.findings
         if html is not None:
             quality = write_quality_page(opened, inspection, html)
-            # What labels need and lack is an error of the inspection already.
-            left_out = [replace(one, severity="warning") for one in quality.left_out]
+            # the inspection already reports missing parts as errors
+            left_out = [replace(item, severity="warning") for item in quality.left_out]
             record["quality"], findings = quality.as_record(), (*findings, *left_out)
     if as_json:
         echo_json(record)
@@ -128,9 +129,9 @@ def _show(record: dict[str, Any]) -> None:
 
 
 @contextmanager
-def scanning(bag: "Bag", asked: "AskedTopics") -> "Iterator[Future[Scan]]":
-    """The scan of a recording, which a thread makes meanwhile; at the end it is there, or what it raised."""
+def scanning(bag: "Bag", topics: "AskedTopics") -> "Iterator[Future[Scan]]":
+    """Yield a scan of a recording that runs in a thread; at the end the thread has finished or raised."""
     from stone_recordings.report.inspection import scanned
 
     with ThreadPoolExecutor(1) as pool:
-        yield pool.submit(scanned, bag, asked)
+        yield pool.submit(scanned, bag, topics)

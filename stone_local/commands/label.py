@@ -1,4 +1,4 @@
-"""`stone label`: from a recording and a calibration to 3D traversability labels."""
+"""`stone label`: 3D traversability labels from a recording and a calibration."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -58,7 +58,7 @@ ConfidenceOption = Annotated[
 
 
 class Solver(StrEnum):
-    """How the surface is reconstructed: near the data, or over whole cubes by Open3D."""
+    """The solvers of the surface: near the data, or over whole cubes by Open3D."""
 
     LATTICE = "lattice"
     OCTREE = "octree"
@@ -70,7 +70,7 @@ SolverOption = Annotated[
 
 
 class Refine(StrEnum):
-    """How poses are refined before anything is labelled."""
+    """The refinements of poses before labelling."""
 
     SMALL_GICP = "small_gicp"
 
@@ -107,8 +107,8 @@ def label(
 ) -> None:
     """Label every frame of a recording: free, traversable, potentially traversable or not, voxel by voxel.
 
-    Several recordings of one run (sensors in different files, or a run that was cut) are joined first: the offsets of
-    their clocks are measured and reported.
+    Several recordings of one run (separate sensor files, or a split run) are joined first; their clock offsets are
+    measured and reported.
     """
     from services.ingest.pipeline import SynchroniseOptions
     from services.ingest.sequence import OpenedSequence, with_sequence
@@ -161,7 +161,7 @@ def label(
 
 
 def _held_out_line(held_out: Mapping[str, Any]) -> str:
-    """Return how labels made from one half of the track hold on the other half, in a sentence."""
+    """Return a sentence on how well labels from one half of the track hold on the other half."""
     if held_out["recall"] is None:
         return "Held-out track: too little driven ground to judge labels made from one half of it by the other half"
     judged = f"{100 * held_out['recall']:.1f} % of {held_out['judged_m']:.0f} m that the robot drove over"

@@ -18,7 +18,7 @@ OutputOption = Annotated[
 def recover(bag: BagArgument, output: OutputOption, as_json: JsonOption = False) -> None:
     """Recover all intact messages of a truncated, damaged or unindexed recording into a new MCAP file.
 
-    The original is only read; stderr reports what is lost.
+    The original is only read; stderr lists the losses.
     """
     from stone_recordings.bags.recovery.recovery import recover as recover_bag
 

@@ -1,4 +1,4 @@
-"""`stone serve`: the whole platform on this machine."""
+"""`stone serve`: run the whole platform on this machine."""
 
 import os
 from pathlib import Path
@@ -26,7 +26,7 @@ def serve(
     is_stop: StopOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run API, workers and sweeper with a database and a store of their own, until Ctrl-C; a second start resumes."""
+    """Run API, workers and sweeper with their own database and store until Ctrl-C; a second start resumes."""
     from stone_local.embedded_platform import Address, password_line, served, settings_for, wait_for_ctrl_c
 
     if is_stop:

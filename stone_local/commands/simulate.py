@@ -1,4 +1,4 @@
-"""`stone simulate`: a recording of a robot that does not exist, with the truth about its world."""
+"""`stone simulate`: a recording of a simulated robot, with the ground truth of its world."""
 
 from pathlib import Path
 from typing import Annotated, cast, get_args

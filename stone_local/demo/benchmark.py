@@ -1,7 +1,7 @@
 """The demo's benchmark: a version of the dataset, a phase over its val, three submissions, the board.
 
-**Conventions.** What stands on the platform is used again; splits that are somebody's are never touched. The phase is
-over `val`, so its ground truth is open and it may be submitted to as often as one likes.
+**Conventions.** Existing objects of the platform are reused; splits of other users are never changed. The phase is over
+`val`, so its ground truth is open and submissions are unlimited.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -27,10 +27,8 @@ from stone_client.server.submission import SubmissionDescription, settled, submi
 from stone_submissions.archive import frame_file, write_files
 from stone_submissions.manifest import read_manifest
 
-# The demo's entries: three predictions without training, of the frames of a manifest.
-#
-# **Conventions.** Two are baselines, which stand on the board without a rank; one is the team's ranked entry: the same
-# geometry as the first, from more sweeps.
+# The demo's entries: three predictions without training, of the frames of a manifest. Two are baselines, shown without
+# a rank; one is the team's ranked entry: the same geometry as the first, from more sweeps.
 
 
 THREADS = 2
@@ -39,7 +37,7 @@ POTENTIALLY_TRAVERSABLE = 2
 
 @dataclass(frozen=True)
 class DemoEntry:
-    """A submission of the demo: file, method, kind, and how many sweeps a frame is predicted from; 0: flat ground."""
+    """A submission of the demo: file, method, kind, and the number of sweeps per frame (0: flat ground)."""
 
     filename: str
     method: str
@@ -56,7 +54,7 @@ ENTRIES = (
 
 
 def write_entry(entry: DemoEntry, manifest: Path, sources: Sequence[Path], progress: Report) -> Path:
-    """The submission, beside the manifest. Raises what `write_baseline` raises."""
+    """Write the submission beside the manifest and return its path. Raises what `write_baseline` raises."""
     output = manifest.with_name(entry.filename)
     if not entry.sweeps:
         write_flat_ground(manifest, output)
@@ -66,12 +64,12 @@ def write_entry(entry: DemoEntry, manifest: Path, sources: Sequence[Path], progr
 
 
 def write_flat_ground(manifest: Path, output: Path) -> None:
-    """Potentially traversable ground at the robot's height in every frame, and nothing else."""
-    asked = read_manifest(manifest)
-    labels = np.zeros(asked.grid.shape, np.uint8)
-    labels[:, :, round(-asked.grid.min_m[2] / asked.grid.voxel_m)] = POTENTIALLY_TRAVERSABLE
-    content = frame_file(labels, asked.grid)
-    write_files(output, ((token, content) for token in asked.tokens))
+    """Write only potentially traversable ground at the robot's height in every frame."""
+    wanted = read_manifest(manifest)
+    labels = np.zeros(wanted.grid.shape, np.uint8)
+    labels[:, :, round(-wanted.grid.min_m[2] / wanted.grid.voxel_m)] = POTENTIALLY_TRAVERSABLE
+    content = frame_file(labels, wanted.grid)
+    write_files(output, ((token, content) for token in wanted.tokens))
 
 
 TEAM = "demo"
@@ -82,7 +80,7 @@ Members = Mapping[str, Sequence[Item]]
 
 @dataclass(frozen=True)
 class DemoPhase:
-    """The phase of the demo's entries: the benchmark's name, which is the first sequence's, and the id of its phase."""
+    """The phase of the demo's entries: the benchmark's name (the first sequence's name), and the id of its phase."""
 
     benchmark: str
     phase_id: str
@@ -90,14 +88,14 @@ class DemoPhase:
 
 
 def benchmark_on_server(api: Api, members: Members, progress: Report) -> DemoPhase | None:
-    """The benchmark of these sequences by split, its ground truth ready; None where they cannot be split."""
+    """Return the benchmark of these sequences by split with its ground truth ready; None if they cannot be split."""
     name = str(members["train"][0]["name"])
     if not _is_split(api, members):
         return None
     _existing_or_made(lambda: read_dataset(api, name), lambda: publish_dataset(api, name, LICENCE, REASON))
-    asked = {"name": name, "title": "Demo", "dataset": name, "reason": REASON}
+    body = {"name": name, "title": "Demo", "dataset": name, "reason": REASON}
     own = f"/benchmarks/{quote(name, safe='')}"
-    _existing_or_made(lambda: api.read(own), lambda: api.create("/admin/benchmarks", asked))
+    _existing_or_made(lambda: api.read(own), lambda: api.create("/admin/benchmarks", body))
     api.send("PATCH", f"/admin{own}", json={"is_public": True, "reason": REASON})
     phase = api.read(phase_path(name, DemoPhase.part))
     if phase["active"] is None:
@@ -113,7 +111,7 @@ def fetch_inputs(api: Api, phase: DemoPhase, folder: Path, progress: Report) -> 
     fetch_manifest(api, at, folder / "manifest.json")
     (folder / "inputs").mkdir()
     tars = download_inputs(api, at, folder / "inputs", progress)
-    return folder / "manifest.json", [folder / "inputs" / f"{one['name']}.tar" for one in tars]
+    return folder / "manifest.json", [folder / "inputs" / f"{item['name']}.tar" for item in tars]
 
 
 def _make_inputs(api: Api, phase: DemoPhase, progress: Report) -> None:
@@ -141,10 +139,10 @@ def submit_entries(api: Api, phase: DemoPhase, files: Mapping[DemoEntry, Path], 
 
 
 def _is_split(api: Api, members: Members) -> bool:
-    """Whether these sequences are split so and nothing else is; it is made so where nothing is."""
+    """Return whether the draft consists of exactly these splits; save them if the draft is empty."""
     splits = current(api)
-    split = {part: sorted(one["sequence_id"] for one in splits[part]) for part in PARTS}
-    wanted = {part: sorted(str(one["id"]) for one in members.get(part, ())) for part in PARTS}
+    split = {part: sorted(item["sequence_id"] for item in splits[part]) for part in PARTS}
+    wanted = {part: sorted(str(item["id"]) for item in members.get(part, ())) for part in PARTS}
     if split == wanted or any(split.values()):
         return split == wanted
     match = {"If-Match": f'"{splits["revision"]}"'}
@@ -158,7 +156,7 @@ def _is_split(api: Api, members: Members) -> bool:
 
 
 def _existing_or_made(read: Callable[[], Any], make: Callable[[], Any]) -> Any:
-    """The existing one, else a new one."""
+    """Return the existing object, or create it."""
     try:
         return read()
     except ServerRefusedError as error:

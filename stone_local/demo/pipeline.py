@@ -1,7 +1,7 @@
 """The demo: simulate, upload, process, download, export, predict, submit, and show the leaderboard.
 
-**Conventions.** The way to the labels is through a server's API, as in the field. Everything lands in one folder, which
-appears whole or not at all; `demo.json` marks it as ours, so that the next demo may replace it.
+**Conventions.** All steps up to the labels use a server's API, as in the field. All output is in one folder, which
+appears whole or not at all; `demo.json` marks it as the demo's, so that the next demo may replace it.
 """
 
 import json
@@ -54,11 +54,9 @@ from stone_submissions.manifest import write_manifest
 from stone_submissions.validation import validate
 from stone_submissions.verdict import SubmissionRefusedError
 
-# The demo's runs: what each robot is, under which conditions it drove, and its recording.
-#
-# **Conventions.** The first run is the one to look at: cameras, 10 sweeps a second; it is train. The other two are val
-# and cheap: LiDAR only, 2 sweeps a second, at 4 m/s. Neighbouring frames see the same ground, so an interval needs
-# metres: 480 of them give that of the mIoU; the 30 of the first run, at 10 sweeps a second, give none.
+# The demo's runs: robots, recording conditions and recordings. The first run (train) has cameras and 10 sweeps per
+# second. The other two are val and cheap: LiDAR only, 2 sweeps per second, at 4 m/s. Neighbouring frames overlap, so an
+# interval needs metres of track: 480 m suffice for the mIoU, the 30 m of the first run do not.
 
 
 SEQUENCE = "demo"
@@ -81,7 +79,7 @@ class DemoRun:
 
 @dataclass(frozen=True)
 class DemoRecording:
-    """A recorded run and the folder that everything about it goes to."""
+    """A recorded run and its folder."""
 
     run: DemoRun
     folder: Path
@@ -100,7 +98,7 @@ class DemoRecording:
 
 
 def demo_runs(shown: SimulateOptions) -> tuple[DemoRun, ...]:
-    """The runs of a demo that shows this robot; of one that is too short for a split, that run only."""
+    """Return the runs of a demo with this robot: all runs, or only the first if it is too short for a split."""
     day = DemoRun(SEQUENCE, TRAIN, shown, _conditions("mountain", "day", "north"))
     if shown.seconds < SHORTEST_S:
         return (day,)
@@ -113,12 +111,12 @@ def demo_runs(shown: SimulateOptions) -> tuple[DemoRun, ...]:
 
 
 def recorded_runs(folder: Path, runs: tuple[DemoRun, ...], progress: Report) -> Sequence[DemoRecording]:
-    """The recordings in `folder`, in the order of the runs: the first is made here, the others beside it."""
+    """Yield the recordings in `folder`, in the order of the runs: the first is made here, the others in parallel."""
     first, *others = (DemoRecording(run, folder / run.name.removeprefix(SEQUENCE).lstrip("-")) for run in runs)
     with ProcessPoolExecutor(max(1, len(others)), get_context("spawn")) as pool:
-        for one in others:
-            one.folder.mkdir()
-        made = [pool.submit(simulate, one.bag, one.run.simulation) for one in others]
+        for recording in others:
+            recording.folder.mkdir()
+        made = [pool.submit(simulate, recording.bag, recording.run.simulation) for recording in others]
         simulate(first.bag, first.run.simulation, folder / "truth", progress)
         for is_made in made:
             is_made.result()
@@ -129,10 +127,8 @@ def _conditions(environment: str, illumination: str, region: str) -> Mapping[str
     return {"environment": environment, "illumination": illumination, "region": region, "platform": "simulated"}
 
 
-# The server that the demo uses: one started for it on this machine, or a remote one.
-#
-# **Conventions.** The benchmark's part needs an administrator. Here that is the first one, while the password that was
-# written down at the first start is still theirs; elsewhere whoever the token speaks for, if it may administrate.
+# The server of the demo: started for it on this machine, or remote. The benchmark requires an administrator: locally
+# the first one, if the initial password is unchanged; on a remote server the token's user, if it is an administrator.
 
 
 UNKNOWN_PASSWORD = 401
@@ -141,14 +137,14 @@ Administering = Callable[[], AbstractContextManager[Api | None]]
 
 @dataclass(frozen=True)
 class DemoServer:
-    """A platform that answers; `administering()` opens its API to an administrator, or yields None."""
+    """A running platform; `administering()` yields its API for an administrator, or None."""
 
     server: Server
     administering: Administering
 
 
 def demo_server_of(platform: RunningPlatform | Server) -> DemoServer:
-    """The platform, once it answers. Raises `StartFailedError`."""
+    """Return the server after it has answered. Raises `StartFailedError`."""
     if isinstance(platform, Server):
         return DemoServer(platform, lambda: _by_token(platform))
     platform.wait_until_ready()
@@ -189,7 +185,7 @@ TRUTH = "ground-truth"
 
 @dataclass(frozen=True)
 class DemoPlan:
-    """What to simulate, and the platform to label it: one of our own, which may still be starting, or a server."""
+    """The simulation, and the platform for its labels: our own, possibly still starting, or a server."""
 
     simulation: SimulateOptions
     platform: RunningPlatform | Server
@@ -201,14 +197,14 @@ class DemoPlan:
 
 @dataclass(frozen=True)
 class LabelledRun:
-    """A run whose labels are there, and its sequence on the server."""
+    """A run with labels, and its sequence on the server."""
 
     recording: DemoRecording
     sequence: Item
 
 
 def run_demo(folder: Path, plan: DemoPlan, progress: Report) -> dict[str, Any]:
-    """Fill `folder` and return the record that `demo.json` keeps."""
+    """Fill `folder` and return the record that `demo.json` contains."""
     recordings = recorded_runs(folder, plan.runs, progress)
     demo_server = demo_server_of(plan.platform)
     with Api(demo_server.server) as api:
@@ -220,7 +216,7 @@ def run_demo(folder: Path, plan: DemoPlan, progress: Report) -> dict[str, Any]:
         "url": demo_server.server.url,
         "sequence": labelled[0].sequence["name"],
         "view": f"/sequences/{labelled[0].sequence['id']}/view",
-        "sequences": [one.sequence["name"] for one in labelled],
+        "sequences": [labelled_run.sequence["name"] for labelled_run in labelled],
         "labels": labels,
         "export": exported,
         "baseline": scores,
@@ -231,15 +227,15 @@ def run_demo(folder: Path, plan: DemoPlan, progress: Report) -> dict[str, Any]:
 
 
 def label_on_server(api: Api, recordings: Sequence[DemoRecording], progress: Report) -> Sequence[LabelledRun]:
-    """The sequences once their labels are in the folders of their runs.
+    """Label the sequences and download their labels into the folders of their runs.
 
-    The first is processed after the others: the first page shows what was labelled last.
+    The first sequence is processed last, because the first page shows the newest labels.
     """
     first, *others = recordings
     started = list[tuple[DemoRecording, Item, str]]()
-    for one in others:
-        sequence = _uploaded(api, one, progress)
-        started.append((one, sequence, _started(api, sequence)))
+    for recording in others:
+        sequence = _uploaded(api, recording, progress)
+        started.append((recording, sequence, _started(api, sequence)))
     sequence = _uploaded(api, first, progress)
     labelled = [_finished(api, *of_one, progress) for of_one in started]
     return _finished(api, first, sequence, _started(api, sequence), progress), *labelled
@@ -255,7 +251,7 @@ def _uploaded(api: Api, recording: DemoRecording, progress: Report) -> Item:
 
 
 def _started(api: Api, sequence: Item) -> str:
-    """The id of the job that labels the sequence."""
+    """Start labelling the sequence; return the id of the job."""
     return str(start_run(api, sequence, {})["id"])
 
 
@@ -267,14 +263,14 @@ def _finished(api: Api, recording: DemoRecording, sequence: Item, job_id: str, p
 
 
 def show_to_anybody(api: Api, sequence: Item, run: DemoRun) -> None:
-    """Say the recording conditions and make the sequence public: the first page shows it without an account."""
+    """Set the recording conditions and make the sequence public, so that the first page shows it without an account."""
     sequence_now = find_sequence(api, sequence["id"])
     match = {"If-Match": f'"{sequence_now["revision"]}"'}
     api.send("PATCH", f"/sequences/{sequence['id']}", json={"is_public": True, **run.conditions}, headers=match)
 
 
 def export_on_server(api: Api, sequence: Item, folder: Path, progress: Report) -> dict[str, Any]:
-    """The release layout of the sequence as `nuscenes.tar`; what came."""
+    """Download the release layout of the sequence as `nuscenes.tar`; return a record of it."""
     export = make_export(api, sequence, EXPORTED, progress)
     arrived = download_archive(api, export, folder / f"{EXPORTED}.tar", progress)
     return {"format": EXPORTED, "files": export["files"], **{key: arrived[key] for key in ("size_bytes", "sha256")}}
@@ -283,15 +279,15 @@ def export_on_server(api: Api, sequence: Item, folder: Path, progress: Report) -
 def enter_benchmark(
     demo_server: DemoServer, labelled: Sequence[LabelledRun], folder: Path, progress: Report
 ) -> tuple[dict[str, Any], dict[str, Any] | None]:
-    """The baseline's score here, and the entries on a board, as an administrator.
+    """Return the local score of the baseline, and the board with the entries.
 
-    No board where the platform has splits of its own, where a run is too short for any, or where we are no
-    administrator: then the baseline predicts the first run.
+    There is no board if the platform has other splits, a run is too short for a split, or the caller is no
+    administrator; then the baseline predicts the first run.
     """
     with demo_server.administering() as api:
-        by_part = {one.recording.run.part: list[Item]() for one in labelled}
-        for one in labelled:
-            by_part[one.recording.run.part].append(one.sequence)
+        by_part = {labelled_run.recording.run.part: list[Item]() for labelled_run in labelled}
+        for labelled_run in labelled:
+            by_part[labelled_run.recording.run.part].append(labelled_run.sequence)
         phase = benchmark_on_server(api, by_part, progress) if api and len(by_part) > 1 else None
         if api is None or phase is None:
             return score_baseline(
@@ -311,17 +307,17 @@ def _entered(
 
 
 def gather_truth(labelled: Sequence[LabelledRun], truth: Path) -> None:
-    """Move the labels of the frames that the phase is scored by below one folder, as `stone score` reads them."""
+    """Move the labels of the phase's frames below one folder, as `stone score` reads them."""
     (truth / "gts").mkdir(parents=True)
-    for one in labelled:
-        if one.recording.run.part == DemoPhase.part:
-            name = str(one.sequence["name"])
-            (one.recording.labels / "gts" / name).rename(truth / "gts" / name)
-            shutil.copyfile(one.recording.labels / TABLE, truth / "gts" / name / TABLE)
+    for labelled_run in labelled:
+        if labelled_run.recording.run.part == DemoPhase.part:
+            name = str(labelled_run.sequence["name"])
+            (labelled_run.recording.labels / "gts" / name).rename(truth / "gts" / name)
+            shutil.copyfile(labelled_run.recording.labels / TABLE, truth / "gts" / name / TABLE)
 
 
 def score_baseline(manifest: Path, sources: Sequence[Path], truth: Path, progress: Report) -> dict[str, Any]:
-    """Predict every frame from its own sweep, validate and score that against the labels here.
+    """Predict every frame from its own sweep, validate the submission and score it against the local labels.
 
     Raises `SubmissionRefusedError`.
     """
@@ -333,13 +329,15 @@ def score_baseline(manifest: Path, sources: Sequence[Path], truth: Path, progres
 
 
 def _of_first_run(folder: Path) -> Path:
-    """The manifest of the first run's frames."""
+    """Write the manifest of the first run's frames and return its path."""
     write_manifest(folder / "manifest.json", find_ground_truth(folder / "labels").manifest)
     return folder / "manifest.json"
 
 
 def _free_sequence(api: Api, name: str, local: LocalBag) -> Item:
-    """`demo`, or `demo-2`, … where that name is taken by another recording: nothing of the user's is replaced."""
+    """Return the sequence `demo`, or `demo-2`, … if another recording has that name: the user's data are never
+    replaced.
+    """
     for number in count(1):
         sequence = ensure_sequence(api, name if number == 1 else f"{name}-{number}")
         if not has_other_recording(api, sequence, local):

@@ -1,4 +1,4 @@
-"""The last lines of `stone demo`: where to look, what the labels mean, who leads the board, and the next step."""
+"""The last lines of `stone demo`: addresses, classes of the labels, leaders of the board, and the next step."""
 
 import shutil
 import sys
@@ -17,7 +17,7 @@ NO_BOARD = "none: the platform has other splits or a changed password, or the ru
 
 
 def summary_lines(record: Mapping[str, Any], folders: tuple[Path, ...], spent_s: float, *, stays: bool) -> list[str]:
-    """Return six lines about a demo; the first of its folders is the output, a second one the platform's data.
+    """Return six lines about a demo; the first of its folders is the output, a second is the platform's data.
 
     `stays` is whether the server at the record's address keeps running.
     """
@@ -38,7 +38,7 @@ def summary_lines(record: Mapping[str, Any], folders: tuple[Path, ...], spent_s:
 
 
 def own_command() -> str:
-    """Return what a person types here to run `stone`: the bare name if the shell finds this one, else its path."""
+    """Return the command that runs this `stone`: the bare name if the shell finds it, else its path."""
     run_as = Path(sys.argv[0])
     if shutil.which("stone") == str(run_as.resolve()) or run_as.name != "stone":
         return "stone"
@@ -46,7 +46,7 @@ def own_command() -> str:
 
 
 def _from_here(path: Path) -> Path:
-    """Return the path as a person in this folder types it."""
+    """Return the path relative to the current folder if it is below it."""
     return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
@@ -60,13 +60,13 @@ def _board_line(record: Mapping[str, Any]) -> str:
 
 def _leaders(rows: list[Mapping[str, Any]]) -> Iterator[str]:
     for standing, title in (("ranked", "rank 1"), ("baseline", "baseline")):
-        found = [row for row in rows if row["standing"] == standing]
-        if found:
-            best = max(found, key=lambda row: row["ratios"]["miou"])
+        candidates = [row for row in rows if row["standing"] == standing]
+        if candidates:
+            best = max(candidates, key=lambda row: row["ratios"]["miou"])
             yield f"{title} “{best['method']}” mIoU {100 * best['ratios']['miou']:.1f} %"
 
 
 def _size_bytes(folder: Path) -> int:
     """Return the bytes of all files; a file with several names counts once."""
-    found = (path.stat() for path in folder.rglob("*") if path.is_file())
-    return sum({stat.st_ino: stat.st_size for stat in found}.values())
+    stats = (path.stat() for path in folder.rglob("*") if path.is_file())
+    return sum({stat.st_ino: stat.st_size for stat in stats}.values())

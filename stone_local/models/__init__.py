@@ -1,1 +1,1 @@
-"""What the commands of models share."""
+"""Shared parts of the model commands."""

@@ -9,7 +9,7 @@ import typer
 
 @dataclass(frozen=True)
 class RecordingFiles:
-    """A recording, its calibration, and what its sequence is called."""
+    """A recording, its calibration, and the name of its sequence."""
 
     bag: Path
     calibration: Path
@@ -17,14 +17,17 @@ class RecordingFiles:
 
 
 def refuse_contradictions(inputs: list[Path] | None, bag: Path | None, of_recordings: Mapping[str, object]) -> None:
-    """Raises `typer.BadParameter`. `of_recordings` are options by name that need --bag, empty where not said."""
+    """Check that the inputs fit together. Raises `typer.BadParameter`.
+
+    `of_recordings` are the options by name that require --bag, empty if they are not given.
+    """
     if inputs and bag is not None:
         raise typer.BadParameter("frames come from INPUTS or from a recording, not from both", param_hint="--bag")
     if not inputs and bag is None:
         raise typer.BadParameter("give exports to predict, or a recording with --bag", param_hint="INPUTS...")
     if bag is None:
-        said = next((name for name, value in of_recordings.items() if value), None)
-        if said is not None:
-            raise typer.BadParameter("it applies to recordings and requires --bag", param_hint=said)
+        option = next((name for name, value in of_recordings.items() if value), None)
+        if option is not None:
+            raise typer.BadParameter("it applies to recordings and requires --bag", param_hint=option)
     elif of_recordings["--calibration"] is None:
         raise typer.BadParameter("a recording requires the calibration of its sensors", param_hint="--calibration")

@@ -1,4 +1,4 @@
-"""How fast a recording is predicted: a bar on a terminal, elsewhere a line now and then; always on stderr."""
+"""The speed of a prediction: a bar on a terminal, a line every 10 s elsewhere; always on stderr."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,7 +15,7 @@ LINE_EVERY_S = 10.0
 
 @dataclass(frozen=True)
 class PredictionPace:
-    """`done` of `total` frames after `seconds`; `recorded_hz` is how many there were a second, if that can be said."""
+    """`done` of `total` frames after `seconds`; `recorded_hz` is the recorded frame rate, None if it is undefined."""
 
     done: int
     total: int
@@ -28,7 +28,7 @@ class PredictionPace:
 
     @property
     def real_time_ratio(self) -> float | None:
-        """1 where frames are predicted as fast as they were recorded, more where faster."""
+        """1 if frames are predicted as fast as they were recorded, more if faster."""
         return None if self.recorded_hz is None else self.frames_per_s / self.recorded_hz
 
     def __str__(self) -> str:
@@ -53,7 +53,7 @@ def prediction_shown() -> Iterator[Callable[[PredictionPace], None]]:
 
 
 class _PredictionLines:
-    """A line in ten seconds, and the last."""
+    """A line every ten seconds, and the last one."""
 
     def __init__(self, console: Console) -> None:
         self._console, self._said_at = console, float("-inf")

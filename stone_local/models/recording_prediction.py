@@ -1,10 +1,10 @@
-"""Predicting straight from a recording: a loop over its frames in the order of time, as a robot has them.
+"""Prediction straight from a recording: a loop over its frames in time order, as on a robot.
 
-    bag + calibration → synchronised sequence → frames → classes → files
+        bag + calibration → synchronised sequence → frames → classes → files
 
-**Conventions.** A prediction sees its frame (the sweep, and the pictures and scans that the frame takes) and earlier
-frames, nothing later. Some of a frame's pictures are taken after its stamp: `waits_ms` is how long a robot would wait
-for them. What is read of the whole recording first are stamps and poses. Memory holds a few frames.
+**Conventions.** A prediction sees its frame (the sweep, and the frame's images and scans) and earlier frames, nothing
+later. Some of a frame's images are taken after its stamp: `waits_ms` is how long a robot would wait for them. Only
+stamps and poses are read of the whole recording in advance. Memory holds a few frames.
 """
 
 import json
@@ -32,11 +32,10 @@ from stone_recordings.sync.samples import BagSamples
 from stone_submissions.archive import frame_file, write_files
 from stone_submissions.manifest import read_manifest
 
-# Frames of a recording as a dataset reads them: what an export of it would hold, made frame by frame.
-#
-# **Conventions.** The bytes of each datum are those that `stone export` writes and its pose is the one in the tables,
-# so that the readers and the geometry of exports (`baselines/frame_record.py`) are all there is. Global is the map.
-# What grows with the recording is the frame table; pictures and points are there for one frame at a time.
+# Frames of a recording as a dataset reads them: the content of an export, made frame by frame. The bytes of each datum
+# equal those that `stone export` writes and its pose is the one in the tables, so the readers and the geometry of
+# exports (`baselines/frame_record.py`) apply. Global is the map. Only the frame table grows with the recording; images
+# and points are in memory for one frame at a time.
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +47,7 @@ class RecordedContent:
     place: int
 
     def read(self, most_bytes: int) -> bytes:
-        """Raises `damaged_sample`, and what `sample_file` raises."""
+        """Return the bytes. Raises `damaged_sample`, and what `sample_file` raises."""
         content, _ = sample_file(self.samples, self.channel, self.place)
         if len(content) > most_bytes:
             raise self.damaged(f"it has {len(content)} bytes, expected at most {most_bytes}")
@@ -67,7 +66,7 @@ class RecordedContent:
 
 @dataclass(frozen=True, eq=False)
 class RecordedStore:
-    """A `FrameStore` over a synchronised sequence and its samples, in the order of time."""
+    """A `FrameStore` over a synchronised sequence and its samples, in time order."""
 
     sequence: Sequence
     samples: SampleSource
@@ -80,18 +79,23 @@ class RecordedStore:
         return self.sequence.name, int(self.sequence.frames.stamps_ns[index]) // NS_PER_US
 
     def read(self, index: int) -> FrameRecord:
-        """Raises `sensor_missing`, `damaged_sample`, and what reading samples raises (BAG-*, MSG-*)."""
+        """Return the record of a frame. Raises `sensor_missing`, `damaged_sample`, and what reading samples raises
+        (BAG-*, MSG-*).
+        """
         return read_record(self.frame(index), None, self.inputs)
 
     def frame(self, index: int) -> ExportedFrame:
-        """The frame with the data that it would have in an export; none of them is read yet."""
+        """Return the frame with the data that it would have in an export, all of them unread."""
         token = self.sequence.frames.tokens[index]
         return ExportedFrame(token, *self.key(index), self._data(index), None)
 
     def longest_wait_ns(self) -> int:
-        """How long after its stamp a frame's last picture or scan was taken, of those that the row looks at."""
+        """Return the longest delay after its stamp of a frame's image or scan, of the channels that the row uses."""
         stamps_ns = self.sequence.frames.stamps_ns
-        return max((int((one.stamps_ns - stamps_ns[one.frames]).max(initial=0)) for one in self._channels), default=0)
+        return max(
+            (int((channel.stamps_ns - stamps_ns[channel.frames]).max(initial=0)) for channel in self._channels),
+            default=0,
+        )
 
     def _data(self, index: int) -> Mapping[str, ExportedDatum]:
         places = ((channel, channel.place(index)) for channel in self._channels)
@@ -107,12 +111,12 @@ class RecordedStore:
         }
 
     def _is_there(self, channel: NuscenesChannel, index: int) -> bool:
-        """Whether a radar's scan can be read; pictures are read when they are looked at."""
+        """Return whether a radar's scan can be read; images are read at their first use."""
         return channel.modality != "radar" or self.samples.radar(channel.name, index) is not None
 
     @cached_property
     def _channels(self) -> tuple[NuscenesChannel, ...]:
-        """Those that the row looks at; the LiDAR always, since it is what makes a frame."""
+        """Return the channels that the row uses; always with the LiDAR, since its sweeps define the frames."""
         return tuple(channel for channel in channels_of(self.sequence) if self._is_seen(channel))
 
     def _is_seen(self, channel: NuscenesChannel) -> bool:
@@ -131,7 +135,7 @@ class RecordedStore:
         }
 
     def _lens(self, channel: NuscenesChannel) -> CameraIntrinsics | None:
-        """A camera's, of pictures as large as its first that can be read. Raises `sample_gone`."""
+        """Return the intrinsics of a camera, for the size of its first readable image. Raises `sample_gone`."""
         if channel.mount.intrinsics is None:
             return None
         seen = (self.samples.camera(channel.name, int(index)) for index in channel.frames)
@@ -142,7 +146,7 @@ class RecordedStore:
 
 
 def recorded_hz(sequence: Sequence) -> float | None:
-    """Frames a second as they were recorded; None of a single frame."""
+    """Return the recorded frame rate; None for a single frame."""
     steps_ns = np.diff(sequence.frames.stamps_ns)
     return 1e9 / float(np.median(steps_ns)) if len(steps_ns) else None
 
@@ -153,7 +157,7 @@ Paces = Callable[[PredictionPace], None]
 
 @dataclass(frozen=True, eq=False)
 class RecordingPlan:
-    """Which recording, synchronised, and where to: a folder, or with a manifest the submission of its frames."""
+    """A synchronised recording and the output: a folder, or with a manifest the submission of its frames."""
 
     bag: Path
     sequence: Sequence
@@ -163,7 +167,7 @@ class RecordingPlan:
 
 @dataclass(frozen=True)
 class RecordingPrediction:
-    """What was written, what made it, and how fast: `real_time_ratio` is 1 where it keeps up with the sensors."""
+    """The record of a prediction; `real_time_ratio` is 1 if it keeps up with the sensors."""
 
     output: str
     frames: int
@@ -178,14 +182,14 @@ class RecordingPrediction:
 
 
 def predict_recording(loaded: LoadedRun, plan: RecordingPlan, paces: Paces) -> RecordingPrediction:
-    """Predict each frame, or those of the manifest, and tell the pace after each.
+    """Predict each frame, or the frames of the manifest, and report the pace after each.
 
     Raises what reading samples raises (BAG-*, MSG-*), `bad_manifest`, `not_of_recording`, `sensor_missing`,
     `damaged_sample`, `output_exists`.
     """
     sequence = plan.sequence
     store = RecordedStore(sequence, BagSamples(plan.bag, sequence), loaded.row.inputs)
-    indices = _asked(plan, loaded)
+    indices = _wanted_indices(plan, loaded)
     begun, hz = monotonic(), recorded_hz(sequence)
     pace = PredictionPace(0, len(indices), 0.0, hz)
 
@@ -197,10 +201,14 @@ def predict_recording(loaded: LoadedRun, plan: RecordingPlan, paces: Paces) -> R
             paces(pace)
 
     def record() -> RecordingPrediction:
-        said = asdict(loaded.written(plan.output, len(indices)))
+        record_fields = asdict(loaded.written(plan.output, len(indices)))
         ratio, waits_ms = pace.real_time_ratio, store.longest_wait_ns() / 1e6
         return RecordingPrediction(
-            **said, sequence=sequence.name, frames_per_s=pace.frames_per_s, real_time_ratio=ratio, waits_ms=waits_ms
+            **record_fields,
+            sequence=sequence.name,
+            frames_per_s=pace.frames_per_s,
+            real_time_ratio=ratio,
+            waits_ms=waits_ms,
         )
 
     if plan.manifest is None:
@@ -210,17 +218,18 @@ def predict_recording(loaded: LoadedRun, plan: RecordingPlan, paces: Paces) -> R
     return record()
 
 
-def _asked(plan: RecordingPlan, loaded: LoadedRun) -> tuple[int, ...]:
-    """Indices of the frames to predict, in the order of time. Raises `bad_manifest`, `grids_differ`,
-    `not_of_recording`."""
+def _wanted_indices(plan: RecordingPlan, loaded: LoadedRun) -> tuple[int, ...]:
+    """Return the indices of the frames to predict, in time order. Raises `bad_manifest`, `grids_differ`,
+    `not_of_recording`.
+    """
     tokens = plan.sequence.frames.tokens
     if plan.manifest is None:
         return tuple(range(len(tokens)))
     places = {token: index for index, token in enumerate(tokens)}
     manifest = read_manifest(plan.manifest)
     loaded.require_grid(manifest.grid)
-    asked = manifest.tokens
-    missing = [token for token in asked if token not in places]
+    wanted = manifest.tokens
+    missing = [token for token in wanted if token not in places]
     if missing:
         raise Refused(
             "not_of_recording",
@@ -228,11 +237,11 @@ def _asked(plan: RecordingPlan, loaded: LoadedRun) -> tuple[int, ...]:
             f"(the first is {missing[0]}): tokens depend on the sequence's name (--sequence). For several "
             "sequences predict from their exports",
         )
-    return tuple(sorted(places[token] for token in asked))
+    return tuple(sorted(places[token] for token in wanted))
 
 
 def _write_folder(output: Path, files: Iterator[tuple[str, bytes]], record: Callable[[], RecordingPrediction]) -> None:
-    """`<frame_token>.npz` of each frame and `prediction.json`: whole, or as it was before."""
+    """Write `<frame_token>.npz` of each frame and `prediction.json`; on failure the folder stays as it was."""
     with atomic_directory(output, replaces=PREDICTION) as staging:
         for token, content in files:
             (staging / f"{token}.npz").write_bytes(content)

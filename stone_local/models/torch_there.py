@@ -1,4 +1,4 @@
-"""Whether what models need is installed: else one line says what to do."""
+"""A check that the libraries of models are installed; otherwise one line states the remedy."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,7 +10,7 @@ NEEDED = ("torch", "safetensors", "tensorboard", "onnx", "onnxscript")
 
 @contextmanager
 def torch_needed() -> Iterator[None]:
-    """Around imports of `baselines`. Raises `no_torch` where what they need is not there."""
+    """Guard imports of `baselines`. Raises `no_torch` if a required library is missing."""
     try:
         yield
     except ModuleNotFoundError as error:

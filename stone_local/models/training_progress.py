@@ -1,4 +1,4 @@
-"""How training is going: a bar on a terminal, elsewhere a line now and then; always on stderr."""
+"""Training progress: a bar on a terminal, a line every 10 s elsewhere; always on stderr."""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -14,7 +14,7 @@ LINE_EVERY_S = 10.0
 
 
 class StepReport(Protocol):
-    """What is shown of `baselines.run_folder.TrainingReport`."""
+    """The shown fields of `baselines.run_folder.TrainingReport`."""
 
     @property
     def step(self) -> int: ...
@@ -60,7 +60,7 @@ def training_shown() -> Iterator[Callable[[StepReport], None]]:
 
 
 class _TrainingLines:
-    """A line for what was watched, one in ten seconds for steps, and the last."""
+    """A line for each validation, one every ten seconds for steps, and the last."""
 
     def __init__(self, console: Console) -> None:
         self._console, self._said_at = console, float("-inf")
@@ -74,20 +74,20 @@ class _TrainingLines:
 
 
 def rate_of(report: StepReport) -> str:
-    """Losses, the metric where this step measured it, rate, and time left."""
+    """Return the losses, the metric if this step measured it, the rate and the time left."""
     terms = "  ".join(f"{name} {value:.3f}" for name, value in report.losses.items())
-    said = [f"loss {report.loss:.3f}", *([f"({terms})"] if terms else []), *scores_said(report.scores)]
+    parts = [f"loss {report.loss:.3f}", *([f"({terms})"] if terms else []), *scores_said(report.scores)]
     if report.frames_per_s:
         minutes, seconds = divmod(round(report.left_s), 60)
-        said.append(f"{report.frames_per_s:.2f} frames/s, {minutes}:{seconds:02} left")
-    return "  ".join(said)
+        parts.append(f"{report.frames_per_s:.2f} frames/s, {minutes}:{seconds:02} left")
+    return "  ".join(parts)
 
 
 def watched_line(report: StepReport) -> str:
-    """What the watched sequences scored after an epoch."""
+    """Return the scores of the validation sequences after an epoch."""
     return f"epoch {report.epoch + 1}, validation: {'  '.join(scores_said(report.scores))}"
 
 
 def scores_said(scores: Mapping[str, float | None]) -> list[str]:
-    """Ratios in per cent, a dash where there is none."""
+    """Return ratios in per cent, a dash for None."""
     return [f"{name} {'—' if value is None else f'{100 * value:.1f} %'}" for name, value in scores.items()]

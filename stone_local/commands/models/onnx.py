@@ -18,13 +18,13 @@ OutputOption = Annotated[
 
 
 def onnx(run: RunArgument, output: OutputOption, as_json: JsonOption = False) -> None:
-    """Write the network of a ColumnNet run as ONNX: all learned layers, after points are sorted into columns. Needs
+    """Write the network of a ColumnNet run as ONNX: all learned layers, after points are sorted into columns. Requires
     torch.
     """
     with torch_needed():
         from baselines.onnx_export import write_onnx
 
-        written = write_onnx(run, output)  # the exporter looks for its libraries when it runs
+        written = write_onnx(run, output)  # the exporter imports its libraries only when it runs
     if as_json:
         echo_json(asdict(written))
         return

@@ -1,4 +1,4 @@
-"""`stone model predict`: a submission by a trained row, or classes of a recording, frame by frame."""
+"""`stone model predict`: predict exports or a recording with a trained row."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -91,7 +91,7 @@ def predict(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Predict each frame of a manifest or of a recording by a trained row, from that frame and earlier ones. Needs
+    """Predict each frame of a manifest or of a recording with a trained row, from that frame and earlier ones. Requires
     torch.
     """
     of_bags = {

@@ -1,4 +1,4 @@
-"""`stone model train`: a row of the benchmark, trained on exported data."""
+"""`stone model train`: train a row of the benchmark on exported data."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -13,14 +13,14 @@ from stone_local.models.training_progress import training_shown
 
 
 class Device(StrEnum):
-    """Where a network is computed."""
+    """The devices for the network."""
 
     CPU = "cpu"
     CUDA = "cuda"
 
 
 class Precision(StrEnum):
-    """Of the network; geometry and losses are float32 always."""
+    """The precisions of the network; geometry and losses are always float32."""
 
     FLOAT32 = "float32"
     BFLOAT16 = "bfloat16"
@@ -119,7 +119,7 @@ def train(
     checkpoint_steps: CheckpointOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Train a row on exported frames; an interrupted run continues with --resume. Needs torch: `make baselines`."""
+    """Train a row on exported frames; an interrupted run continues with --resume. Requires torch: `make baselines`."""
     with torch_needed():
         from baselines.row_config import read_row, with_checkpointed_gradients
         from baselines.train import TrainingPlan
