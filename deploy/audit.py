@@ -1,10 +1,9 @@
-"""Ask the advisory services about every dependency: `python deploy/audit.py`, from the project's root.
+"""Check every dependency for known vulnerabilities: `python deploy/audit.py`, from the project's root.
 
-**Conventions.** pip-audit is asked about requirements.lock, npm about web/package-lock.json; nothing is installed and
-nothing but names and versions is sent. The end says what was found out, and never that all is well when nobody was
-asked: 0 both services know of nothing, 1 at least one knows of a fault, 75 (EX_TEMPFAIL, sysexits.h) one could not be
-asked and the other knows of nothing. What is known and accepted stands in deploy/audit-accepted.txt, a line each: the
-advisory, a blank, the reason.
+**Conventions.** pip-audit checks requirements.lock, npm checks web/package-lock.json; nothing is installed, and only
+names and versions are sent. Exit codes: 0 no advisory, 1 at least one advisory, 75 (EX_TEMPFAIL, sysexits.h) a service
+did not answer and the other reports no advisory. Accepted advisories are in deploy/audit-accepted.txt, one per line:
+the advisory, a blank, the reason.
 """
 
 import json
@@ -26,7 +25,7 @@ PIP_AUDIT = ("--requirement", str(LOCK), "--no-deps", "--disable-pip", "--format
 
 @dataclass(frozen=True)
 class AdvisoryAnswer:
-    """What one service said: `faults` a line each; `unasked` is why there is no answer, empty where there is one."""
+    """The answer of one service: `faults` has one line per advisory; `unasked` is the reason for a missing answer."""
 
     name: str
     faults: tuple[str, ...] = ()
@@ -42,7 +41,7 @@ class AdvisoryAnswer:
 
 
 def main() -> int:
-    os.environ["PATH"] += f"{os.pathsep}{Path('build/node/bin').absolute()}"  # where build-pages.sh puts it
+    os.environ["PATH"] += f"{os.pathsep}{Path('build/node/bin').absolute()}"  # build-pages.sh installs Node there
     accepted = _accepted()
     verdicts = (_python(accepted), _pages(accepted))
     for verdict in verdicts:
@@ -90,7 +89,7 @@ def _pages(accepted: Mapping[str, str]) -> AdvisoryAnswer:
 
 
 def _said(program: str, arguments: Sequence[str], folder: Path) -> dict[str, Any] | str:
-    """The JSON object it wrote, whatever its exit code; else why there is none, in a line."""
+    """Return the program's JSON object, whatever its exit code; otherwise the reason for its absence."""
     if not program:
         return "the program that would ask is not installed"
     try:
@@ -105,7 +104,7 @@ def _said(program: str, arguments: Sequence[str], folder: Path) -> dict[str, Any
 
 
 def _accepted() -> dict[str, str]:
-    """The reason by advisory. Raises `ValueError` for a line without a reason: nothing is accepted in silence."""
+    """Return the reason by advisory. Raises `ValueError` for a line without a reason."""
     lines = ACCEPTED.read_text("utf-8").splitlines() if ACCEPTED.exists() else []
     pairs = [line.partition(" ") for line in lines if line.strip() and not line.startswith("#")]
     if bare := [advisory for advisory, _, reason in pairs if not reason.strip()]:

@@ -1,11 +1,11 @@
-"""The locks cut out of requirements.lock with versions and hashes: of run time, of the docs site, and of each image.
+"""Generate the lock files of run time, the docs site and each image from requirements.lock, with versions and hashes.
 
     python deploy/locks.py
 
-**Conventions.** Nothing is resolved here and no network is asked: which distribution needs which is read from what is
-installed, which version and which hashes from `requirements.lock`, which has tests, docs and audits too. So an image
-and `make install` hold nothing but what was tested, and the locks are the same on every machine with the same
-environment (`make develop`).
+**Conventions.** Nothing is resolved and no network is used. Dependencies come from the installed distributions;
+versions and hashes come from `requirements.lock`, which also covers tests, docs and audits. So an image and `make
+install` contain only tested versions, and the lock files are the same on every machine with the same environment (`make
+develop`).
 """
 
 import re
@@ -35,19 +35,19 @@ ENTRY = re.compile(r"^([A-Za-z0-9._-]+)==\S+.*\n(?:    --hash=\S+.*\n)+", re.MUL
 
 
 def lock_of(group: str) -> str:
-    """The text of the group's lock, the distributions by name. Raises KeyError for one the main lock lacks."""
+    """Return the text of the group's lock, sorted by name. Raises KeyError for a distribution outside the main lock."""
     entries = locked()
     return HEAD.format(group=group) + "".join(entries[name] for name in sorted(needed(group)))
 
 
 def locked() -> dict[str, str]:
-    """Each distribution's lines in `requirements.lock`, without the remarks on who asked for it."""
+    """Return each distribution's lines in `requirements.lock`, without the comments about its dependants."""
     text = (ROOT / "requirements.lock").read_text("utf-8")
     return {canonicalize_name(found[1]): _unescaped(found[0]) for found in ENTRY.finditer(text)}
 
 
 def needed(group: str) -> set[str]:
-    """The distributions that the group names, and all that those need here."""
+    """Return the group's distributions with all their dependencies here."""
     found: set[str] = set()
     todo = list(asked(group))
     seen: set[tuple[str, frozenset[str]]] = set()
@@ -62,7 +62,9 @@ def needed(group: str) -> set[str]:
 
 
 def asked(group: str) -> list[Requirement]:
-    """What the dependency group names, groups that it includes too; `RUNTIME`: what the project and its client need."""
+    """Return the requirements of the dependency group and its included groups; `RUNTIME`: of the project and its
+    client.
+    """
     projects = [tomllib.loads((ROOT / path).read_text("utf-8")) for path in PROJECTS]
     if group == RUNTIME:
         lines = [line for project in projects for line in project["project"]["dependencies"]]
@@ -88,14 +90,14 @@ def _needs(name: str, extras: frozenset[str]) -> Iterator[Requirement]:
 
 
 def _holds_somewhere(marker: Marker, extras: frozenset[str]) -> bool:
-    """On this Python or on the oldest that the project runs on, with any of the extras or none."""
+    """Return whether the marker holds on this Python or the oldest supported one, with any of the extras or none."""
     here: dict[str, str] = {**default_environment(), "extra": ""}  # type: ignore[dict-item]
     wanted = [{**here, "extra": extra, **python} for extra in extras | {""} for python in ({}, OLDEST)]
     return any(marker.evaluate(environment) for environment in wanted)
 
 
 def _unescaped(lines: str) -> str:
-    """The entry alone: its last line continues nothing."""
+    """Return the entry alone, without a continuation after its last line."""
     return lines.rstrip().rstrip("\\").rstrip() + "\n"
 
 

@@ -1,8 +1,8 @@
 """Compile every kernel into numba's cache, and compute code versions: `python deploy/warm_kernels.py`.
 
-**Conventions.** By what the platform's own processes call before they fork, and so with the types that they call with;
-the simulator forks nothing and is called here. Labelling is two thirds of it, so it
-has a process of its own; the others share one. What is in the cache is not compiled again.
+**Conventions.** Kernels are compiled by the functions that the platform's processes call before they fork, and so for
+the same types; the simulator does not fork and is called here. Labelling takes two thirds of the time, so it has a
+process of its own; the others share one. Kernels in the cache are not compiled again.
 """
 
 import sys
@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 def main() -> None:
     with ProcessPoolExecutor(2, get_context("spawn")) as pool:
         compiled = [pool.submit(warm_labelling), pool.submit(warm_others)]
-        import_module("services.runtime.code_version")  # which parses the sources and keeps their digests
+        import_module("services.runtime.code_version")  # parses the sources and caches their digests
         for part in compiled:
             part.result()
 

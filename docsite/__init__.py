@@ -1,1 +1,1 @@
-"""The pages of the docs site that are made of the code, so that they cannot fall behind it: `make docs`."""
+"""Pages of the docs site that are generated from the code, so that they always match it: `make docs`."""

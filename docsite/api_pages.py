@@ -1,7 +1,7 @@
-"""The API reference, from the OpenAPI document that the server itself serves: a page for each noun, one for bodies.
+"""The API reference, from the server's OpenAPI document: a page for each noun, one for bodies.
 
-**Conventions.** An operation's anchor is its id; a body's is its name in small letters, on the page `bodies`. Nothing
-is added to what the document says.
+**Conventions.** An operation's anchor is its id; a body's anchor is its name in lower case, on the page `bodies`.
+Nothing is added to the document's content.
 """
 
 from collections import defaultdict
@@ -45,7 +45,7 @@ Version 1 is below `/api/v1`. A server serves its own document at `/api/v1/opena
 
 @cache
 def document() -> dict[str, Any]:
-    """The OpenAPI document of a platform with default settings, made once; nothing of it is left behind."""
+    """Return the OpenAPI document of a platform with default settings; temporary files are removed."""
     with TemporaryDirectory() as folder:
         platform = open_platform(Settings(data_folder=Path(folder)))
         try:
@@ -56,7 +56,7 @@ def document() -> dict[str, Any]:
 
 
 def api_pages() -> Mapping[str, str]:
-    """Markdown by path."""
+    """Return the pages as Markdown by path."""
     said = document()
     by_tag: dict[str, list[tuple[str, str, Operation]]] = defaultdict(list)
     for path, method, operation in operations(said):
@@ -72,7 +72,7 @@ def api_pages() -> Mapping[str, str]:
 
 
 def page_name(tag: str) -> str:
-    """The name of the page of a noun."""
+    """Return the name of the page of a noun."""
     return tag.replace(" ", "-").lower()
 
 
@@ -124,7 +124,7 @@ def _refusals(operation: Operation) -> str:
 
 
 def _contents(holder: Mapping[str, Any]) -> list[str]:
-    """Each kind of body: its media type, and what it is."""
+    """Return the media type and type of each body."""
     return [f"{code(kind)} {_content(content)}".strip() for kind, content in holder.get("content", {}).items()]
 
 

@@ -1,6 +1,6 @@
-"""The reference of all error and finding codes, with the status each is answered with.
+"""The reference of all error and finding codes, with their HTTP status.
 
-**Conventions.** Meanings come from the tables of codes; `raised_codes` reads the sources without running them.
+**Conventions.** Meanings come from the tables of codes; `raised_codes` parses the sources without running them.
 """
 
 import ast
@@ -50,7 +50,7 @@ CODE = re.compile(r"[A-Z]{3}-\d{3}|[a-z][a-z0-9_]*")
 
 
 def codes_page() -> str:
-    """The page."""
+    """Return the page."""
     answered = sorted((str(kind.status), code(one), plain(f"{kind.title}.")) for one, kind in PROBLEM_TYPES.items())
     datasets = [(code(one), plain(fault.meaning)) for one, fault in DATASET_FAULTS.items() if one not in PROBLEM_TYPES]
     others = sorted([*((one, "") for one in MISTAKES), *OTHER_CODES], key=lambda row: row[0])
@@ -71,7 +71,7 @@ def codes_page() -> str:
 
 
 def _meanings(codes: Iterable[CodeMeaning]) -> str:
-    """A table in which `#lab-603` leads to the row of LAB-603."""
+    """Return a table in which `#lab-603` leads to the row of LAB-603."""
     rows = (
         (
             f'<a id="{one.code.lower()}"></a>{code(one.code)}',
@@ -85,7 +85,7 @@ def _meanings(codes: Iterable[CodeMeaning]) -> str:
 
 
 def raised_codes() -> set[str]:
-    """Every code that the sources raise: a class's own, or the first argument of a refusal."""
+    """Return every code that the sources raise: a class's own, or the first argument of a refusal."""
     paths = (path for place in CODE_SOURCES for path in (ROOT / place).rglob("*.py"))
     return {code for path in paths for code in _codes_of(path)}
 

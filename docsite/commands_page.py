@@ -1,4 +1,4 @@
-"""The reference of the `stone` command, from its own options: what `--help` says, on one page."""
+"""The reference of the `stone` command, from its options: the output of `--help` on one page."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -32,7 +32,7 @@ machine and needs no server; a noun groups the verbs for things on a server. Exi
 
 
 def commands_page() -> str:
-    """The page."""
+    """Return the page."""
     group = get_command(app)
     context = click.Context(group, info_name="stone")  # type: ignore[arg-type]
     known: dict[str, Any] = dict(group.commands)  # type: ignore[attr-defined]

@@ -7,7 +7,7 @@ CODE = re.compile(r"(`[^`]+`)")
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table; cells are Markdown, of one line. Without a row the empty text."""
+    """Return a table of one-line Markdown cells, or the empty text without rows."""
     lines = [f"| {' | '.join(map(cell, row))} |" for row in rows]
     if not lines:
         return ""
@@ -15,19 +15,19 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def cell(text: str) -> str:
-    """Text on one line whose bars do not end the cell."""
+    """Return the text on one line with escaped bars."""
     return " ".join(text.split()).replace("|", "\\|")
 
 
 def code(text: object) -> str:
-    """Text as it is typed; the empty text for the empty one."""
+    """Return the text as code, or the empty text."""
     said = " ".join(str(text).split())
     fence = "``" if "`" in said else "`"
     return f"{fence}{said}{fence}" if said else ""
 
 
 def plain(text: str) -> str:
-    """Text of which Markdown makes nothing but text; what stands between backticks stays code."""
+    """Return the text with Markdown escaped, except between backticks."""
     return "".join(part if part.startswith("`") else _escaped(part) for part in CODE.split(text))
 
 

@@ -1,6 +1,6 @@
 """Meanings of codes of submissions, jobs and commands; other codes have tables elsewhere.
 
-**Conventions.** A code of two refusals stands twice. `tests/docsite/test_codes.py` holds that every code is raised.
+**Conventions.** A code of two refusals has two rows. `tests/docsite/test_codes.py` checks that every code is raised.
 """
 
 OTHER_CODES: tuple[tuple[str, str], ...] = (

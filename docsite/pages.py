@@ -13,7 +13,7 @@ from stone.scoring.metric import METRICS
 
 
 def made_pages() -> Mapping[str, str]:
-    """Markdown by path; made anew by every call."""
+    """Return the generated pages as Markdown by path."""
     metrics = {f"reference/{version}.md": f"{metric.definition}\n" for version, metric in METRICS.items()}
     return {
         "reference/commands.md": commands_page(),

@@ -1,4 +1,4 @@
-"""Make the manual's pictures anew, from what `make demo` left: `make pictures`.
+"""Generate the manual's images from the output of `make demo`: `make pictures`.
 
 `bev.png` is the demo's map; `first-page.png` is the first page of a platform on the demo's data, in Chromium.
 """
@@ -19,7 +19,7 @@ DRAWN_MS = 120_000
 
 
 def make_pictures(demo: Path, data: Path) -> None:
-    """Write both pictures; `demo` and `data` are the folders of `stone demo`. Nothing in them is changed."""
+    """Write both images; `demo` and `data` are the folders of `stone demo`, which are not changed."""
     shutil.copyfile(demo / "labels" / "bev.png", IMAGES / "bev.png")
     with running_platform(settings_for(data, Address(port=0), 1)) as running, sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=ARGUMENTS)

@@ -1,4 +1,4 @@
-"""The reference of benchmark, kill and fuzz programs, from their docstrings."""
+"""The reference of benchmark, chaos and fuzz programs, from their docstrings."""
 
 import ast
 import re
@@ -18,7 +18,7 @@ What measures, kills and fuzzes: the commands behind every figure of this site, 
 
 
 def programs_page() -> str:
-    """The page."""
+    """Return the page."""
     parts = [HEAD]
     for folder, title in FOLDERS.items():
         parts.append(f"## {title}\n")
@@ -27,7 +27,7 @@ def programs_page() -> str:
 
 
 def programs(folder: str) -> Iterator[tuple[str, str]]:
-    """Module and words of every program in the folder: what says of itself how it is run, and can be."""
+    """Yield module and docstring of every program in the folder whose docstring contains its command line."""
     for path in sorted((ROOT / folder).rglob("*.py")):
         source = path.read_text("utf-8")
         words = ast.get_docstring(ast.parse(source)) or ""

@@ -1,7 +1,7 @@
 """READMEs from other folders that are included in the site.
 
-**Conventions.** Links between them, and into `docs/`, lead to their pages in the site; what leads elsewhere in the
-repository is left as its words.
+**Conventions.** Links between READMEs, and into `docs/`, become links between pages of the site; other links in the
+repository become plain text.
 """
 
 import posixpath
@@ -20,13 +20,13 @@ LINK = re.compile(r"\[([^\]]+)\]\(([^)#\s]+)(#[^)\s]*)?\)")
 
 
 def included_pages() -> Mapping[str, str]:
-    """Markdown by path, of those that are there."""
+    """Return the existing READMEs as Markdown by path."""
     there = {page: source for page, source in SOURCES.items() if (ROOT / source).exists()}
     return {page: relinked((ROOT / source).read_text("utf-8"), source, page) for page, source in there.items()}
 
 
 def relinked(text: str, source: str, page: str) -> str:
-    """The text of the file `source` as the page `page` of the site."""
+    """Return the text of the file `source` as the page `page` of the site."""
 
     def led(found: re.Match[str]) -> str:
         words, link, place = found.group(1), found.group(2), found.group(3) or ""
@@ -39,7 +39,7 @@ def relinked(text: str, source: str, page: str) -> str:
 
 
 def _page_of(path: str) -> str:
-    """Where a file, or a folder by its README, stands in the site; the empty text where it does not."""
+    """Return the page of a file, or of a folder's README; the empty text if it is not in the site."""
     by_source = {source: page for page, source in SOURCES.items()}
     found = by_source.get(path) or by_source.get(f"{path}/README.md")
     return found or (path.removeprefix("docs/") if path.startswith("docs/") else "")

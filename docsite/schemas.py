@@ -1,7 +1,7 @@
 """JSON schemas as Markdown tables: a row per key.
 
-**Conventions.** Only what our documents hold is understood: references, unions, lists, maps, constants and enums with
-their bounds; what is left is shown as its type.
+**Conventions.** Only the constructs of our documents are supported: references, unions, lists, maps, constants and
+enums with their bounds. Other constructs are shown as their type.
 """
 
 import json
@@ -25,18 +25,18 @@ Schema = Mapping[str, Any]
 
 
 def body_link(reference: str) -> str:
-    """The name of a body, leading to its section."""
+    """Return the name of a body as a link to its section."""
     name = reference.rpartition("/")[2]
     return f"[{code(name)}]({BODIES}#{anchor_of(name)})"
 
 
 def anchor_of(name: str) -> str:
-    """The anchor of a body's section."""
+    """Return the anchor of a body's section."""
     return "body-" + "".join(letter if letter.isalnum() else "-" for letter in name).lower()
 
 
 def body_section(name: str, schema: Schema) -> str:
-    """A body: what it is, its keys, and its example."""
+    """Return the section of a body: its description, keys and example."""
     rows = list(_rows(schema)) or ([("", type_of(schema), "")] if "properties" not in schema else [])
     examples = schema.get("examples")
     shown = f"```json\n{json.dumps(examples[0], indent=1, ensure_ascii=False)}\n```\n" if examples else ""
@@ -52,7 +52,7 @@ def _rows(schema: Schema) -> Iterator[tuple[str, str, str]]:
 
 
 def type_of(schema: Schema) -> str:
-    """The type in words, with its bounds."""
+    """Return the type in words, with its bounds."""
     if "$ref" in schema:
         return body_link(schema["$ref"])
     for union in ("anyOf", "oneOf", "allOf"):

@@ -17,7 +17,7 @@ HEAD = """# Python SDK: reference
 
 
 def sdk_page() -> str:
-    """The page: `Stone` first, then the classes by name."""
+    """Return the page: `Stone` first, then the classes by name."""
     names = [name for name in sdk.__all__ if inspect.isclass(getattr(sdk, name))]
     return "\n".join([HEAD, *map(_section, sorted(names, key=lambda name: (name != "Stone", name)))])
 
@@ -49,7 +49,7 @@ def _members(kind: type) -> Iterator[str]:
 
 
 def _signature(function: Callable[..., Any]) -> str:
-    """The signature without `self`, as it is written."""
+    """Return the signature as in the source, without `self`."""
     signature = inspect.signature(function)
     shown = [_in_words(one) for one in signature.parameters.values() if one.name != "self"]
     returned = signature.return_annotation
@@ -63,6 +63,6 @@ def _in_words(parameter: inspect.Parameter) -> inspect.Parameter:
 
 
 def _text(documented: Any) -> str:
-    """The docstring; what is indented in it is code."""
+    """Return the docstring; indented parts are code."""
     blocks = (inspect.getdoc(documented) or "").split("\n\n")
     return "\n\n".join(block if block.startswith("    ") else plain(block) for block in blocks)

@@ -1,6 +1,6 @@
 """The configuration reference, from the groups of `Settings`: every variable, its type and its default.
 
-**Conventions.** A group's docstring says what its settings mean; a name says its unit. Secrets are named, never shown.
+**Conventions.** A group's docstring explains its settings; a name contains its unit. Secrets are named, never shown.
 """
 
 from collections.abc import Iterator
@@ -40,7 +40,7 @@ SIZES = ((2**40, "TiB"), (2**30, "GiB"), (2**20, "MiB"), (2**10, "KiB"))
 
 
 def settings_page() -> str:
-    """The page."""
+    """Return the page."""
     parts = [HEAD, cleandoc(module.__doc__ or "") + "\n", _section("The process", "", _own_rows())]
     for name, field in Settings.model_fields.items():
         if is_dataclass(field.default):
@@ -76,7 +76,7 @@ def _variable(group: str, name: str) -> str:
 
 
 def _type_name(kind: Any) -> str:
-    """What may be said, in words: bounds of an annotation and choices of a literal included."""
+    """Return the allowed values in words, with bounds of an annotation and choices of a literal."""
     if get_origin(kind) is Annotated:
         inside, *said = get_args(kind)
         return ", ".join([_type_name(inside), *(bound for one in said for bound in _bounds(one))])
@@ -87,7 +87,7 @@ def _type_name(kind: Any) -> str:
 
 
 def _bounds(said: Any) -> list[str]:
-    """The bounds that a pydantic field sets."""
+    """Return the bounds of a pydantic field."""
     found = ((sign, getattr(one, name, None)) for one in getattr(said, "metadata", ()) for name, sign in SIGNS)
     return [f"{sign} {value}" for sign, value in found if value is not None]
 
@@ -103,7 +103,7 @@ def _shown(name: str, value: Any) -> str:
 
 
 def _for_people(name: str, value: float) -> str:
-    """The value in a unit that people read: ` (64 GiB)`, ` (7 d)`."""
+    """Return the value in a readable unit: ` (64 GiB)`, ` (7 d)`."""
     units = SIZES if name.endswith("_bytes") else UNITS if name.endswith("_s") else ()
     for size, unit in units:
         if value >= size:

@@ -1,8 +1,8 @@
 """Every string that a page, an answer, a command or the docs can show: `python -m docsite.strings` lists them.
 
-**Conventions.** Read off the sources without running them: the text of templates; literals of Python and TypeScript
-that hold a blank (names of fields and paths do not); what docstrings show to users: titles of errors, summaries of
-routes, helps of commands; lines of the docs. A literal that only a log shows is among them, too.
+**Conventions.** The sources are parsed, not run. The list contains the text of templates, literals of Python and
+TypeScript that contain a blank, docstrings shown to users (titles of errors, summaries of routes, help of commands) and
+lines of the docs. It also contains literals that only logs show.
 """
 
 import ast
@@ -20,7 +20,7 @@ PROGRAMS = (
     "api", "web", "services", "stone", "stone_base", "stone_client", "stone_datasets", "stone_exports", "stone_files",
     "stone_local", "stone_recordings", "stone_submissions", "simulator", "baselines",
 )  # fmt: skip
-# Whose functions' docstrings are shown: as the summary of a route, and as the help of a command.
+# Folders whose functions' docstrings are shown: as the summary of a route, or as the help of a command.
 SHOWN_DOCSTRINGS = ("api/routes/", "stone_client/commands/", "stone_local/commands/")
 SHOWN_ATTRIBUTES = ("title", "alt", "aria-label", "placeholder", "content")
 BLANKS = re.compile(r"\s+")
@@ -31,7 +31,7 @@ TYPESCRIPT = re.compile(
 
 @dataclass(frozen=True)
 class ShownString:
-    """A string, and where it stands: a path from the project's root, and a line."""
+    """A string and its location: a path from the project's root, and a line."""
 
     path: str
     line: int
@@ -39,7 +39,7 @@ class ShownString:
 
 
 def shown_strings() -> Iterator[ShownString]:
-    """All of them, each place once, in order of place."""
+    """Yield all strings in order of location, each location once."""
     for folder, ending, strings in (
         *((program, ".py", _of_python) for program in PROGRAMS),
         ("web/templates", ".html", _of_template),
@@ -133,7 +133,7 @@ def _of_page(_: str, source: str) -> Iterator[tuple[int, str]]:
 
 
 def main() -> None:
-    """Print them: place, a tab, the string."""
+    """Print location, a tab and the string."""
     for one in shown_strings():
         sys.stdout.write(f"{one.path}:{one.line}\t{one.text}\n")
 

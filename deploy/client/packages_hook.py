@@ -1,8 +1,8 @@
-"""Build hook: takes the client's packages from where they lie, at the root of the project.
+"""Build hook: copies the client's packages from the root of the project.
 
-The packages that the client stands on go into its folder `_vendor`, which `stone_client/__init__.py` puts on the path;
-of the science those modules that `stone_datasets`, the baseline and scoring load, which need numpy alone.
-A checkout that is installed in place needs none of them: `dev-mode-dirs` of `pyproject.toml` names that root.
+The packages that the client requires go into its folder `_vendor`, which `stone_client/__init__.py` adds to the path.
+From the science packages only the modules of `stone_datasets`, the baseline and scoring are copied, which need numpy
+alone. A checkout that is installed in place needs no copies: `dev-mode-dirs` of `pyproject.toml` names that root.
 """
 
 from pathlib import Path
@@ -22,7 +22,7 @@ SCIENCE = (
 
 
 class PackagesHook(BuildHookInterface):
-    """Hatchling runs it for every wheel of the client."""
+    """The hook that Hatchling runs for every wheel of the client."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         if version == "editable":

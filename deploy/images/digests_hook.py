@@ -1,4 +1,4 @@
-"""Build hook: fixes the code versions in the wheel, so that all processes of all images of a build have the same.
+"""Build hook: fixes the code versions in the wheel, so that all processes of all images of a build share them.
 
 Hatchling runs it for every wheel (`pyproject.toml`). It writes the digests of the sources and the versions of the
 libraries in `deploy/runtime.lock`, which the images install. A checkout that is installed in place computes its own.
@@ -17,7 +17,7 @@ LOCKED = re.compile(r"^([a-z0-9.-]+)==(\S+)", re.MULTILINE)
 
 
 class DigestsHook(BuildHookInterface):
-    """`services/runtime/code_version.py` reads the file."""
+    """The hook that writes the file for `services/runtime/code_version.py`."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         if version == "editable":

@@ -8,17 +8,18 @@ from pydantic import Field, SecretStr
 
 @dataclass(frozen=True)
 class NotificationSettings:
-    """How people who chose so are told of events. Without `smtp_host` there is no e-mail.
+    """Notifications of events to users who enabled them. Without `smtp_host` there is no e-mail.
 
-    `smtp_security` is `starttls` (587), `tls` from the first byte (465), or `none`, for a relay on this very machine.
-    `sender` is the address that e-mail comes from.
+    `smtp_security` is `starttls` (587), `tls` from the first byte (465), or `none`, for a relay on the same machine.
+    `sender` is the sender address of e-mails.
 
-    Webhooks go to https addresses of the public Internet. With `allows_http` plain http does too; `webhook_networks`
-    are networks (CIDR, between blanks or commas) of private addresses that webhooks may reach nevertheless, as the one
-    in which a lab's own chat server stands. Whoever has an account can have requests sent there.
+    Webhooks go to https addresses on the public Internet. With `allows_http` plain http is allowed too.
+    `webhook_networks` are networks (CIDR, separated by blanks or commas) of private addresses that webhooks may reach,
+    such as the network of a lab's chat server. Any user can cause requests to these networks.
 
-    What was not taken is sent again after `retry_s`, then after growing pauses, for three days; then it is a dead
-    letter. A webhook that took nothing for `webhook_failing_s` is switched off. What is `kept_s` old is forgotten.
+    A failed delivery is retried after `retry_s`, then after growing pauses, for three days; then it is a dead letter. A
+    webhook without a successful delivery for `webhook_failing_s` is disabled. Deliveries older than `kept_s` are
+    deleted.
     """
 
     smtp_host: str = ""
@@ -35,5 +36,5 @@ class NotificationSettings:
 
     @property
     def networks(self) -> list[str]:
-        """`webhook_networks` one by one."""
+        """The list of `webhook_networks`."""
         return self.webhook_networks.replace(",", " ").split()

@@ -1,14 +1,14 @@
-"""Everything a process may be told from outside, in one value read from the environment and from secret files.
+"""All settings of a process, in one value read from the environment and from secret files.
 
-**Conventions.** `STONE_<GROUP>__<NAME>`, for instance `STONE_DATABASE__URL`; groups are the nested dataclasses below.
-What the environment does not say may be a file of the same name in small letters, `stone_database__password`, in
-`/run/secrets` or the folder that `STONE_SECRETS_DIR` names; blanks around its text are dropped.
-Without any variable the settings are those of the embedded platform: SQLite and a local folder under `data_folder`.
-Durations end in `_s`, sizes in `_bytes`. Names of the release before (`RENAMED`) are understood for one release more;
-where both names are set, the new one counts.
+**Conventions.** A variable is named `STONE_<GROUP>__<NAME>`, for example `STONE_DATABASE__URL`; groups are the nested
+dataclasses below. A setting without a variable may be in a secret file of the same name in lower case, such as
+`stone_database__password`. Secret files are in `/run/secrets` or the folder `STONE_SECRETS_DIR`; blanks around their
+text are dropped. Without any variable the settings are those of the embedded platform: SQLite and a local folder under
+`data_folder`. Durations end in `_s`, sizes in `_bytes`. Names of the previous release (`RENAMED`) are accepted for one
+more release; if both names are set, the new name applies.
 
-A variable that begins with `STONE_` and is no setting is refused, and so are values with which a process cannot work
-(`services/runtime/settings_checks.py`): it ends as it starts, and says what was meant or needed.
+A variable that begins with `STONE_` but is not a setting is refused, and so are impossible values
+(`services/runtime/settings_checks.py`). The process then exits at its start with a message about the setting.
 """
 
 import os
@@ -38,13 +38,13 @@ SECRETS, SECRETS_VARIABLE = "/run/secrets", "STONE_SECRETS_DIR"
 
 @dataclass(frozen=True)
 class DatabaseSettings:
-    """Where the truth lives; empty: `stone.sqlite3` in the data folder.
+    """The database; if `url` is empty, `stone.sqlite3` in the data folder.
 
-    `password` comes before one in `url`. A role that starts waits `awaited_s` for the schema of its code. `pool_size`
-    connections are kept open; how many threads of the API may hold one follows from it (`database/connections.py`).
+    `password` overrides a password in `url`. At start, a service waits up to `awaited_s` for the schema of its code.
+    `pool_size` connections are kept open; it also limits the API's database threads (`database/connections.py`).
 
     With `api_password` to `eval_password`, all five or none, `prepare` creates a PostgreSQL role for each service
-    (`stone_api` to `stone_eval`), which owns no table and has the rights of its work (`database/roles.py`).
+    (`stone_api` to `stone_eval`). Each role owns no table and has only the rights of its service (`database/roles.py`).
     """
 
     url: str = ""
@@ -63,10 +63,9 @@ class DatabaseSettings:
 class StoreSettings:
     """The store of blobs: a bucket, or the folder `store` in the data folder if `s3_bucket` is empty.
 
-    The sweeper reads stored bytes at `scrub_bytes_per_s` and compares them with their sha256 (default: 1 TB a month; 0:
-    nothing); it reads a bucket only with `scrubs_bucket`.
-    Uploads, the files of jobs, the cache and backups leave `reserve_bytes` of the disk free; 0 means the larger of a
-    twentieth of the disk and 2 GiB.
+    The sweeper reads stored bytes at `scrub_bytes_per_s` and compares them with their sha256 (default: 1 TB per month;
+    0: never); it reads a bucket only with `scrubs_bucket`. Uploads, the files of jobs, the cache and backups leave
+    `reserve_bytes` of the disk free; 0 means the larger of a twentieth of the disk and 2 GiB.
     """
 
     s3_bucket: str = ""
@@ -83,7 +82,9 @@ class StoreSettings:
 
 @dataclass(frozen=True)
 class BrokerSettings:
-    """Carries wake-ups. A message lost here is sent again by the sweeper. `password` comes before one in `url`."""
+    """The message broker, which only notifies workers; the sweeper sends lost messages again. `password` overrides a
+    password in `url`.
+    """
 
     url: str = "redis://127.0.0.1:6379/0"
     password: SecretStr = field(default=SecretStr(""))
@@ -91,7 +92,7 @@ class BrokerSettings:
 
     @property
     def address(self) -> str:
-        """`url` with the password in it: for whoever connects, never for a log."""
+        """`url` with the password: for connections, never for a log."""
         password = self.password.get_secret_value()
         if not password:
             return self.url
@@ -102,9 +103,9 @@ class BrokerSettings:
 
 @dataclass(frozen=True)
 class JobSettings:
-    """An attempt whose heartbeat stands still for `lease_s` is lost; a job has `max_attempts`.
+    """Limits of jobs. An attempt without a heartbeat for `lease_s` is lost; a job has `max_attempts` attempts.
 
-    A worker that is told to stop gives what it runs `drain_s`, then gives it back.
+    A stopping worker lets its running jobs continue for `drain_s`, then returns them to the queue.
     """
 
     lease_s: float = 20.0
@@ -120,14 +121,14 @@ class JobSettings:
 
 @dataclass(frozen=True)
 class UploadSettings:
-    """Bounds on what comes in. `owner_bytes` is what one owner may have stored or under way; a client that sends
-    nothing for `idle_s` is taken for gone.
+    """Limits of uploads. `owner_bytes` is the maximum of one owner's stored and incoming bytes; a client that sends
+    nothing for `idle_s` is disconnected.
 
-    `owner_waiting` is how many uploads of one owner may wait at once, which are those that are unfinished, or finished
-    and not used yet: eight bags of 512 files each, all of which come before the first is sealed.
+    `owner_waiting` is the maximum number of waiting uploads of one owner. An upload waits while it is unfinished, or
+    finished but not used yet; the default allows eight bags of 512 files each.
 
-    `backend` is where bytes under way lie: `folder`, which API and workers then share, or `store`, in parts of at most
-    `part_bytes`. It is of uploads that are created from now on; those under way stay where they are.
+    `backend` is the place of incoming bytes: `folder`, which API and workers share, or `store`, in parts of at most
+    `part_bytes`. A change applies to new uploads only; existing uploads stay where they are.
     """
 
     max_bytes: int = 512 * GIB
@@ -142,13 +143,14 @@ class UploadSettings:
 
 @dataclass(frozen=True)
 class SubmissionSettings:
-    """`participant_bytes` is what a participant may have stored or under way, whose uploads are submissions only.
+    """Limits of participants' uploads, which are submissions only.
 
-    `participant_waiting` is how many of their uploads may wait at once, `draft_waiting` how many for one draft, which
-    needs a single one: the others are tries that were given up.
+    `participant_bytes` is the maximum of a participant's stored and incoming bytes. `participant_waiting` is the
+    maximum number of their waiting uploads, and `draft_waiting` the maximum for one draft. A draft needs only one
+    upload; the others are abandoned attempts.
 
-    A draft for which nothing was sent goes after `draft_s`, the file of a submission that counts for nothing after
-    `purged_after_s`.
+    A draft without any upload is deleted after `draft_s`. The file of a cancelled, invalid or withdrawn submission is
+    deleted after `purged_after_s`.
     """
 
     participant_bytes: int = 60 * GIB
@@ -160,32 +162,34 @@ class SubmissionSettings:
 
 @dataclass(frozen=True)
 class ApiSettings:
-    """`url` is where browsers and commands reach the API; it also decides whether cookies are `Secure`.
+    """`url` is the public address of the API for browsers and commands; it also determines whether cookies are
+    `Secure`.
 
-    A browser is signed out `session_s` after it signed in, and `session_idle_s` after its last request.
+    A browser is signed out `session_s` after its sign-in, and `session_idle_s` after its last request.
 
-    With `pages` off there are no pages, and nothing of theirs is loaded.
+    With `pages` off the server has no web pages and loads none of their code.
 
-    Whoever shows `metrics_token` (or one of several, between blanks) may read `/metrics`; empty: administrators only.
+    Clients with `metrics_token` (or one of several, separated by blanks) may read `/metrics`; if it is empty, only
+    administrators may.
 
-    `first_password` is the password of the administrator whom `prepare` adds where there is none.
+    `first_password` is the password of the administrator that `prepare` creates if there is none.
 
-    With `passwords` off nobody signs in by name and password; then there must be a provider (`oidc`), and a group of it
-    whose members administer.
+    With `passwords` off, sign-in by name and password is disabled. It requires a provider (`oidc`) with a group of
+    administrators.
 
-    With `trusts_traceparent` a request's span continues the trace that the request names: only behind a proxy of ours
-    that sets the header itself.
+    With `trusts_traceparent` a request's span continues the trace that the request names. Enable it only behind a proxy
+    of yours that sets the header itself.
 
-    `trusted_proxies` are the addresses and networks (CIDR) of the proxies in front, between blanks or commas. Who asks
-    is then the right-most address of `X-Forwarded-For` that is not one of them: what stands left of it anybody can
-    write. Name the proxies and nothing else: rates and waits are by that address. Empty: the header is ignored, even
-    from this machine, because any account on it could send one.
+    `trusted_proxies` are the addresses and networks (CIDR) of the proxies in front, separated by blanks or commas. The
+    client's address is then the right-most address of `X-Forwarded-For` that is not a proxy, because clients can forge
+    the addresses left of it. List only the proxies: rate limits use the client's address. If empty, the header is
+    ignored, even from this machine, because any local account could send it.
 
-    A connection has `head_s` for a complete request head. One address (of IPv6 one /64) may have
-    `connections_per_address` open in a process; trusted proxies may have more.
+    A connection has `head_s` for a complete request head. One address (for IPv6 one /64) may have
+    `connections_per_address` open connections in a process; trusted proxies may have more.
 
-    A body other than an upload must arrive within `body_s`, and one more second for every `body_bytes_per_s` received.
-    A process holds at most `held_body_bytes` of unanswered requests; a user, or an address without a user, may take a
+    A body other than an upload must arrive within `body_s`, plus one second for every `body_bytes_per_s` received. A
+    process holds at most `held_body_bytes` of unanswered requests; a user, or an address without a user, may take a
     quarter of it.
     """
 
@@ -212,15 +216,16 @@ class ApiSettings:
 
     @property
     def proxies(self) -> list[str]:
-        """`trusted_proxies` one by one."""
+        """The list of `trusted_proxies`."""
         return self.trusted_proxies.replace(",", " ").split()
 
 
 @dataclass(frozen=True)
 class RetentionSettings:
     """Automatic deletion. Lines of the audit log older than `audit_s` are deleted, and the chain continues from the
-    cut; 0 keeps them for ever. Each sequence keeps its newest `label_sets` label sets, and every label set that an
-    export, a version, a phase or another user's view relies on; 0 keeps all."""
+    cut; 0 keeps them permanently. Each sequence keeps its newest `label_sets` label sets, and every label set that an
+    export, a version, a phase or another user's view requires; 0 keeps all.
+    """
 
     audit_s: Annotated[float, Field(ge=0)] = 0.0
     label_sets: Annotated[int, Field(ge=0)] = 0
@@ -228,7 +233,7 @@ class RetentionSettings:
 
 @dataclass(frozen=True)
 class ViewingSettings:
-    """What the viewer is given: with `makes_playback` small pictures and sweeps are made after labels."""
+    """Data for the viewer: with `makes_playback` small images and sweeps are created after labelling."""
 
     makes_playback: bool = True
 
@@ -242,19 +247,19 @@ class PublishingSettings:
 
 
 def secrets_folder() -> Path:
-    """Where secret files are, if there are any."""
+    """Return the folder of secret files; it may not exist."""
     return Path(os.environ.get(SECRETS_VARIABLE, SECRETS))
 
 
 class _Environment(EnvSettingsSource):
-    """Environment variables, of both names."""
+    """Environment variables, with old and new names."""
 
     def __call__(self) -> dict[str, Any]:
         return _by_new_names(super().__call__())
 
 
 class _SecretFiles(NestedSecretsSettingsSource):
-    """Secret files, of both names."""
+    """Secret files, with old and new names."""
 
     def __call__(self) -> dict[str, Any]:
         return _by_new_names(super().__call__())
@@ -291,19 +296,19 @@ class Settings(BaseSettings):
     def settings_customise_sources(
         cls, settings_cls: type[BaseSettings], *_: PydanticBaseSettingsSource, **sources: PydanticBaseSettingsSource
     ) -> tuple[PydanticBaseSettingsSource, ...]:
-        """First what the code says, then the environment, then secret files. Raises `unknown_setting`."""
+        """Return the sources: first code, then the environment, then secret files. Raises `unknown_setting`."""
         refuse_unknown(cls, os.environ, (path.name for path in secrets_folder().glob("*")))
         known = sources["file_secret_settings"]
         files = _SecretFiles(known, secrets_dir=secrets_folder(), secrets_dir_missing="ok")
         return sources["init_settings"], _Environment(settings_cls), files
 
     def model_post_init(self, _: Any, /) -> None:
-        """Raises `impossible_settings`."""
+        """Check the values. Raises `impossible_settings`."""
         refuse_impossible(self)
 
     @cached_property
     def root(self) -> Path:
-        """The data folder, absolute."""
+        """The absolute path of the data folder."""
         return self.data_folder.expanduser().absolute()
 
     @property
@@ -312,23 +317,23 @@ class Settings(BaseSettings):
 
     @property
     def uploads_folder(self) -> Path:
-        """Files under way; shared between the API and the workers that take them in (ingest, eval)."""
+        """Incoming files; shared between the API and the workers that read them (ingest, eval)."""
         return self.root / "uploads"
 
     @property
     def concurrency(self) -> int:
-        """Worker processes on this machine: `workers`, or one for every core we may use."""
+        """The number of worker processes on this machine: `workers`, or one per available core."""
         return self.workers or len(os.sched_getaffinity(0))
 
 
 def old_names_in_use() -> list[str]:
-    """Keys of `RENAMED` by which the environment or a secret file sets something, of this very process."""
+    """Return the keys of `RENAMED` that this process's environment or a secret file sets."""
     found = {name.upper() for name in (*os.environ, *(path.name for path in secrets_folder().glob("*")))}
     return [name for name in RENAMED if name in found]
 
 
 def _by_new_names(groups: dict[str, Any]) -> dict[str, Any]:
-    """What a source read, with the values of old names under the new ones unless those are set too."""
+    """Return the values of a source with old names replaced by new names, unless the new name is set too."""
     for old, new in RENAMED.items():
         (group, before), (_, after) = (name.removeprefix("STONE_").lower().split("__") for name in (old, new))
         values = groups.get(group)

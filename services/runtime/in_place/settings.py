@@ -1,4 +1,4 @@
-"""Settings of recordings that are read where they lie."""
+"""Settings of recordings that are read in place."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -12,17 +12,17 @@ BUCKET = re.compile(r"[a-z0-9][a-z0-9.-]{1,61}[a-z0-9](/[^/]+)*/?")
 
 @dataclass(frozen=True)
 class InPlaceSettings:
-    """Roots of recordings and datasets that are read where they lie instead of being uploaded; none by default.
+    """Roots of recordings and datasets that are read in place instead of being uploaded; none by default.
 
-    `folders` is a list as `nas=/mnt/nas/bags, disk=/data/bags`: a curator may name any bag below such a folder, for
-    instance `nas:2026/run.db3`, or a `.zip` or `.tar` of a published dataset. If not every curator may see every file,
-    set a narrower root. The workers of `ingest` and `labeler` need each folder at this path, read-only; the API does
-    not.
+    `folders` is a list such as `nas=/mnt/nas/bags, disk=/data/bags`. A curator may register any bag below such a
+    folder, for example `nas:2026/run.db3`, or a `.zip` or `.tar` of a published dataset. If some curators must not see
+    every file, set a narrower root. The workers of `ingest` and `labeler` need each folder at this path, read-only; the
+    API does not.
 
-    `buckets` is a list as `field=recordings/2026`: a curator may name any `.mcap` object of the bucket `recordings`
-    below `2026/`, or a `.zip` of a published dataset. It is read by ranges. `s3_endpoint` and the keys are of these
-    buckets alone; no user gives an address. The workers of `ingest` and `labeler` need them; give the key reading
-    rights only.
+    `buckets` is a list such as `field=recordings/2026`. A curator may register any `.mcap` object of the bucket
+    `recordings` below `2026/`, or a `.zip` of a published dataset. Objects are read by ranges. `s3_endpoint` and the
+    keys apply to these buckets only; users cannot set an address. The workers of `ingest` and `labeler` need them; use
+    a key with read rights only.
     """
 
     folders: str = ""
@@ -34,12 +34,12 @@ class InPlaceSettings:
 
     @property
     def folder_of(self) -> Mapping[str, str]:
-        """The folder of each root that is one."""
+        """The folder of each folder root."""
         return dict(_named(self.folders))
 
     @property
     def bucket_of(self) -> Mapping[str, tuple[str, str]]:
-        """The bucket of each root that is one, and the prefix of its keys."""
+        """The bucket and key prefix of each bucket root."""
         return {name: _bucket(value) for name, value in _named(self.buckets)}
 
     @property
@@ -49,7 +49,7 @@ class InPlaceSettings:
 
 
 def in_place_contradictions(settings: InPlaceSettings) -> Iterator[str]:
-    """Entries that name no root."""
+    """Yield a sentence for each entry that defines no root."""
     folders, buckets = list(_named(settings.folders)), list(_named(settings.buckets))
     for name, folder in folders:
         if not NAME.fullmatch(name) or not folder.startswith("/"):

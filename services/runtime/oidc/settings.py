@@ -9,21 +9,23 @@ from pydantic import SecretStr
 
 @dataclass(frozen=True)
 class OidcSettings:
-    """Sign-in by a provider of OpenID Connect; an empty `issuer` means none. `issuer` is written as the provider's own
-    `.well-known/openid-configuration` says it, to the last slash. Where we are sent back to, which the provider must
-    know, is `api.url` with `/api/v1/sign-in/oidc/callback` after it.
+    """Sign-in with an OpenID Connect provider; an empty `issuer` means no provider. Copy `issuer` exactly from the
+    provider's `.well-known/openid-configuration`, including a trailing slash. Register this redirect address at the
+    provider: `api.url` followed by `/api/v1/sign-in/oidc/callback`.
 
-    `client_id` and `client_secret` are what the provider gave us; without a secret we are a public client, with PKCE
-    alone. `title` stands on the button: *Sign in with …*. `scopes` are asked for; `openid` is one of them.
+    `client_id` and `client_secret` come from the provider; without a secret the platform is a public client, with PKCE
+    alone. `title` is the text on the button: *Sign in with …*. `scopes` are requested from the provider and must
+    contain `openid`.
 
-    `groups_claim` names the claim of the ID token that lists somebody's groups. `administrators`, `curators` and
-    `participants` are groups, between commas, whose members have that role, the highest where they are in several:
-    roles follow at each sign-in. Where `participants` is empty, everybody whom the provider knows is one; else who is
-    in no group is not let in. Where neither `administrators` nor `curators` is said, the platform alone gives roles.
+    `groups_claim` names the claim of the ID token with the user's groups. `administrators`, `curators` and
+    `participants` are groups, separated by commas, whose members have that role; a member of several has the highest
+    role. Roles are updated at each sign-in. If `participants` is empty, every user of the provider is a participant;
+    otherwise users without a group cannot sign in. If neither `administrators` nor `curators` is set, only the platform
+    assigns roles.
 
-    `name_claim` is what an account is called at its first sign-in. With `links_verified_email` somebody whose e-mail
-    the provider says to be verified is given the account of this name that is there already, unless it is an
-    administrator's or another's; otherwise an account is never somebody's by its name.
+    `name_claim` names the claim with the account name at the first sign-in. With `links_verified_email` a user whose
+    e-mail address is verified by the provider gets the existing account of this name, unless it is an administrator's
+    or linked to another user. Otherwise accounts are never matched by name.
 
     A request to the provider takes `timeout_s` at most.
     """
@@ -43,7 +45,7 @@ class OidcSettings:
 
     @property
     def shown_title(self) -> str:
-        """`title`, else the provider's host."""
+        """`title`, or else the provider's host."""
         return self.title or urlsplit(self.issuer).hostname or ""
 
 
@@ -55,7 +57,7 @@ LONGEST_ISSUER = 500
 
 
 def provider_contradictions(oidc: OidcSettings, is_by_password: bool) -> Iterator[str]:
-    """One sentence for each. With passwords off, somebody of the provider's must administer."""
+    """Yield one sentence per contradiction. With passwords off, the provider must have administrators."""
     if not is_by_password and not oidc.issuer:
         yield "STONE_API__PASSWORDS is off and STONE_OIDC__ISSUER is not set: then nobody could sign in"
     elif not is_by_password and not groups_in(oidc.administrators):
@@ -70,12 +72,12 @@ def provider_contradictions(oidc: OidcSettings, is_by_password: bool) -> Iterato
 
 
 def groups_in(names: str) -> frozenset[str]:
-    """Groups that a setting names, between commas."""
+    """Return the comma-separated groups of a setting."""
     return frozenset(name.strip() for name in names.split(",") if name.strip())
 
 
 def is_local(parts: SplitResult) -> bool:
-    """Whether an address is of this very machine."""
+    """Return whether an address is of this machine."""
     host = parts.hostname or ""
     return host in LOCAL or host.startswith("127.")
 
