@@ -59,12 +59,12 @@ def _python(accepted: Mapping[str, str]) -> AdvisoryAnswer:
         return AdvisoryAnswer("python", unasked=said)
     packages = said.get("dependencies")
     if not isinstance(packages, list) or not packages:
-        return AdvisoryAnswer("python", unasked="pip-audit told of no package")
+        return AdvisoryAnswer("python", unasked="pip-audit reported no package")
     if skipped := [f"{one['name']} ({one['skip_reason']})" for one in packages if "skip_reason" in one]:
         return AdvisoryAnswer("python", unasked=f"{len(skipped)} packages were skipped, first {skipped[0]}")
     known = [(one, fault) for one in packages for fault in one.get("vulns", ())]
     faults = [
-        f"{one['name']} {one['version']}: {fault['id']}, mended in {', '.join(fault['fix_versions']) or 'no version'}"
+        f"{one['name']} {one['version']}: {fault['id']}, fixed in {', '.join(fault['fix_versions']) or 'no version'}"
         for one, fault in known
         if not {fault["id"], *fault.get("aliases", ())} & set(accepted)
     ]
@@ -77,7 +77,7 @@ def _pages(accepted: Mapping[str, str]) -> AdvisoryAnswer:
         return AdvisoryAnswer("pages", unasked=said)
     if "vulnerabilities" not in said:
         return AdvisoryAnswer(
-            "pages", unasked=str(said.get("message") or said.get("error") or "npm gave no verdict")[:300]
+            "pages", unasked=str(said.get("message") or said.get("error") or "npm returned no result")[:300]
         )
     faults = [
         f"{name}: {via['title']} ({via['url'].rpartition('/')[2]}, {via['severity']})"
@@ -91,7 +91,7 @@ def _pages(accepted: Mapping[str, str]) -> AdvisoryAnswer:
 def _said(program: str, arguments: Sequence[str], folder: Path) -> dict[str, Any] | str:
     """Return the program's JSON object, whatever its exit code; otherwise the reason for its absence."""
     if not program:
-        return "the program that would ask is not installed"
+        return "the audit program is not installed"
     try:
         run = subprocess.run([program, *arguments], cwd=folder, capture_output=True, text=True, timeout=LONGEST_S)
     except subprocess.TimeoutExpired:
@@ -99,8 +99,8 @@ def _said(program: str, arguments: Sequence[str], folder: Path) -> dict[str, Any
     try:
         said = json.loads(run.stdout)
     except ValueError:
-        return next(reversed(run.stderr.strip().splitlines()), f"it ended with {run.returncode} and said nothing")[:300]
-    return said if isinstance(said, dict) else "its answer is no JSON object"
+        return next(reversed(run.stderr.strip().splitlines()), f"it exited with {run.returncode} and no output")[:300]
+    return said if isinstance(said, dict) else "its answer is not a JSON object"
 
 
 def _accepted() -> dict[str, str]:
@@ -108,7 +108,7 @@ def _accepted() -> dict[str, str]:
     lines = ACCEPTED.read_text("utf-8").splitlines() if ACCEPTED.exists() else []
     pairs = [line.partition(" ") for line in lines if line.strip() and not line.startswith("#")]
     if bare := [advisory for advisory, _, reason in pairs if not reason.strip()]:
-        raise ValueError(f"{ACCEPTED}: {bare[0]} is accepted for no reason; write it behind")
+        raise ValueError(f"{ACCEPTED}: {bare[0]} is accepted without a reason; add the reason after it")
     return {advisory: reason.strip() for advisory, _, reason in pairs}
 
 

@@ -27,7 +27,7 @@ LOCKS = {
     "docs.lock": "docs",
     **{f"images/{role}.lock": f"role-{role}" for role in ("api", "ingest", "labeler", "eval")},
 }
-HEAD = "# Of requirements.lock and {group} of pyproject.toml, by deploy/locks.py; do not edit.\n"
+HEAD = "# Generated from requirements.lock and {group} of pyproject.toml by deploy/locks.py; do not edit.\n"
 PROJECTS = (Path("pyproject.toml"), Path("deploy/client/pyproject.toml"))
 OURS = {"stone-client"}
 OLDEST = {"python_version": "3.11", "python_full_version": "3.11.0"}

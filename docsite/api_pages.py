@@ -20,22 +20,23 @@ from services.runtime.settings import Settings
 
 FOLDER = "reference/api"
 FIRST_REFUSAL = 400
-ANYBODY: tuple[dict[str, list[str]], ...] = ({"": ["anybody"]},)
+ANYBODY: tuple[dict[str, list[str]], ...] = ({"": ["everyone"]},)
 INDEX = """# API
 
-Version 1 is below `/api/v1`. A server serves its own document at `/api/v1/openapi.json` and a page of it at
-`/api/v1/docs`; these pages are made of the same document.
+Version 1 is below `/api/v1`. Each server provides its OpenAPI document at `/api/v1/openapi.json` and a page of it at
+`/api/v1/docs`; these pages are generated from the same document.
 
-- **Who.** `Authorization: Bearer stone_…` with a token of [`POST /tokens`](people.md), or a browser's session with
-  `X-CSRF-Token` on unsafe methods. Each operation says the scope it asks for, and the roles where it asks for one.
-- **Refusals** are `application/problem+json` (RFC 9457) with a stable [code](../codes.md); 404 for what is not yours
-  to know.
-- **Unknown** query parameters and unknown keys of a body are refused (422); the finding names the known ones.
-- **Lists** are `{"items": […], "next": …}`, paged by `cursor` and `limit`; short ones come whole. The order never
-  skips or repeats what was there from the beginning.
-- **Again.** Creating POSTs take an `Idempotency-Key`; the same request within a day is answered the same.
-- **Changes.** What changes carries an `ETag`; changing it asks for `If-Match` and answers 412 when somebody was
-  quicker.
+- **Authentication.** Send `Authorization: Bearer stone_…` with a token of [`POST /tokens`](people.md), or a browser
+  session with `X-CSRF-Token` on unsafe methods. Each operation lists its required scope and roles.
+- **Refusals** are `application/problem+json` (RFC 9457) with a stable [code](../codes.md). Objects that you may not see
+  return 404.
+- **Unknown** query parameters and unknown keys of a body are refused (422); the finding lists the known names.
+- **Lists** are `{"items": […], "next": …}`, paged by `cursor` and `limit`; short lists have a single page. Paging never
+  skips or repeats an item that existed at the first page.
+- **Retries.** POST requests that create objects accept an `Idempotency-Key`; the same request within a day returns the
+  same answer.
+- **Changes.** Objects that can change have an `ETag`. Changing one requires `If-Match`, and returns 412 if the object
+  has changed in the meantime.
 - **Clients** can be generated from the document: for Python with `openapi-python-client` and the settings in
   `examples/openapi-python-client.yaml`, for TypeScript with `openapi-typescript --default-non-nullable=false`.
 - **Uploads** are [tus 1.0](../../formats/upload.md).
@@ -120,7 +121,7 @@ def _refusals(operation: Operation) -> str:
         for status, answer in operation["responses"].items()
         if int(status) >= FIRST_REFUSAL
     ]
-    return f"Refusals, each a {body_link('Problem')}: {', '.join(said)}." if said else ""
+    return f"Refusals as {body_link('Problem')}: {', '.join(said)}." if said else ""
 
 
 def _contents(holder: Mapping[str, Any]) -> list[str]:

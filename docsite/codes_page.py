@@ -25,13 +25,12 @@ CODE_SOURCES = (
 )  # fmt: skip
 HEAD = """# Error and finding codes
 
-Every error and finding has a stable code, and one sentence with the value, the limit and
-the likely mistake. Over HTTP it is `application/problem+json` with `code`, `detail`, `request_id` and `errors`; on the
-command line `code: sentence` on stderr and exit code 1; of a job its failure. The sentence is for people, the code for
-programs.
+Every error and finding has a stable code for programs, and a sentence for people with the value, the limit and the
+likely mistake. The API returns `application/problem+json` with `code`, `detail`, `request_id` and `errors`. Commands
+print `code: sentence` on stderr and exit with code 1. A failed job has both in its failure.
 """
-FINDINGS = """A finding has a severity; what it does to labels follows from its code. On the platform each code has a
-page, `/codes/LAB-603`; on the command line `stone explain LAB-603` says the same.
+FINDINGS = """A finding has a severity; its code determines the effect on labels. On the platform each code has a
+page, such as `/codes/LAB-603`; `stone explain LAB-603` prints the same text.
 """
 REFUSALS = (
     "Refused",

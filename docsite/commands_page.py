@@ -12,21 +12,21 @@ from stone_client.main import app
 
 HEAD = """# Commands
 
-The help of every command (`stone COMMAND --help`, or `-h`), on one page. A verb at the top works on files of this
-machine and needs no server; a noun groups the verbs for things on a server. Exit codes: 0 done, 1 the input is refused
-(coded findings on stderr, with `--json` also on stdout), 2 wrong usage, 130 and 143 interrupted.
+The help of every command (`stone COMMAND --help`, or `-h`), on one page. A verb at the top works on local files
+without a server; a noun groups the verbs for objects on a server. Exit codes: 0 success, 1 refused input (coded
+findings on stderr, with `--json` also on stdout), 2 wrong usage, 130 and 143 interrupted.
 
 - **Ids** are printed whole. Commands also take six or more digits of the beginning or end of an id, `latest` and
-  `latest~1`; an ambiguous one is refused with its candidates.
-- **Completion**: `stone --install-completion` installs it for bash, zsh or fish.
+  `latest~1`; an ambiguous id is refused with its candidates.
+- **Completion**: `stone --install-completion` installs completion for bash, zsh or fish.
 - **Words of release 0.1**, such as `stone upload`, still run; each prints the new word on stderr.
 
 | variable | |
 |---|---|
-| `STONE_URL` | The server, if `--server` is not given (default: the last one of `stone auth login`). |
+| `STONE_URL` | The server, if `--server` is not given (default: the server of the last `stone auth login`). |
 | `STONE_TOKEN` | The token for the server, instead of the stored one. |
 | `STONE_CONFIG_HOME` | The folder of `credentials.json` (default: `$XDG_CONFIG_HOME/stone`, else `~/.config/stone`). |
-| `STONE_QUIET`, `STONE_NO_PROGRESS` | As `--quiet` and `--no-progress`, if they are 1. |
+| `STONE_QUIET`, `STONE_NO_PROGRESS` | Set to 1 for the effect of `--quiet` and `--no-progress`. |
 | `NO_COLOR` | Print without colours. |
 """
 

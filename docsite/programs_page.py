@@ -12,8 +12,8 @@ FOLDERS = {"benchmarks": "Measure", "chaos": "Fault injection", "fuzz": "Fuzz"}
 USED_AS = re.compile(r"(?m)`((?:\.venv/bin/)?python (?:-m )?[^`]+)`|^ {4}(\.venv/bin/python -m .+)$")
 HEAD = """# Programs
 
-What measures, kills and fuzzes: the commands behind every figure of this site, from the repository's root with
-`.venv/bin/` before them. The text is each program's own.
+Benchmarks, chaos tests and fuzzers: the commands behind every figure of this site. Run them in the repository's root
+with `.venv/bin/` before them. Each text is the program's own docstring.
 """
 
 

@@ -12,7 +12,7 @@ from stone_client import sdk
 HEAD = """# Python SDK: reference
 
 `from stone_client import Stone`; the other classes are in `stone_client.sdk`. A program starts with a
-[Stone](#stone), whose methods return the others. The [guide](../sdk.md) shows how they are used together.
+[Stone](#stone), whose methods return the other objects. The [guide](../sdk.md) shows their use.
 """
 
 

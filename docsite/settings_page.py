@@ -18,19 +18,22 @@ from services.runtime.settings_checks import BOUNDS
 
 HEAD = """# Configuration
 
-Every process (API, workers, sweeper, migrations) reads the same settings. This page is made of
-`services/runtime/settings.py`, which says:
+Every process (API, workers, sweeper, migrations) reads the same settings. This page is generated from
+`services/runtime/settings.py`.
 
 """
 REFUSED = """## What is refused
 
-A process that reads a value out of these bounds says so (`impossible_settings`) and ends. `STONE_JOBS__HEARTBEAT_S`
-must also be less than a third of `STONE_JOBS__LEASE_S` and not less than `STONE_JOBS__PROGRESS_S`,
-`STONE_STORE__S3_ENDPOINT` needs `STONE_STORE__S3_BUCKET`, and `STONE_API__URL` begins with `http://` or `https://`.
-`STONE_OIDC__ISSUER` is https (http on this machine alone) and needs `STONE_OIDC__CLIENT_ID`; with
-`STONE_API__PASSWORDS` off, it and `STONE_OIDC__ADMINISTRATORS` must be set, or nobody could administer.
-`STONE_NOTIFICATIONS__SMTP_HOST` needs `STONE_NOTIFICATIONS__SENDER`, and a user with a password needs TLS. A
-variable or a secret file that is named like a setting and is none is refused, with the nearest that is one
+If a value is out of these bounds, the process exits at its start with `impossible_settings`. Further rules:
+
+- `STONE_JOBS__HEARTBEAT_S` is less than a third of `STONE_JOBS__LEASE_S` and at least `STONE_JOBS__PROGRESS_S`.
+- `STONE_STORE__S3_ENDPOINT` requires `STONE_STORE__S3_BUCKET`.
+- `STONE_API__URL` begins with `http://` or `https://`.
+- `STONE_OIDC__ISSUER` is https (http only on the same machine) and requires `STONE_OIDC__CLIENT_ID`.
+- `STONE_API__PASSWORDS` off requires `STONE_OIDC__ISSUER` and `STONE_OIDC__ADMINISTRATORS`.
+- `STONE_NOTIFICATIONS__SMTP_HOST` requires `STONE_NOTIFICATIONS__SENDER`, and a user with a password requires TLS.
+
+A variable or secret file whose name looks like a setting but is not a setting is refused with the nearest known name
 (`unknown_setting`).
 """
 SIGNS = (("ge", "≥"), ("gt", ">"), ("le", "≤"), ("lt", "<"))

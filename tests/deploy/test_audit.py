@@ -42,12 +42,12 @@ def audited(folder: Path, python: Any, pages: Any) -> tuple[int, str]:
     ("python", "pages", "code", "said"),
     [
         (SOUND, CLEAN_PAGES, 0, "python: 1 packages, no advisory"),
-        (FAULTY, CLEAN_PAGES, 1, "numpy 2.4.6: PYSEC-2026-1, mended in 2.4.7"),
+        (FAULTY, CLEAN_PAGES, 1, "numpy 2.4.6: PYSEC-2026-1, fixed in 2.4.7"),
         (SOUND, FAULTY_PAGES, 1, "three: runs what it reads (GHSA-1, high)"),
         (AWAY, CLEAN_PAGES, 75, f"python: NOT AUDITED: {AWAY}"),
         (SOUND, AWAY, 75, f"pages: NOT AUDITED: {AWAY}"),
         (SOUND, {"message": "request to the registry failed"}, 75, "pages: NOT AUDITED: request to the registry"),
-        ({"dependencies": []}, CLEAN_PAGES, 75, "pip-audit told of no package"),
+        ({"dependencies": []}, CLEAN_PAGES, 75, "pip-audit reported no package"),
         ({"dependencies": [{"name": "x", "skip_reason": "not found"}]}, CLEAN_PAGES, 75, "1 packages were skipped"),
         (AWAY, FAULTY_PAGES, 1, "three: runs what it reads"),
     ],
@@ -64,4 +64,4 @@ def test_what_is_accepted_for_a_reason_is_no_fault(advisory: str, tmp_path: Path
     accepted.write_text(f"# why\n{advisory} reached by nothing we call\n")
     assert audited(tmp_path, FAULTY, CLEAN_PAGES)[0] == 0
     accepted.write_text(f"{advisory}\n")
-    assert "is accepted for no reason" in audited(tmp_path, FAULTY, CLEAN_PAGES)[1]
+    assert "is accepted without a reason" in audited(tmp_path, FAULTY, CLEAN_PAGES)[1]
