@@ -54,41 +54,42 @@ def main() -> int:
 def _python(accepted: Mapping[str, str]) -> AdvisoryAnswer:
     beside = Path(sys.executable).with_name("pip-audit")
     program = shutil.which("pip-audit") or (str(beside) if beside.exists() else "")
-    said = _said(program, PIP_AUDIT, Path())
-    if isinstance(said, str):
-        return AdvisoryAnswer("python", unasked=said)
-    packages = said.get("dependencies")
+    report = _report_of(program, PIP_AUDIT, Path())
+    if isinstance(report, str):
+        return AdvisoryAnswer("python", unasked=report)
+    packages = report.get("dependencies")
     if not isinstance(packages, list) or not packages:
         return AdvisoryAnswer("python", unasked="pip-audit reported no package")
-    if skipped := [f"{one['name']} ({one['skip_reason']})" for one in packages if "skip_reason" in one]:
+    if skipped := [f"{package['name']} ({package['skip_reason']})" for package in packages if "skip_reason" in package]:
         return AdvisoryAnswer("python", unasked=f"{len(skipped)} packages were skipped, first {skipped[0]}")
-    known = [(one, fault) for one in packages for fault in one.get("vulns", ())]
+    known = [(package, fault) for package in packages for fault in package.get("vulns", ())]
     faults = [
-        f"{one['name']} {one['version']}: {fault['id']}, fixed in {', '.join(fault['fix_versions']) or 'no version'}"
-        for one, fault in known
+        f"{package['name']} {package['version']}: {fault['id']}, "
+        f"fixed in {', '.join(fault['fix_versions']) or 'no version'}"
+        for package, fault in known
         if not {fault["id"], *fault.get("aliases", ())} & set(accepted)
     ]
     return AdvisoryAnswer("python", tuple(faults), len(packages))
 
 
 def _pages(accepted: Mapping[str, str]) -> AdvisoryAnswer:
-    said = _said(shutil.which("npm") or "", ("audit", "--json", "--package-lock-only"), PAGES)
-    if isinstance(said, str):
-        return AdvisoryAnswer("pages", unasked=said)
-    if "vulnerabilities" not in said:
+    report = _report_of(shutil.which("npm") or "", ("audit", "--json", "--package-lock-only"), PAGES)
+    if isinstance(report, str):
+        return AdvisoryAnswer("pages", unasked=report)
+    if "vulnerabilities" not in report:
         return AdvisoryAnswer(
-            "pages", unasked=str(said.get("message") or said.get("error") or "npm returned no result")[:300]
+            "pages", unasked=str(report.get("message") or report.get("error") or "npm returned no result")[:300]
         )
     faults = [
         f"{name}: {via['title']} ({via['url'].rpartition('/')[2]}, {via['severity']})"
-        for name, one in said["vulnerabilities"].items()
-        for via in one["via"]
+        for name, entry in report["vulnerabilities"].items()
+        for via in entry["via"]
         if isinstance(via, dict) and via["url"].rpartition("/")[2] not in accepted
     ]
-    return AdvisoryAnswer("pages", tuple(faults), int(said["metadata"]["dependencies"]["total"]))
+    return AdvisoryAnswer("pages", tuple(faults), int(report["metadata"]["dependencies"]["total"]))
 
 
-def _said(program: str, arguments: Sequence[str], folder: Path) -> dict[str, Any] | str:
+def _report_of(program: str, arguments: Sequence[str], folder: Path) -> dict[str, Any] | str:
     """Return the program's JSON object, whatever its exit code; otherwise the reason for its absence."""
     if not program:
         return "the audit program is not installed"
@@ -97,10 +98,10 @@ def _said(program: str, arguments: Sequence[str], folder: Path) -> dict[str, Any
     except subprocess.TimeoutExpired:
         return f"no answer within {LONGEST_S} s"
     try:
-        said = json.loads(run.stdout)
+        report = json.loads(run.stdout)
     except ValueError:
         return next(reversed(run.stderr.strip().splitlines()), f"it exited with {run.returncode} and no output")[:300]
-    return said if isinstance(said, dict) else "its answer is not a JSON object"
+    return report if isinstance(report, dict) else "its answer is not a JSON object"
 
 
 def _accepted() -> dict[str, str]:

@@ -43,12 +43,12 @@ def lock_of(group: str) -> str:
 def locked() -> dict[str, str]:
     """Return each distribution's lines in `requirements.lock`, without the comments about its dependants."""
     text = (ROOT / "requirements.lock").read_text("utf-8")
-    return {canonicalize_name(found[1]): _unescaped(found[0]) for found in ENTRY.finditer(text)}
+    return {canonicalize_name(match[1]): _unescaped(match[0]) for match in ENTRY.finditer(text)}
 
 
 def needed(group: str) -> set[str]:
     """Return the group's distributions with all their dependencies here."""
-    found: set[str] = set()
+    names: set[str] = set()
     todo = list(asked(group))
     seen: set[tuple[str, frozenset[str]]] = set()
     while todo:
@@ -56,9 +56,9 @@ def needed(group: str) -> set[str]:
         name, extras = canonicalize_name(requirement.name), frozenset(requirement.extras)
         if (name, extras) not in seen:
             seen.add((name, extras))
-            found.add(name)
+            names.add(name)
             todo += _needs(name, extras)
-    return found
+    return names
 
 
 def asked(group: str) -> list[Requirement]:
@@ -71,7 +71,7 @@ def asked(group: str) -> list[Requirement]:
     else:
         lines = list(_lines(projects[0]["dependency-groups"], group))
     requirements = [Requirement(line) for line in lines]
-    return [one for one in requirements if canonicalize_name(one.name) not in OURS]
+    return [requirement for requirement in requirements if canonicalize_name(requirement.name) not in OURS]
 
 
 def _lines(groups: Mapping[str, Any], group: str) -> Iterator[str]:

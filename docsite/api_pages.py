@@ -58,12 +58,12 @@ def document() -> dict[str, Any]:
 
 def api_pages() -> Mapping[str, str]:
     """Return the pages as Markdown by path."""
-    said = document()
+    openapi = document()
     by_tag: dict[str, list[tuple[str, str, Operation]]] = defaultdict(list)
-    for path, method, operation in operations(said):
+    for path, method, operation in operations(openapi):
         by_tag[operation["tags"][0]].append((path, method, operation))
     pages = {f"{FOLDER}/{page_name(tag)}.md": _page(tag, listed) for tag, listed in by_tag.items()}
-    schemas = said["components"]["schemas"]
+    schemas = openapi["components"]["schemas"]
     bodies = "\n".join(body_section(name, schemas[name]) for name in sorted(schemas))
     return {
         f"{FOLDER}/index.md": INDEX + _overview(by_tag),
@@ -91,15 +91,15 @@ def _overview(by_tag: Mapping[str, list[tuple[str, str, Operation]]]) -> str:
 
 
 def _page(tag: str, listed: list[tuple[str, str, Operation]]) -> str:
-    return f"# {tag.capitalize()}\n\n" + "\n".join(_operation(*one) for one in listed)
+    return f"# {tag.capitalize()}\n\n" + "\n".join(_operation(*operation) for operation in listed)
 
 
 def _operation(path: str, method: str, operation: Operation) -> str:
     head = f"## {plain(operation['summary'])} {{#{operation['operationId']}}}"
-    asked = " · ".join(code(one) for one in next(iter(operation.get("security", ANYBODY)[0].values())))
-    parts = [head, f"**{method.upper()}** {code(path)}", operation.get("description", ""), f"For: {asked}"]
+    scopes = " · ".join(code(item) for item in next(iter(operation.get("security", ANYBODY)[0].values())))
+    parts = [head, f"**{method.upper()}** {code(path)}", operation.get("description", ""), f"For: {scopes}"]
     parts += [table(("parameter", "in", "type", ""), map(_parameter, operation.get("parameters", ())))]
-    parts += [f"Takes {one}" for one in _contents(operation.get("requestBody", {}))]
+    parts += [f"Takes {item}" for item in _contents(operation.get("requestBody", {}))]
     parts += [table(("status", "answer", ""), _answers(operation)), _refusals(operation)]
     return "\n\n".join(part for part in parts if part) + "\n"
 
@@ -116,12 +116,12 @@ def _answers(operation: Operation) -> Iterator[tuple[str, str, str]]:
 
 
 def _refusals(operation: Operation) -> str:
-    said = [
+    refusals = [
         f"{status} {answer.get('description', '')}"
         for status, answer in operation["responses"].items()
         if int(status) >= FIRST_REFUSAL
     ]
-    return f"Refusals as {body_link('Problem')}: {', '.join(said)}." if said else ""
+    return f"Refusals as {body_link('Problem')}: {', '.join(refusals)}." if refusals else ""
 
 
 def _contents(holder: Mapping[str, Any]) -> list[str]:

@@ -50,21 +50,23 @@ CODE = re.compile(r"[A-Z]{3}-\d{3}|[a-z][a-z0-9_]*")
 
 def codes_page() -> str:
     """Return the page."""
-    answered = sorted((str(kind.status), code(one), plain(f"{kind.title}.")) for one, kind in PROBLEM_TYPES.items())
-    datasets = [(code(one), plain(fault.meaning)) for one, fault in DATASET_FAULTS.items() if one not in PROBLEM_TYPES]
-    others = sorted([*((one, "") for one in MISTAKES), *OTHER_CODES], key=lambda row: row[0])
+    answered = sorted((str(kind.status), code(entry), plain(f"{kind.title}.")) for entry, kind in PROBLEM_TYPES.items())
+    datasets = [
+        (code(entry), plain(fault.meaning)) for entry, fault in DATASET_FAULTS.items() if entry not in PROBLEM_TYPES
+    ]
+    others = sorted([*((entry, "") for entry in MISTAKES), *OTHER_CODES], key=lambda row: row[0])
     return "\n".join(
         [
             HEAD,
             "## API errors\n",
-            table(("status", "code", ""), ((_phrase(status), *said) for status, *said in answered)),
+            table(("status", "code", ""), ((_phrase(status), *cells) for status, *cells in answered)),
             "## Findings and failed runs\n",
             FINDINGS,
             *(f"### {title}\n\n{_meanings(codes)}" for title, codes in by_family().items()),
             "## Imported datasets\n",
             table(("code", ""), datasets),
             "## Submissions, jobs, commands\n",
-            table(("code", ""), ((code(one), plain(meaning)) for one, meaning in others)),
+            table(("code", ""), ((code(entry), plain(meaning)) for entry, meaning in others)),
         ]
     )
 
@@ -73,31 +75,31 @@ def _meanings(codes: Iterable[CodeMeaning]) -> str:
     """Return a table in which `#lab-603` leads to the row of LAB-603."""
     rows = (
         (
-            f'<a id="{one.code.lower()}"></a>{code(one.code)}',
-            HARM_WORDS[one.harm],
-            plain(one.meaning),
-            plain(one.remedy),
+            f'<a id="{entry.code.lower()}"></a>{code(entry.code)}',
+            HARM_WORDS[entry.harm],
+            plain(entry.meaning),
+            plain(entry.remedy),
         )
-        for one in codes
+        for entry in codes
     )
     return table(("code", "labels", "meaning", "what to do"), rows)
 
 
 def raised_codes() -> set[str]:
     """Return every code that the sources raise: a class's own, or the first argument of a refusal."""
-    paths = (path for place in CODE_SOURCES for path in (ROOT / place).rglob("*.py"))
+    paths = (path for folder in CODE_SOURCES for path in (ROOT / folder).rglob("*.py"))
     return {code for path in paths for code in _codes_of(path)}
 
 
 def _codes_of(path: Path) -> Iterator[str]:
     for node in ast.walk(ast.parse(path.read_text("utf-8"))):
         if isinstance(node, ast.ClassDef):
-            own = [said for said in node.body if isinstance(said, ast.Assign | ast.AnnAssign)]
+            own = [assignment for assignment in node.body if isinstance(assignment, ast.Assign | ast.AnnAssign)]
             texts = [
                 text
-                for said in own
-                if ast.unparse(said).split()[0].rstrip(":") == "code"
-                for text in _texts(said.value)
+                for assignment in own
+                if ast.unparse(assignment).split()[0].rstrip(":") == "code"
+                for text in _texts(assignment.value)
             ]
         elif isinstance(node, ast.Call) and getattr(node.func, "id", getattr(node.func, "attr", "")) in REFUSALS:
             arguments = [argument for argument in node.args if ast.unparse(argument) != "self"][:1]

@@ -38,7 +38,7 @@ def commands_page() -> str:
     known: dict[str, Any] = dict(group.commands)  # type: ignore[attr-defined]
     parts = [HEAD]
     for panel in PANELS:
-        names = [place.word for place in COMMANDS if place.panel == panel]
+        names = [command.word for command in COMMANDS if command.panel == panel]
         parts.append(f"## {panel}\n")
         parts += [part for name in names for part in _in_words(known[name], context, f"stone {name}")]
     return "\n".join(parts)
@@ -47,14 +47,14 @@ def commands_page() -> str:
 def _in_words(command: Any, context: click.Context, path: str) -> Iterator[str]:
     inside = getattr(command, "commands", None)
     if inside:
-        for name, one in ((name, one) for name, one in inside.items() if not one.hidden):
-            yield from _in_words(one, context, f"{path} {name}")
+        for name, param in ((name, param) for name, param in inside.items() if not param.hidden):
+            yield from _in_words(param, context, f"{path} {name}")
         return
     own = click.Context(command, info_name=path)
     usage = " ".join([path, *command.collect_usage_pieces(own)])
     yield f"### {path}\n\n{plain(command.help or '')}\n\n```\n{usage}\n```\n"
-    shown = (one for one in command.get_params(own) if one.name != "help")
-    yield table(("option", "", "default"), (_row(one, own) for one in shown))
+    shown = (param for param in command.get_params(own) if param.name != "help")
+    yield table(("option", "", "default"), (_row(param, own) for param in shown))
 
 
 def _row(one: Any, context: click.Context) -> tuple[str, str, str]:

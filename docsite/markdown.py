@@ -21,9 +21,9 @@ def cell(text: str) -> str:
 
 def code(text: object) -> str:
     """Return the text as code, or the empty text."""
-    said = " ".join(str(text).split())
-    fence = "``" if "`" in said else "`"
-    return f"{fence}{said}{fence}" if said else ""
+    words = " ".join(str(text).split())
+    fence = "``" if "`" in words else "`"
+    return f"{fence}{words}{fence}" if words else ""
 
 
 def plain(text: str) -> str:

@@ -40,7 +40,7 @@ def _in_words(module: str, words: str) -> str:
     used = USED_AS.search(words)
     line = (used.group(1) or used.group(2)) if used else f"python -m {module}"
     paragraphs = re.split(r"\n\s*\n", USED_AS.sub("", words, count=1))
-    prose = [" ".join(one.split()) for one in paragraphs if "**Conventions.**" not in one]
+    prose = [" ".join(paragraph.split()) for paragraph in paragraphs if "**Conventions.**" not in paragraph]
     first = prose[0].replace(": .", ".").replace(" .", ".").rstrip(": ")
-    said = "\n\n".join([first, *prose[1:]])
-    return f"### {code(module)}\n\n```\n{line}\n```\n\n{said}\n"
+    prose_text = "\n\n".join([first, *prose[1:]])
+    return f"### {code(module)}\n\n```\n{line}\n```\n\n{prose_text}\n"

@@ -41,5 +41,5 @@ def relinked(text: str, source: str, page: str) -> str:
 def _page_of(path: str) -> str:
     """Return the page of a file, or of a folder's README; the empty text if it is not in the site."""
     by_source = {source: page for page, source in SOURCES.items()}
-    found = by_source.get(path) or by_source.get(f"{path}/README.md")
-    return found or (path.removeprefix("docs/") if path.startswith("docs/") else "")
+    source_page = by_source.get(path) or by_source.get(f"{path}/README.md")
+    return source_page or (path.removeprefix("docs/") if path.startswith("docs/") else "")

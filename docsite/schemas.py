@@ -40,8 +40,8 @@ def body_section(name: str, schema: Schema) -> str:
     rows = list(_rows(schema)) or ([("", type_of(schema), "")] if "properties" not in schema else [])
     examples = schema.get("examples")
     shown = f"```json\n{json.dumps(examples[0], indent=1, ensure_ascii=False)}\n```\n" if examples else ""
-    said = plain(schema.get("description", ""))
-    return f"## {plain(name)} {{#{anchor_of(name)}}}\n\n{said}\n\n{table(('key', 'type', ''), rows)}\n{shown}"
+    description = plain(schema.get("description", ""))
+    return f"## {plain(name)} {{#{anchor_of(name)}}}\n\n{description}\n\n{table(('key', 'type', ''), rows)}\n{shown}"
 
 
 def _rows(schema: Schema) -> Iterator[tuple[str, str, str]]:
@@ -57,11 +57,11 @@ def type_of(schema: Schema) -> str:
         return body_link(schema["$ref"])
     for union in ("anyOf", "oneOf", "allOf"):
         if union in schema:
-            return " or ".join(dict.fromkeys(type_of(one) for one in schema[union]))
+            return " or ".join(dict.fromkeys(type_of(option) for option in schema[union]))
     if "const" in schema:
         return code(json.dumps(schema["const"]))
     if "enum" in schema:
-        return " or ".join(code(json.dumps(one)) for one in schema["enum"])
+        return " or ".join(code(json.dumps(option)) for option in schema["enum"])
     return _plain_type(schema) + _bounds(schema)
 
 
@@ -69,7 +69,7 @@ def _plain_type(schema: Schema) -> str:
     kind = schema.get("type", "anything")
     if kind == "array":
         inside = [*schema.get("prefixItems", ())] or [schema.get("items", {})]
-        return "list of " + ", ".join(dict.fromkeys(type_of(one) for one in inside))
+        return "list of " + ", ".join(dict.fromkeys(type_of(item) for item in inside))
     if kind == "object":
         return f"object of {type_of(schema['additionalProperties'])}" if _is_map(schema) else "object"
     form = schema.get("format", "")
@@ -83,5 +83,5 @@ def _is_map(schema: Schema) -> bool:
 
 
 def _bounds(schema: Schema) -> str:
-    said = [f"{words} {schema[key]:.12g}" for key, words in BOUNDS if key in schema]
-    return f", {', '.join(said)}" if said else ""
+    bounds = [f"{words} {schema[key]:.12g}" for key, words in BOUNDS if key in schema]
+    return f", {', '.join(bounds)}" if bounds else ""

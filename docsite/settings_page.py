@@ -81,8 +81,8 @@ def _variable(group: str, name: str) -> str:
 def _type_name(kind: Any) -> str:
     """Return the allowed values in words, with bounds of an annotation and choices of a literal."""
     if get_origin(kind) is Annotated:
-        inside, *said = get_args(kind)
-        return ", ".join([_type_name(inside), *(bound for one in said for bound in _bounds(one))])
+        inside, *metadata = get_args(kind)
+        return ", ".join([_type_name(inside), *(bound for item in metadata for bound in _bounds(item))])
     if get_origin(kind) is Literal:
         return " or ".join(map(str, get_args(kind)))
     name = kind.__name__ if isinstance(kind, type) else str(kind)
@@ -91,8 +91,8 @@ def _type_name(kind: Any) -> str:
 
 def _bounds(said: Any) -> list[str]:
     """Return the bounds of a pydantic field."""
-    found = ((sign, getattr(one, name, None)) for one in getattr(said, "metadata", ()) for name, sign in SIGNS)
-    return [f"{sign} {value}" for sign, value in found if value is not None]
+    bounds = ((sign, getattr(item, name, None)) for item in getattr(said, "metadata", ()) for name, sign in SIGNS)
+    return [f"{sign} {value}" for sign, value in bounds if value is not None]
 
 
 def _shown(name: str, value: Any) -> str:

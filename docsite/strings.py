@@ -55,11 +55,11 @@ def shown_strings() -> Iterator[ShownString]:
 
 
 def _of_file(path: Path, strings: Callable[[str, str], Iterator[tuple[int, str]]]) -> Iterator[ShownString]:
-    place = path.relative_to(ROOT).as_posix()
-    for line, raw in sorted(set(strings(place, path.read_text("utf-8")))):
+    path_text = path.relative_to(ROOT).as_posix()
+    for line, raw in sorted(set(strings(path_text, path.read_text("utf-8")))):
         text = BLANKS.sub(" ", raw).strip()
         if re.search(r"[A-Za-z]{2}", text):
-            yield ShownString(place, line, text)
+            yield ShownString(path_text, line, text)
 
 
 def _of_template(_: str, source: str) -> Iterator[tuple[int, str]]:
@@ -101,10 +101,10 @@ def _of_python(place: str, source: str) -> Iterator[tuple[int, str]]:
     held = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            said = ast.get_docstring(node, clean=True)
-            held.add(id(getattr(node.body[0], "value", None)) if said and node.body else 0)
-            if said and _is_shown(place, node):
-                yield node.body[0].lineno, said.split("\n\n")[0]
+            docstring = ast.get_docstring(node, clean=True)
+            held.add(id(getattr(node.body[0], "value", None)) if docstring and node.body else 0)
+            if docstring and _is_shown(place, node):
+                yield node.body[0].lineno, docstring.split("\n\n")[0]
         elif isinstance(node, ast.JoinedStr):
             yield node.lineno, "".join(_part(value) for value in node.values)
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value.strip():
@@ -122,10 +122,10 @@ def _part(value: ast.expr) -> str:
 
 
 def _of_typescript(_: str, source: str) -> Iterator[tuple[int, str]]:
-    for found in TYPESCRIPT.finditer(source):
-        text = next((group for group in found.groups() if group), "")
+    for match in TYPESCRIPT.finditer(source):
+        text = next((group for group in match.groups() if group), "")
         if " " in text.strip() or text[:1].isupper():
-            yield source.count("\n", 0, found.start()) + 1, text
+            yield source.count("\n", 0, match.start()) + 1, text
 
 
 def _of_page(_: str, source: str) -> Iterator[tuple[int, str]]:
@@ -134,8 +134,8 @@ def _of_page(_: str, source: str) -> Iterator[tuple[int, str]]:
 
 def main() -> None:
     """Print location, a tab and the string."""
-    for one in shown_strings():
-        sys.stdout.write(f"{one.path}:{one.line}\t{one.text}\n")
+    for shown in shown_strings():
+        sys.stdout.write(f"{shown.path}:{shown.line}\t{shown.text}\n")
 
 
 if __name__ == "__main__":

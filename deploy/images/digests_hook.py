@@ -27,8 +27,8 @@ class DigestsHook(BuildHookInterface):
 
         locked = dict(LOCKED.findall((Path(self.root) / "deploy" / "runtime.lock").read_text("utf-8")))
         digests = {
-            kind: SourceDigest(one.sha256, {name: locked[name] for name in one.libraries})
-            for kind, one in source_digests(installed_places()).items()
+            kind: SourceDigest(digest.sha256, {name: locked[name] for name in digest.libraries})
+            for kind, digest in source_digests(installed_places()).items()
         }
         self._folder = TemporaryDirectory()
         path = Path(self._folder.name) / "source_digests.json"
