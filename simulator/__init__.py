@@ -1,1 +1,1 @@
-"""A tracked robot's drive through a drawn off-road world, recorded by its whole rig, with the exact truth beside it."""
+"""A tracked robot in a synthetic off-road world, recorded by its whole rig, with the exact ground truth."""

@@ -1,7 +1,7 @@
-"""An MCAP as the ROS 2 recorder writes it: ros2msg schemas embedded, messages in log-time order.
+"""An MCAP like the ROS 2 recorder's: ros2msg schemas embedded, messages in log-time order.
 
-**Conventions.** Messages are handed over in any order within a short window and leave through a heap: `flush_before`
-writes everything logged earlier than an instant that no later message can precede. Memory is that window.
+**Conventions.** Messages are added in any order within a short window and leave through a heap: `flush_before` writes
+everything logged earlier than an instant that no later message can precede. Memory holds only that window.
 """
 
 import heapq
@@ -19,7 +19,7 @@ CHUNK_BYTES = 4 << 20
 
 
 class BagWriter:
-    """Made by `open_bag_writer`; `add` then `flush_before`."""
+    """A writer from `open_bag_writer`; call `add`, then `flush_before`."""
 
     def __init__(self, writer: Writer) -> None:
         self._writer = writer
@@ -29,7 +29,7 @@ class BagWriter:
         self._count = 0
 
     def declare(self, topic: str, kind: str) -> None:
-        """Name a topic and its type ("sensor_msgs/msg/Imu") before its first message."""
+        """Declare a topic and its type ("sensor_msgs/msg/Imu") before its first message."""
         if kind not in self._schemas:
             text = message_definition(kind).encode()
             self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", text)
@@ -40,7 +40,7 @@ class BagWriter:
         heapq.heappush(self._pending, (log_time_ns, self._count, topic, payload))
 
     def flush_before(self, stamp_ns: int) -> None:
-        """Write, in log order, what was logged before `stamp_ns`."""
+        """Write the messages logged before `stamp_ns` in log order."""
         while self._pending and self._pending[0][0] < stamp_ns:
             log_time_ns, _, topic, payload = heapq.heappop(self._pending)
             self._writer.add_message(self._channels[topic], log_time_ns, payload, log_time_ns)
@@ -48,7 +48,7 @@ class BagWriter:
 
 @contextmanager
 def open_bag_writer(path: Path, compression: Compression) -> Iterator[BagWriter]:
-    """Write the bag at `path`; complete, with summary and indexes, when the block ends."""
+    """Yield a writer of the bag at `path`; at the end the bag is complete, with summary and indexes."""
     with path.open("wb") as stream:
         writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=COMPRESSIONS[compression])
         writer.start("ros2", library="stone-simulator")

@@ -35,23 +35,23 @@ class CdrText:
 
 @dataclass(frozen=True, eq=False)
 class CdrLayout:
-    """The record type of one message kind and a template with every constant in place."""
+    """The record type of one message kind and a template with all constants."""
 
     dtype: np.dtype[np.void]
     template: bytes
 
     def records(self, count: int) -> NDArray[np.void]:
-        """`count` messages (count,), constants filled in; a row's `tobytes()` is the whole CDR message."""
+        """Return `count` messages (count,) with their constants; a row's `tobytes()` is the whole CDR message."""
         return tiled(self.template, count, self.dtype)
 
 
 def tiled(template: bytes, count: int, dtype: np.dtype[np.void]) -> NDArray[np.void]:
-    """Records repeated byte by byte: numpy's own copies leave the bytes between fields undefined."""
+    """Return records repeated byte by byte, because numpy's own copies leave the bytes between fields undefined."""
     return np.frombuffer(bytearray(template * count), dtype)
 
 
 def header(frame_id: str) -> tuple[CdrMember | CdrText, ...]:
-    """std_msgs/Header with fields `sec`, `nanosec`."""
+    """Return the members of std_msgs/Header, with fields `sec`, `nanosec`."""
     return (CdrMember("sec", "<i4"), CdrMember("nanosec", "<u4"), CdrText("frame_id", frame_id))
 
 
@@ -60,7 +60,7 @@ def sequence_length(name: str, length: int = 0) -> CdrMember:
 
 
 def layout(members: Sequence[CdrMember | CdrText]) -> CdrLayout:
-    """Offsets by the alignment rule; the record ends where the last member ends."""
+    """Return the layout with offsets by the alignment rule; the record ends after the last member."""
     names, offsets, defaults = ["encapsulation"], [0], [np.array(CDR_LITTLE_ENDIAN)]
     formats: list[np.dtype[Any]] = [np.dtype("<u4")]
     end = ENCAPSULATION_BYTES
@@ -101,6 +101,6 @@ def _alignment(dtype: np.dtype[np.generic]) -> int:
 
 
 def stamp_parts(stamps_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Integer nanoseconds as builtin_interfaces/Time: (sec, nanosec)."""
+    """Return integer nanoseconds as builtin_interfaces/Time: (sec, nanosec)."""
     sec, nanosec = np.divmod(stamps_ns, 1_000_000_000)
     return sec, nanosec

@@ -1,8 +1,8 @@
-"""Simulated sensor faults, each a small change of what is recorded.
+"""Simulated sensor faults, each a small change of the recording.
 
-**Conventions.** A fault changes one part and is the identity on the others, so several compose in the order they are
-named. Record times stay those of the recorder's clock: a fault of a sensor's clock moves header stamps only, a fault
-of its trigger moves the exposure itself. The truth stays the truth.
+**Conventions.** A fault changes one part and leaves the others unchanged, so several compose in the given order. Record
+times stay those of the recorder's clock: a fault of a sensor's clock moves header stamps only, a fault of its trigger
+moves the exposure itself. The ground truth does not change.
 """
 
 from collections.abc import Callable, Mapping
@@ -20,7 +20,7 @@ from simulator.sensors.rig import CameraSpec
 from stone.sensors.calibration import Calibration
 
 Stamps = NDArray[np.int64]
-HOST_DELAY_NS = 45_000_000  # less than the 50 ms between two fixes: they never overtake each other
+HOST_DELAY_NS = 45_000_000  # less than the 50 ms between two fixes, so that they keep their order
 GPS_AHEAD_OF_UTC_NS, TAI_AHEAD_OF_UTC_NS = 18_000_000_000, 37_000_000_000
 LATE_CHANNEL, LATE_NS = "CAM_FRONT_LEFT", 5_000_000
 DROPPING_CHANNEL, DROPS_EVERY = "CAM_FRONT_RIGHT", 4
@@ -36,7 +36,7 @@ METRES_PER_DEGREE = 111_195.0
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault; what it does not name it leaves as it is."""
+    """One fault; parts that it does not set stay unchanged."""
 
     fixes: Callable[[Fixes], Fixes] = lambda fixes: fixes
     inertia: Callable[[Inertia], Inertia] = lambda inertia: inertia
@@ -47,7 +47,7 @@ class Fault:
 
 
 def after(first: Fault, second: Fault) -> Fault:
-    """`second` upon what `first` made."""
+    """Return the fault that applies `first`, then `second`."""
     return Fault(
         lambda fixes: second.fixes(first.fixes(fixes)),
         lambda inertia: second.inertia(first.inertia(inertia)),
@@ -59,7 +59,7 @@ def after(first: Fault, second: Fault) -> Fault:
 
 
 def all_of(names: tuple[FaultName, ...]) -> Fault:
-    """These faults together, in this order; without a name, nothing goes wrong."""
+    """Return these faults combined in this order; the identity for no names."""
     fault = Fault()
     for name in names:
         fault = after(fault, FAULTS[name])
@@ -67,19 +67,19 @@ def all_of(names: tuple[FaultName, ...]) -> Fault:
 
 
 def _jittered_on_the_host(fixes: Fixes) -> Fixes:
-    """A busy host publishes, and stamps, up to 45 ms late."""
+    """Delay publishing and stamps by up to 45 ms, as on a busy host."""
     late = generator(0, "gnss_jitter").integers(0, HOST_DELAY_NS, len(fixes.stamps_ns))
     return replace(fixes, host_stamps_ns=fixes.stamps_ns + late)
 
 
 def _with_a_gap(fixes: Fixes) -> Fixes:
-    """Nothing is received for 0.4 s in the middle of the run."""
+    """Drop all fixes for 0.4 s in the middle of the run."""
     lost_ns = fixes.stamps_ns[len(fixes.stamps_ns) // 2]
     return fixes.where((fixes.stamps_ns <= lost_ns) | (fixes.stamps_ns >= lost_ns + FIX_GAP_NS))
 
 
 def _jumping(fixes: Fixes) -> Fixes:
-    """From the middle of the run on RTK only floats, 2.5 m away."""
+    """From the middle of the run RTK only floats, 2.5 m away."""
     is_off = fixes.stamps_ns >= fixes.stamps_ns[len(fixes.stamps_ns) // 2]
     north_deg = JUMP_NORTH_M / METRES_PER_DEGREE
     east_deg = JUMP_EAST_M / (METRES_PER_DEGREE * np.cos(np.deg2rad(fixes.geodetic_deg_m[0, 0])))
@@ -96,7 +96,7 @@ def _ahead(topics: tuple[str, ...], ahead_ns: int) -> Fault:
 
 
 def _drifting(topic: str, stamps_ns: Stamps) -> Stamps:
-    """The oscillator of one radar runs fast."""
+    """Let the oscillator of one radar run fast."""
     if topic != DRIFTING_TOPIC:
         return stamps_ns
     ahead_ns: Stamps = np.rint((stamps_ns - START_NS) * DRIFT_RATIO).astype(np.int64)
@@ -104,7 +104,7 @@ def _drifting(topic: str, stamps_ns: Stamps) -> Stamps:
 
 
 def _stepping_back(topic: str, stamps_ns: Stamps) -> Stamps:
-    """Every tenth list of one radar carries a stamp older than the list before it."""
+    """Give every tenth list of one radar a stamp older than the list before it."""
     if topic != STEPPING_TOPIC:
         return stamps_ns
     turn = (stamps_ns - START_NS) // FIX_NS % STEPS_EVERY
@@ -122,7 +122,7 @@ def _dropping(pictures: list[SimulatedPicture], sweep: int) -> list[SimulatedPic
 
 
 def _swapped(pictures: list[SimulatedPicture], sweep: int) -> list[SimulatedPicture]:
-    """Two plugs exchanged: each picture is published as the other camera's."""
+    """Swap two cables: each image is published on the other camera's topic."""
     cameras = {camera.channel: camera for camera in rig.cameras()}
     left, right = SWAPPED_CHANNELS
     published = {left: cameras[right], right: cameras[left]}
@@ -130,7 +130,7 @@ def _swapped(pictures: list[SimulatedPicture], sweep: int) -> list[SimulatedPict
 
 
 def _inverted(calibration: Calibration) -> Calibration:
-    """One camera's mount is written the wrong way round; the robot's /tf_static is right."""
+    """Invert the mount of one camera in the calibration; the robot's /tf_static stays right."""
     mounts = tuple(
         replace(mount, lidar_from_sensor=mount.lidar_from_sensor.inverse()) if mount.name == INVERTED_CHANNEL else mount
         for mount in calibration.mounts

@@ -1,7 +1,7 @@
-"""Options of a simulation: one frozen value, checked when it is made.
+"""Options of a simulation: one frozen value, checked at construction.
 
-**Conventions.** Equal options give equal bytes: the seed draws the world, the noise and the jitter, and nothing reads
-the clock.
+**Conventions.** Equal options give equal bytes: the seed determines the world, the noise and the jitter, and no code
+reads the clock.
 """
 
 from dataclasses import dataclass
@@ -35,29 +35,29 @@ MAX_CHANNELS = 512
 MAX_COLUMNS = 7200
 MAX_SECONDS = 3600.0
 MIN_CAMERA_WIDTH_PX, MAX_CAMERA_WIDTH_PX = 32, 4096
-MAX_TRANSPORT_JITTER_NS = 4_000_000  # less than the IMU's period: no message overtakes another of its topic
+MAX_TRANSPORT_JITTER_NS = 4_000_000  # less than the IMU's period, so that messages of a topic keep their order
 
 
 @dataclass(frozen=True)
 class SimulateOptions:
-    """`channels` × `columns` rays a sweep; the world is as long as the drive and `world_width_m` wide.
+    """The options: `channels` × `columns` rays per sweep; the world is as long as the drive and `world_width_m` wide.
 
-    `lidar_hz` sweeps a second: of fewer than 10 each takes 0.1 s, as where a recorder keeps some of them, of 20 0.05 s.
-    `speed_m_s` is the robot's on average: it swings by 15 % about it.
-    `traffic` is who moves besides the robot (`simulator/scenery/movers.py`); `busy`: three walkers and two vehicles.
+    `lidar_hz` is in sweeps per second: below 10 Hz each sweep takes 0.1 s, as if a recorder dropped some; at 20 Hz 0.05
+    s. `speed_m_s` is the robot's average speed, which varies by 15 %. `traffic` selects the movers besides the robot
+    (`simulator/scenery/movers.py`); `busy`: three walkers and two vehicles.
 
-    lz4 by default: packet stamps, rings and missing returns repeat, so it nearly halves the bag at no time that can be
-    measured; zstd is smaller still, but costs more to write and twice as much to read.
+    The default compression lz4 nearly halves the bag at no measurable time, because packet stamps, rings and missing
+    returns repeat. zstd is smaller still, but costs more to write and twice as much to read.
 
-    `camera_detail` is `coarse`, 80 × 50 rays a picture, enlarged; `half`, a ray for every 2 × 2 pixels and the noise of
-    a sensor; or `full`, a ray for each pixel: pictures worth learning from, at a cost (docs/research/benchmarks.md).
-    `illumination` is a word of the platform's.
+    `camera_detail` is `coarse`, 80 × 50 rays per image, enlarged; `half`, a ray for every 2 × 2 pixels and a sensor's
+    noise; or `full`, a ray for each pixel: images for training, at a cost (docs/research/benchmarks.md). `illumination`
+    is a word of the platform.
 
-    `noise_ratio` scales what the sensors add to the truth: 0 measures exactly, 1 is the paper's rig. `range_noise` adds
-    to the LiDAR's ranges what a real one suffers besides (`simulator/sensors/lidar.py`). `beside_track` adds rocks and
-    bushes within reach of the robot's way, and tall grass on it that the robot drives through. The receiver's
-    driver stamps up to `host_delay_max_ns` late (0: when the solution was valid, as a disciplined host would);
-    messages reach the recorder up to `transport_jitter_ns` late. `faults` go wrong in the order they are named.
+    `noise_ratio` scales the sensors' noise: 0 measures exactly, 1 is the paper's rig. `range_noise` adds the other
+    disturbances of real LiDAR ranges (`simulator/sensors/lidar.py`). `beside_track` adds rocks and bushes close to the
+    robot's path, and tall grass on it. The receiver's driver stamps up to `host_delay_max_ns` late (0: at the time of
+    validity, as on a disciplined host). Messages reach the recorder up to `transport_jitter_ns` late. `faults` apply in
+    the given order.
     """
 
     seconds: float = 20.0
@@ -119,12 +119,12 @@ class SimulateOptions:
 
     @property
     def sweep_ns(self) -> int:
-        """How long one sweep takes."""
+        """The duration of one sweep."""
         return min(USUAL_SWEEP_NS, self.sweep_period_ns)
 
     @property
     def sweep_period_ns(self) -> int:
-        """From one sweep's stamp to the next one's."""
+        """The time between the stamps of two sweeps."""
         return 1_000_000_000 // self.lidar_hz
 
 
@@ -133,9 +133,8 @@ def _within(name: str, value: float, low: float, high: float) -> None:
         raise Refused("bad_simulation_option", f"{name} is {value!r}; it must be from {low:g} to {high:g}")
 
 
-# The topics of the simulated rig and what each one carries.
-#
-# **Conventions.** Names are those of the drivers of the paper's sensors; the rig names its cameras and radars.
+# The topics of the simulated rig and their types. Names are those of the drivers of the paper's sensors; the rig names
+# its cameras and radars.
 
 
 LIDAR_TOPIC = "/lidar_points"
@@ -144,7 +143,7 @@ IMU_TOPIC, TF_STATIC_TOPIC = "/imu/data", "/tf_static"
 
 
 def topics(options: SimulateOptions) -> dict[str, str]:
-    """Every topic of the bag and its type."""
+    """Return every topic of the bag and its type."""
     kinds = {LIDAR_TOPIC: "sensor_msgs/msg/PointCloud2", IMU_TOPIC: "sensor_msgs/msg/Imu"}
     kinds |= {TF_STATIC_TOPIC: "tf2_msgs/msg/TFMessage"}
     kinds |= {INSPVAX_TOPIC: "novatel_oem7_msgs/msg/INSPVAX", BESTPOS_TOPIC: "novatel_oem7_msgs/msg/BESTPOS"}

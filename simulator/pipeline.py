@@ -1,6 +1,7 @@
-"""`simulate`: a drive through a drawn world, recorded by the whole rig of the paper, with its exact truth.
+"""`simulate`: a drive through a synthetic world, recorded by the whole rig of the paper, with its exact ground truth.
 
-**Conventions.** One sweep at a time: cast, pack, write, forget; memory does not grow with the recording's bytes.
+**Conventions.** Sweeps are processed one at a time: cast, pack, write, discard. Memory does not grow with the
+recording's bytes.
 """
 
 from collections.abc import Callable
@@ -28,35 +29,35 @@ from stone.sensors.calibration import Calibration, Mount
 from stone_files.atomic import atomic_directory, atomic_file
 
 Progress = Callable[[str, int, int], None]
-LEAD_NS = 215_000_000  # navigation runs before the first sweep; no sweep falls on a fix
+LEAD_NS = 215_000_000  # navigation runs before the first sweep; no sweep coincides with a fix
 TAIL_NS = 85_000_000
 
 
 def _silent(stage: str, done: int, total: int) -> None:
-    """No progress wanted."""
+    """Default progress function; does nothing."""
 
 
 def calibration_path(bag: Path) -> Path:
-    """OUT.calibration.yaml beside OUT.mcap."""
+    """Return OUT.calibration.yaml beside OUT.mcap."""
     return bag.with_name(f"{bag.stem}.calibration.yaml")
 
 
 def sweep_stamps_ns(options: SimulateOptions) -> list[int]:
-    """The stamps of the recording's sweeps."""
+    """Return the stamps of the recording's sweeps."""
     count = int(options.seconds * options.lidar_hz + 1e-6)
     return [START_NS + LEAD_NS + index * options.sweep_period_ns for index in range(count)]
 
 
 def tick_stamps_ns(options: SimulateOptions) -> list[int]:
-    """When cameras and radars begin their rounds: 10 Hz, whatever the LiDAR's rate."""
+    """Return the start times of the rounds of cameras and radars: 10 Hz, whatever the LiDAR's rate."""
     return [START_NS + LEAD_NS + index * rig.SWEEP_NS for index in range(int(options.seconds * 10 + 1e-6))]
 
 
 def simulate(out: Path, options: SimulateOptions, truth_dir: Path | None = None, progress: Progress = _silent) -> None:
-    """Write the bag at `out`, `calibration_path(out)` beside it, and the truth folder if one is asked for.
+    """Write the bag at `out`, `calibration_path(out)` beside it, and the truth folder if requested.
 
-    `stone label OUT.mcap --calibration OUT.calibration.yaml` then works. Each of the three is whole or absent.
-    Raises `output_exists` when something that is not ours stands in the way.
+    `stone label OUT.mcap --calibration OUT.calibration.yaml` then works. Each of the three is whole or absent. Raises
+    `output_exists` if a foreign file is in the way.
     """
     progress("build world", 0, 1)
     world = build_world(options)
@@ -100,14 +101,13 @@ def _record(path: Path, options: SimulateOptions, world: SimulatedWorld, progres
 
 
 def _navigate(recorder: Recorder, fixes: Fixes, inertia: Inertia, window_ns: tuple[int, int]) -> None:
-    """Hand over the receiver's and the IMU's samples of a half-open window of true time."""
+    """Record the receiver's and the IMU's samples of a half-open window of true time."""
     recorder.fixes(fixes, slice(*np.searchsorted(fixes.stamps_ns, window_ns)))
     recorder.inertia(inertia, slice(*np.searchsorted(inertia.stamps_ns, window_ns)))
 
 
-# The rig's calibration in the platform's native YAML.
-#
-# **Conventions.** Version 1 of `stone_calibration`: metres, quaternions wxyz, `lidar_from_sensor` for every mount.
+# The rig's calibration in the platform's native YAML: version 1 of `stone_calibration`, metres, quaternions wxyz,
+# `lidar_from_sensor` for every mount.
 
 
 def write_calibration(calibration: Calibration, path: Path) -> None:
@@ -120,7 +120,7 @@ def write_calibration(calibration: Calibration, path: Path) -> None:
 
 
 def calibration_record(calibration: Calibration) -> dict[str, object]:
-    """The nested values of the file."""
+    """Return the nested values of the file."""
     return {
         "stone_calibration": 1,
         "name": calibration.name,

@@ -1,7 +1,7 @@
-"""Turns what the sensors measured into messages with stamps and record times as their drivers would give them.
+"""Conversion of sensor measurements into messages with the stamps and record times of their drivers.
 
-**Conventions.** Record times lag the measurement: a sweep is published when it is complete, a picture after exposure
-and transfer, the receiver's logs at their (host) header stamp. No message is recorded before its own window begins.
+**Conventions.** Record times lag the measurement: a sweep is published when it is complete, an image after exposure and
+transfer, the receiver's logs at their (host) header stamp. No message is recorded before its own window begins.
 """
 
 from collections.abc import Callable
@@ -40,7 +40,7 @@ INS_RTK_FIXED, INS_RTK_FLOAT, NARROW_INT, NARROW_FLOAT = 56, 55, 50, 34
 
 
 class Recorder:
-    """The topics of the rig on one bag; `fault` says what the sensors' clocks show."""
+    """The rig's topics in one bag; `fault` changes the sensors' clocks."""
 
     def __init__(self, bag: BagWriter, options: SimulateOptions, fault: Fault) -> None:
         self._bag = bag
@@ -57,7 +57,7 @@ class Recorder:
             bag.declare(topic, kind)
 
     def static_transforms(self, stamp_ns: int) -> None:
-        """Every mount under `base_link`, once."""
+        """Record every mount under `base_link`, once."""
         frames = {LIDAR_FRAME: rig.EGO_FROM_LIDAR}
         for mount in rig.calibration(self._options.camera_width_px).mounts:
             frames[mount.frame_id] = rig.EGO_FROM_LIDAR @ mount.lidar_from_sensor
@@ -123,7 +123,7 @@ class Recorder:
         self._bag.add(topic, log_time_ns + late_ns, payload)
 
     def _shown_ns(self, topic: str, stamp_ns: int) -> int:
-        """What the sensor's clock shows at a true time."""
+        """Return the reading of the sensor's clock at a true time."""
         return int(self._fault.clock(topic, np.array([stamp_ns], np.int64))[0])
 
 

@@ -1,6 +1,6 @@
-"""The messages of the rig as layouts: what the drivers of the paper's sensors publish, byte for byte.
+"""The messages of the rig as layouts, byte for byte as the drivers of the paper's sensors publish them.
 
-**Conventions.** Field names as in the ROS definitions; nested names joined by their last word where it is unambiguous.
+**Conventions.** Field names as in the ROS definitions; nested names are joined by their last word if it is unambiguous.
 Sources: sensor_msgs and tf2_msgs (Humble), HesaiLidar_ROS_2.0 (26-byte points), ars548_messages, novatel_oem7_msgs
 (Humble branch).
 """
@@ -41,7 +41,7 @@ DETECTION = np.dtype(
 
 
 def cloud_head(frame_id: str) -> CdrLayout:
-    """sensor_msgs/PointCloud2 up to the points; `is_dense` (one byte) follows them."""
+    """Return sensor_msgs/PointCloud2 up to the points; `is_dense` (one byte) follows them."""
     members: list[CdrMember | CdrText] = [*header(frame_id), CdrMember("height", "<u4", 1), CdrMember("width", "<u4")]
     members.append(sequence_length("field_count", len(POINT_FIELD_TYPES)))
     for name, code in POINT_FIELD_TYPES.items():
@@ -60,12 +60,12 @@ def cloud_head(frame_id: str) -> CdrLayout:
 
 
 def compressed_image_head(frame_id: str) -> CdrLayout:
-    """sensor_msgs/CompressedImage up to the JPEG bytes."""
+    """Return sensor_msgs/CompressedImage up to the JPEG bytes."""
     return layout([*header(frame_id), CdrText("format", "jpeg"), sequence_length("data_length")])
 
 
 def camera_info(frame_id: str, model: str, coefficients: int) -> CdrLayout:
-    """sensor_msgs/CameraInfo."""
+    """Return sensor_msgs/CameraInfo."""
     roi = [CdrMember(f"roi_{name}", "<u4") for name in ("x_offset", "y_offset", "height", "width")]
     return layout(
         [
@@ -81,7 +81,7 @@ def camera_info(frame_id: str, model: str, coefficients: int) -> CdrLayout:
 
 
 def imu(frame_id: str) -> CdrLayout:
-    """sensor_msgs/Imu; the orientation is marked absent (first covariance −1), as the Epson driver does."""
+    """Return sensor_msgs/Imu without an orientation (first covariance −1), like the Epson driver."""
     absent = np.array([-1.0, 0, 0, 0, 0, 0, 0, 0, 0])
     return layout(
         [
@@ -106,7 +106,7 @@ def _oem7_header(name: str, message_id: int) -> list[CdrMember | CdrText]:
 
 
 def inspvax(frame_id: str) -> CdrLayout:
-    """novatel_oem7_msgs/INSPVAX (log 1465)."""
+    """Return novatel_oem7_msgs/INSPVAX (log 1465)."""
     doubles = ("latitude", "longitude", "height")
     motion = ("north_velocity", "east_velocity", "up_velocity", "roll", "pitch", "azimuth")
     deviations = ("latitude", "longitude", "height", *motion)
@@ -122,7 +122,7 @@ def inspvax(frame_id: str) -> CdrLayout:
 
 
 def bestpos(frame_id: str) -> CdrLayout:
-    """novatel_oem7_msgs/BESTPOS (log 42); `hgt` is above mean sea level."""
+    """Return novatel_oem7_msgs/BESTPOS (log 42); `hgt` is above mean sea level."""
     counts = ("num_svs", "num_sol_svs", "num_sol_l1_svs", "num_sol_multi_svs", "reserved", "ext_sol_stat")
     return layout(
         [
@@ -139,7 +139,7 @@ def bestpos(frame_id: str) -> CdrLayout:
 
 
 def detection_list(frame_id: str) -> CdrLayout:
-    """ars548_messages/DetectionList: 800 slots always, `list_numofdetections` of them valid."""
+    """Return ars548_messages/DetectionList: always 800 slots, `list_numofdetections` of them valid."""
     pose = ("xpos", "xstd", "ypos", "ystd", "zpos", "zstd", "roll", "rollstd", "pitch", "pitchstd", "yaw", "yawstd")
     return layout(
         [
@@ -158,7 +158,7 @@ def detection_list(frame_id: str) -> CdrLayout:
 
 
 def static_transforms(frame_pairs: list[tuple[str, str]]) -> CdrLayout:
-    """tf2_msgs/TFMessage; pair i gives fields `translation_i` and `rotation_xyzw_i`, parent_from_child."""
+    """Return tf2_msgs/TFMessage; pair i has the fields `translation_i` and `rotation_xyzw_i`, parent_from_child."""
     members: list[CdrMember | CdrText] = [sequence_length("transform_count", len(frame_pairs))]
     for index, (parent, child) in enumerate(frame_pairs):
         members += [

@@ -2,7 +2,7 @@
 
 **Conventions.** World = map of the simulation; heights are lattice points (`height_m[i, j]` at origin + (j, i) ·
 resolution). A judged point lies on the ground's surface or inside an obstacle; grass, crowns, the walker's trail and
-air are not judged. The folder holds `heightfield.npz`, `poses.npz` and `world.json`.
+air are not judged. The folder contains `heightfield.npz`, `poses.npz` and `world.json`.
 """
 
 import json
@@ -51,7 +51,7 @@ class SimulationTruth:
     resolution_m: float
 
     def map_from_ego(self, stamp_ns: int) -> SE3:
-        """The exact pose at this stamp. Raises `stamp_outside_truth` outside the drive."""
+        """Return the exact pose at this stamp. Raises `stamp_outside_truth` outside the drive."""
         stamps = self.trajectory.stamps_ns
         if not stamps[0] <= stamp_ns <= stamps[-1]:
             raise Refused(
@@ -62,15 +62,15 @@ class SimulationTruth:
         return self.trajectory.at(np.array([stamp_ns], np.int64))[0]
 
     def elevation_m(self, xy: Array) -> Array:
-        """Ground height at (..., 2)."""
+        """Return the ground height at (..., 2)."""
         return bilinear(self.height_m, self._lattice(xy))
 
     def slope_rad(self, xy: Array) -> Array:
-        """Slope at the robot's scale at (..., 2)."""
+        """Return the slope at the robot's scale at (..., 2)."""
         return bilinear(self.slope_field_rad, self._lattice(xy))
 
     def judge(self, centres_map: Array) -> NDArray[np.uint8]:
-        """0 not judged, 1 drivable ground, 2 not drivable, for points (N, 3)."""
+        """Return 0 not judged, 1 drivable ground or 2 not drivable, for points (N, 3)."""
         xy = centres_map[:, :2]
         rows, columns = self.height_m.shape
         column, row = np.round(self._lattice(xy)).astype(np.int64).T
@@ -96,7 +96,7 @@ class SimulationTruth:
 
 @dataclass(frozen=True, eq=False)
 class TruthGround:
-    """What the truth is worked out from: heights (ny, nx) on a lattice and the obstacles on them."""
+    """The inputs of the truth: heights (ny, nx) on a lattice and the obstacles on them."""
 
     height_m: Array
     obstacles: NDArray[np.void]
@@ -105,14 +105,14 @@ class TruthGround:
 
 
 def truth_of(world: SimulatedWorld, sweep_stamps_ns: list[int]) -> SimulationTruth:
-    """The truth of a world in memory."""
+    """Return the truth of a world in memory."""
     terrain = world.terrain
     ground = TruthGround(terrain.height_m, world.objects.obstacles, terrain.origin_m, terrain.resolution_m)
     return truth_over(ground, world.trajectory, np.array(sweep_stamps_ns, np.int64))
 
 
 def truth_over(ground: TruthGround, trajectory: DriveTrajectory, sweep_stamps_ns: NDArray[np.int64]) -> SimulationTruth:
-    """The truth of a drive over this ground."""
+    """Return the truth of a drive over this ground."""
     fields = drivability(ground.height_m, ground.resolution_m)
     rows, columns = ground.height_m.shape
     extent = ((columns - 1) * ground.resolution_m, (rows - 1) * ground.resolution_m)
@@ -132,7 +132,7 @@ def truth_over(ground: TruthGround, trajectory: DriveTrajectory, sweep_stamps_ns
 def obstacle_tops(
     obstacles: NDArray[np.void], origin_m: tuple[float, float], extent_m: tuple[float, float]
 ) -> NDArray[np.float32]:
-    """Per `OBSTACLE_CELL_M` cell, up to which height something blocks the way; −inf where nothing does."""
+    """Return the height of the highest obstacle per `OBSTACLE_CELL_M` cell; −inf without an obstacle."""
     shape = (int(extent_m[1] / OBSTACLE_CELL_M) + 1, int(extent_m[0] / OBSTACLE_CELL_M) + 1)
     tops = np.full(shape, -np.inf, np.float32)
     for obstacle in obstacles:
@@ -149,7 +149,7 @@ def obstacle_tops(
 
 
 def write_truth(truth: SimulationTruth, options: SimulateOptions, folder: Path) -> None:
-    """Fill an empty folder."""
+    """Write the truth into an empty folder."""
     np.savez_compressed(
         folder / "heightfield.npz",
         height_m=truth.height_m,
@@ -170,7 +170,7 @@ def write_truth(truth: SimulationTruth, options: SimulateOptions, folder: Path) 
 
 
 def read_truth(folder: Path) -> SimulationTruth:
-    """The truth `stone simulate --truth` wrote. Raises `not_a_truth_folder` when it is not one."""
+    """Return the truth written by `stone simulate --truth`. Raises `not_a_truth_folder`."""
     try:
         json.loads((folder / TRUTH_MARK).read_text(encoding="utf-8"))["stone_truth"]
         with np.load(folder / "heightfield.npz") as ground, np.load(folder / "poses.npz") as drive:

@@ -1,7 +1,7 @@
-"""How far labels agree with the truth of a simulated world.
+"""The agreement of labels with the truth of a simulated world.
 
-**Conventions.** Predicted drivable = label 1 (T) or 2 (P); predicted not = 3 (N). Counted are occupied voxels
-(label > 0) that the truth judges, over all frames; ratios are read once at the end and are None without support.
+**Conventions.** Predicted drivable = label 1 (T) or 2 (P); predicted not drivable = 3 (N). Counts cover occupied voxels
+(label > 0) that the truth judges, over all frames; ratios are computed once at the end and are None without support.
 """
 
 from collections.abc import Callable
@@ -42,12 +42,12 @@ class LabelVerdict:
 
     @property
     def danger(self) -> float | None:
-        """The share of what is not drivable that is labelled so."""
+        """The share of non-drivable voxels that is labelled drivable."""
         return _ratio(self.blocked_kept, self.blocked_kept + self.blocked_lost)
 
     @property
     def everything_iou(self) -> float | None:
-        """What labelling every occupied voxel traversable would score: the drivable share."""
+        """The score of labelling every occupied voxel traversable: the drivable share."""
         drivable = self.drivable_kept + self.drivable_lost
         return _ratio(drivable, drivable + self.blocked_kept + self.blocked_lost)
 
@@ -62,7 +62,7 @@ def judge_semantics(
     map_from_ego: Array,
     place: Place = PAPER,
 ) -> NDArray[np.int64]:
-    """(4,) counts of one frame, whose grid lies at this place: drivable kept and lost, blocked kept and lost."""
+    """Return (4,) counts of one frame whose grid lies at `place`: drivable kept and lost, blocked kept and lost."""
     index = np.argwhere(semantics > 0)
     label = semantics[tuple(index.T)]
     low_m, voxel_m = place

@@ -1,1 +1,1 @@
-"""How the world looks: what covers the ground, the materials' textures, the light, and pixels made of them."""
+"""The appearance of the world: ground cover, material textures, light, and the rendered pixels."""

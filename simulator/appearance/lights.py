@@ -1,8 +1,8 @@
-"""Lights: sun or moon, sky, haze, and what a camera makes of them, for each word that the platform has.
+"""Lights: sun or moon, sky, haze and camera exposure, for each illumination word of the platform.
 
-**Conventions.** The words are those of `stone/splits/surroundings.py`. Light is linear (red, green, blue), 1 being what
-makes a white surface white at exposure 1. Azimuth is counter-clockwise from east (map x), elevation above the horizon.
-The light is chosen by its word, not worked out of the recording's date. After sunset the robot's lamps are on.
+**Conventions.** The words are those of `stone/splits/surroundings.py`. Light is linear (red, green, blue); 1 makes a
+white surface white at exposure 1. Azimuth is counter-clockwise from east (map x), elevation above the horizon. The word
+determines the light, not the recording's date. After sunset the robot's lamps are on.
 """
 
 from collections.abc import Mapping
@@ -16,9 +16,12 @@ from stone.geometry.se3 import Array
 
 @dataclass(frozen=True)
 class Light:
-    """`beam` comes from one direction and casts shade; `zenith` and `horizon` are the sky's. `clouds` is roughly how
-    much of the sky they cover, −1 being none at all, `noise_8bit` the deviation of a dark pixel's value, `lamp` a
-    lamp's strength, half of which arrives at 1 m."""
+    """The light of one illumination word.
+
+    `beam` comes from one direction and casts shade; `zenith` and `horizon` are the sky's. `clouds` is roughly the cloud
+    cover, −1 for none; `noise_8bit` the deviation of a dark pixel's value; `lamp` a lamp's strength, half of which
+    arrives at 1 m.
+    """
 
     elevation_deg: float
     azimuth_deg: float
@@ -33,7 +36,7 @@ class Light:
 
     @property
     def towards(self) -> Array:
-        """Unit vector (3,) to where the beam comes from, map frame."""
+        """Unit vector (3,) towards the beam's source, map frame."""
         up, round_ = np.deg2rad(self.elevation_deg), np.deg2rad(self.azimuth_deg)
         return np.array([np.cos(up) * np.cos(round_), np.cos(up) * np.sin(round_), np.sin(up)])
 

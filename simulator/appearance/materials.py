@@ -1,7 +1,8 @@
 """Colours of surfaces: grass, soil, gravel, rock, bark, leaves, masonry, clothes and paint.
 
-**Conventions.** A colour (N, 3) is the share of light that is reflected, red, green, blue, linear, 0 to 1: a function
-of the place, the surface's normal and the pixel's footprint, so that any camera at any time sees one place alike.
+**Conventions.** A colour (N, 3) is the share of reflected light, red, green, blue, linear, 0 to 1. It is a function of
+the position, the surface's normal and the pixel's footprint, so that a position looks the same to any camera at any
+time.
 """
 
 import math
@@ -16,13 +17,12 @@ from simulator.scenery.terrain import Terrain, fractal
 from simulator.scenery.world import MAX_SLOPE_RAD, drivability
 from stone.geometry.se3 import Array
 
-# Noise that is a function of place: values on integer lattices, looked up in a shuffled table, so it needs no state.
-#
-# **Conventions.** Places are in metres in the map frame, (N, 2) or (N, 3) float32. `footprint_m` (N,) is how much of
-# the surface one pixel covers: an octave fades out as its wavelength falls from two footprints to one, below which it
-# would only flicker. An octave's values lie in [−1, 1]; each next one has half the wavelength and half the amplitude,
-# so that a sum lies in (−1, 1) with a deviation of about 0.2. Each layer is another noise; one repeats itself after
-# 1,024 waves. Method: value noise on a permutation table (Perlin 1985, "An image synthesizer", sections 3 and 5).
+# Noise that is a function of position: values on integer lattices from a shuffled table, without state. Positions are
+# in metres in the map frame, (N, 2) or (N, 3) float32. `footprint_m` (N,) is how much of the surface one pixel covers:
+# an octave fades out as its wavelength falls from two footprints to one, below which it would only flicker. An octave's
+# values lie in [−1, 1]; each next octave has half the wavelength and half the amplitude, so that a sum lies in (−1, 1)
+# with a deviation of about 0.2. Each layer is another noise; a layer repeats after 1,024 waves. Method: value noise on
+# a permutation table (Perlin 1985, "An image synthesizer", sections 3 and 5).
 
 
 Floats = NDArray[np.float32]
@@ -35,29 +35,29 @@ FIRST = np.float32(0.5)  # the amplitude of the first octave
 
 
 def single(values: Sequence[float]) -> Floats:
-    """These in single precision, so that what is computed with them stays in it."""
+    """Return the values in single precision, so that computations with them stay in it."""
     return np.array(values, np.float32)
 
 
 def plane_fractal(xy: Floats, wavelength_m: float, octaves: int, footprint_m: Floats, layer: int) -> Floats:
-    """Octaves from `wavelength_m` down, as far as each pixel shows them (N,)."""
+    """Return the sum of octaves from `wavelength_m` down in the plane (N,), as far as each pixel resolves them."""
     result: Floats = _fractal(xy, wavelength_m, octaves, footprint_m, layer)
     return result
 
 
 def space_fractal(points: Floats, wavelength_m: float, octaves: int, footprint_m: Floats, layer: int) -> Floats:
-    """The same in space (N,)."""
+    """Return the sum of octaves in space (N,)."""
     result: Floats = _fractal(points, wavelength_m, octaves, footprint_m, layer)
     return result
 
 
 def cell_values(i: NDArray[np.int64], j: NDArray[np.int64], layer: int) -> Floats:
-    """A value in [−1, 1] for each cell of a lattice (N,); neighbours have nothing in common."""
+    """Return a value in [−1, 1] for each cell of a lattice (N,), independent of its neighbours."""
     return np.asarray(_VALUES[_SHUFFLED[_SHUFFLED[(i + layer) & _MASK] + (j & _MASK)]])
 
 
 def visible(wavelength_m: float, footprint_m: Floats) -> Floats:
-    """How much of an octave pixels of this footprint show (N,), 0 to 1."""
+    """Return the share of an octave that pixels of this footprint resolve (N,), 0 to 1."""
     return np.asarray(np.clip(np.float32(wavelength_m) / footprint_m - 1, 0, 1))
 
 
@@ -102,8 +102,11 @@ def _eased(ratio):  # type: ignore[no-untyped-def]
 
 
 def stones(xy: Floats, size_m: float, layer: int) -> tuple[Floats, Floats]:
-    """Stones of about `size_m` strewn on the plane: how far inside one each place is (N,), 0 between stones and 1 in
-    the middle of one, and that stone's tone (N,) in [−1, 1]."""
+    """Return stones of about `size_m` strewn on the plane.
+
+    The results are how far inside a stone each position is (N,), from 0 between stones to 1 at a centre, and the
+    stone's tone (N,) in [−1, 1].
+    """
     inside, tone = _stones(xy, np.float32(size_m), layer)
     return inside, tone
 
@@ -136,7 +139,7 @@ TIP_M = 0.3
 
 @dataclass(frozen=True, eq=False)
 class Spots:
-    """Places on surfaces (N, 3), map frame, their normals (N, 3), heights above the ground and footprints (N,)."""
+    """Positions on surfaces (N, 3), map frame, their normals (N, 3), heights above the ground and footprints (N,)."""
 
     points: Floats
     normals: Floats
@@ -148,20 +151,22 @@ class Spots:
         return self.points[:, :2]
 
     def of(self, where: NDArray[np.int64]) -> "Spots":
-        """Some of them."""
+        """Return the spots with these indices."""
         return Spots(self.points[where], self.normals[where], self.up_m[where], self.footprint_m[where])
 
     def noise(self, wavelength_m: float, octaves: int, layer: int) -> Floats:
-        """In space (N,)."""
+        """Return noise in space (N,)."""
         return space_fractal(self.points, wavelength_m, octaves, self.footprint_m, layer)
 
     def plane_noise(self, wavelength_m: float, octaves: int, layer: int) -> Floats:
-        """In plan (N,)."""
+        """Return noise in plan (N,)."""
         return plane_fractal(self.xy, wavelength_m, octaves, self.footprint_m, layer)
 
 
 def grass(spots: Spots, tall: Floats) -> Floats:
-    """A meadow with drier patches; tall grass (0 to 1) is straw, and its tufts are dark at their feet."""
+    """Return a meadow with drier patches; tall grass (0 to 1) is straw-coloured, with tufts that are dark at their
+    feet.
+    """
     dry = np.clip(0.25 + 1.1 * spots.plane_noise(6.0, 3, 11) + 0.5 * tall, 0, 1)
     tufts, blades = spots.plane_noise(0.7, 4, 17), spots.plane_noise(0.05, 3, 19)
     shade = 1 + (0.8 + 0.5 * tall) * tufts + (1.1 + 0.5 * tall) * blades
@@ -169,7 +174,7 @@ def grass(spots: Spots, tall: Floats) -> Floats:
 
 
 def soil(spots: Spots) -> Floats:
-    """Trodden brown earth, damp in places, with a few pebbles."""
+    """Return trodden brown earth, damp in places, with a few pebbles."""
     shade = 1 + 0.9 * spots.plane_noise(2.4, 3, 31) + 1.1 * spots.plane_noise(0.24, 5, 37)
     earth = _tinted((0.165, 0.108, 0.064), shade)
     shown = visible(PEBBLE_M, spots.footprint_m)
@@ -179,7 +184,7 @@ def soil(spots: Spots) -> Floats:
 
 
 def gravel(spots: Spots) -> Floats:
-    """Grey stones of two sizes with dark gaps."""
+    """Return grey stones of two sizes with dark gaps."""
     shade = 1 + 0.6 * spots.plane_noise(1.8, 3, 43) + 0.7 * spots.plane_noise(0.1, 3, 45)
     for size_m, layer, depth in ((STONE_M, 47, 0.75), (PEBBLE_M, 53, 0.45)):
         inside, tone = stones(spots.xy, size_m, layer)
@@ -188,7 +193,7 @@ def gravel(spots: Spots) -> Floats:
 
 
 def rock(spots: Spots) -> Floats:
-    """Grey rock in tilted layers, with cracks and lichen."""
+    """Return grey rock in tilted layers, with cracks and lichen."""
     coarse = spots.noise(1.6, 3, 61)
     x, _, z = spots.points.T
     layers = np.sin(13.0 * (z + 0.3 * x + 1.4 * coarse)) * visible(0.4, spots.footprint_m)
@@ -201,19 +206,19 @@ def rock(spots: Spots) -> Floats:
 
 
 def bark(spots: Spots) -> Floats:
-    """Brown bark, furrowed along the trunk."""
+    """Return brown bark, furrowed along the trunk."""
     along = spots.points * single((1.0, 1.0, 0.12))
     shade = 1 + 2.0 * space_fractal(along, 0.08, 4, spots.footprint_m, 83) + 0.9 * spots.noise(0.6, 3, 89)
     return _tinted((0.098, 0.070, 0.047), shade)
 
 
 def bush(spots: Spots) -> Floats:
-    """Light leaves; a plant's tint is its own."""
+    """Return light leaves; each plant has its own tint."""
     return _leaves(spots, (0.060, 0.105, 0.022))
 
 
 def crown(spots: Spots) -> Floats:
-    """Darker leaves."""
+    """Return darker leaves."""
     return _leaves(spots, (0.040, 0.080, 0.020))
 
 
@@ -224,14 +229,14 @@ def _leaves(spots: Spots, colour: Rgb) -> Floats:
 
 
 def blade(spots: Spots) -> Floats:
-    """Blades of grass: dark at their feet, straw at their tips."""
+    """Return blades of grass: dark at their feet, straw-coloured at their tips."""
     tip = np.clip(spots.up_m / np.float32(TIP_M), 0, 1)
     shade = 0.8 + 0.4 * tip + 0.5 * spots.plane_noise(0.05, 2, 103)
     return _tinted(_mixed((0.075, 0.125, 0.025), (0.220, 0.195, 0.080), tip), shade)
 
 
 def masonry(spots: Spots) -> Floats:
-    """Courses of hewn stone with light joints on the faces of a wall, a slab on its top."""
+    """Return courses of hewn stone with light joints on the faces of a wall, a slab on its top."""
     x, y, z = spots.points.T
     level = np.hypot(spots.normals[:, 0], spots.normals[:, 1])
     along = (y * spots.normals[:, 0] - x * spots.normals[:, 1]) / np.maximum(level, 1e-6)
@@ -249,7 +254,7 @@ def masonry(spots: Spots) -> Floats:
 
 
 def clothes(spots: Spots) -> Floats:
-    """A walker: dark trousers, an orange jacket with a band that reflects, a head."""
+    """Return a walker: dark trousers, an orange jacket with a reflective band, a head."""
     trousers, jacket, band, face, hair = (
         (0.035, 0.04, 0.06),
         (0.50, 0.10, 0.02),
@@ -261,7 +266,7 @@ def clothes(spots: Spots) -> Floats:
 
 
 def paint(spots: Spots) -> Floats:
-    """A vehicle: a dark underside, blue doors, a band of windows, a roof."""
+    """Return a vehicle: a dark underside, blue doors, a band of windows, a roof."""
     return _banded(
         spots.up_m, (0.5, 1.0, 1.42), ((0.02, 0.02, 0.02), (0.04, 0.09, 0.28), (0.03, 0.035, 0.04), (0.04, 0.09, 0.28))
     )
@@ -272,29 +277,32 @@ def _banded(up_m: Floats, limits_m: tuple[float, ...], colours: tuple[Rgb, ...])
 
 
 def _mixed(low: Rgb | Floats, high: Rgb, share: Array | Floats) -> Floats:
-    """From one colour, or one for each spot (N, 3), to another by share (N,)."""
+    """Return the mixture of two colours by share (N,); `low` is one colour, or one for each spot (N, 3)."""
     begin = np.asarray(low, np.float32)
     return begin + share.astype(np.float32)[:, None] * (single(high) - begin)
 
 
 def _tinted(colour: Rgb | Floats, shade: Array | Floats) -> Floats:
-    """A colour, or one for each spot (N, 3), darkened or lightened by shade (N,), which is kept above black."""
+    """Return a colour, or one for each spot (N, 3), darkened or lightened by shade (N,), kept above black."""
     return np.asarray(colour, np.float32) * np.maximum(shade, 0.12).astype(np.float32)[:, None]
 
 
-# What covers the ground: bare soil on the track, grass and tall grass beside it, gravel, rock where it is steep.
-#
-# **Conventions.** Layers lie on the terrain's lattice, (ny, nx, `LAYERS`) float32: how much of the ground is soil,
-# gravel, rock and tall grass, 0 to 1 (what is left is grass); its height in metres, and its two gradients along x and
-# y, of which the normal is made. As outdoors, looks go with drivability: the track is bare, slopes beyond `STEEP_RAD`
-# are scree, then rock, and ditches have banks of earth.
+# The ground cover: bare soil on the track, grass and tall grass beside it, gravel, rock on steep slopes. Layers lie on
+# the terrain's lattice, (ny, nx, `LAYERS`) float32: the shares of soil, gravel, rock and tall grass, 0 to 1 (the rest
+# is grass); the height in metres, and its gradients along x and y, from which the normal is computed. As outdoors,
+# looks go with drivability: the track is bare, slopes beyond `STEEP_RAD` are scree, then rock, and ditches have banks
+# of earth.
 
 
 SOIL, GRAVEL, ROCK, TALL, HEIGHT, ALONG_X, ALONG_Y = range(7)
 LAYERS = 7
 TRACK_HALF_WIDTH_M = 1.3
 WHEEL_ASIDE_M = 0.36
-STEEP_RAD = (MAX_SLOPE_RAD, float(np.deg2rad(30.0)), float(np.deg2rad(37.0)))  # gravel begins, rock begins, all rock
+STEEP_RAD = (
+    MAX_SLOPE_RAD,
+    float(np.deg2rad(30.0)),
+    float(np.deg2rad(37.0)),
+)  # start of gravel, start of rock, all rock
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,14 +314,14 @@ class GroundCover:
     resolution_m: float
 
     def at(self, xy: Floats) -> Floats:
-        """Every layer at places (N, 2): (N, `LAYERS`), bilinear; beyond the lattice its edge goes on."""
+        """Return every layer at positions (N, 2): (N, `LAYERS`), bilinear; the edge continues outside the lattice."""
         column_row = (xy - single(self.origin_m)) / np.float32(self.resolution_m)
         sampled: Floats = _bilinear(self.layers, column_row)
         return sampled
 
 
 def build_ground_cover(terrain: Terrain, rng: np.random.Generator) -> GroundCover:
-    """The cover of this terrain; patches are drawn, the rest follows from slope, lowland and track."""
+    """Return the cover of this terrain; patches are drawn at random, the rest follows from slope, lowland and track."""
     shape = (terrain.height_m.shape[0], terrain.height_m.shape[1])
     ragged, patches = fractal(shape, (0.8, 6.0), 1.2, rng), fractal(shape, (3.0, 18.0), 1.4, rng)
     slope = drivability(terrain.height_m, terrain.resolution_m).slope_rad + 0.05 * ragged
@@ -329,13 +337,13 @@ def build_ground_cover(terrain: Terrain, rng: np.random.Generator) -> GroundCove
 
 
 def smooth_normals(layers: Floats) -> Floats:
-    """The ground's unit normals (N, 3), up, where the layers are these."""
+    """Return the ground's unit normals (N, 3), upwards, from the layers."""
     normals = np.stack([-layers[:, ALONG_X], -layers[:, ALONG_Y], np.ones(len(layers), np.float32)], axis=-1)
     return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
 
 def _track(terrain: Terrain, ragged: Array, patches: Array) -> Array:
-    """Bare where wheels have been, overgrown between and beside them in stretches."""
+    """Return the track's share (N,): bare in the wheel ruts, partly overgrown between and beside them."""
     distance = terrain.path_distance_m + 0.18 * ragged
     worn = 1 - _rising(distance, TRACK_HALF_WIDTH_M - 0.5, TRACK_HALF_WIDTH_M + 0.3)
     rut = 1 - _rising(np.abs(distance - WHEEL_ASIDE_M), 0.12, 0.3)
@@ -344,7 +352,7 @@ def _track(terrain: Terrain, ragged: Array, patches: Array) -> Array:
 
 
 def _rising(values: Array, low: float, high: float) -> Array:
-    """0 up to `low`, 1 from `high`, smooth between."""
+    """Return a smooth step from 0 up to `low` to 1 from `high`."""
     ratio = np.clip((values - low) / (high - low), 0.0, 1.0)
     return np.asarray(ratio * ratio * (3 - 2 * ratio))
 

@@ -1,7 +1,7 @@
-"""Casts the cameras' rays and paints what they meet, in the chosen light.
+"""Ray casting of the cameras and shading of the hits in the chosen light.
 
-**Conventions.** Rays are taken in pieces of `PIECE_RAYS`, of one camera or of several, so that memory does not grow
-with the pictures. A shade ray goes from each hit towards the beam; movers cast shade as they hide: in closed form.
+**Conventions.** Rays are taken in pieces of `PIECE_RAYS`, from one camera or several, so that memory does not grow with
+the images. A shade ray goes from each hit towards the beam; movers cast shade in closed form, as they occlude.
 """
 
 from collections.abc import Callable, Mapping
@@ -39,8 +39,9 @@ CLEARANCE_M = 0.02
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Rays of one or more cameras (N, 3), the angle between neighbours, when movers are seen, and the robot's lamps
-    (L, 7): place, axis, strength."""
+    """Rays of one or more cameras (N, 3), the angle between neighbours, the time of the movers, and the robot's lamps
+    (L, 7): position, axis, strength.
+    """
 
     origins: Rays
     directions: Rays
@@ -49,12 +50,12 @@ class View:
     lamps: Array
 
     def of(self, piece: slice) -> "View":
-        """Some of its rays."""
+        """Return a slice of its rays."""
         return replace(self, origins=self.origins[piece], directions=self.directions[piece])
 
 
 class Renderer:
-    """Built once per recording."""
+    """A renderer, built once per recording."""
 
     def __init__(self, scene: RayScene, options: SimulateOptions) -> None:
         self.world = scene.world
@@ -63,7 +64,7 @@ class Renderer:
         self._cover = build_ground_cover(scene.world.terrain, generator(options.seed, "cover"))
 
     def pixels(self, view: View) -> NDArray[np.uint8]:
-        """Colours (N, 3) of a view."""
+        """Return the colours (N, 3) of a view."""
         begins = range(0, len(view.directions), PIECE_RAYS)
         return np.concatenate([self._pixels(view.of(slice(begin, begin + PIECE_RAYS))) for begin in begins])
 
@@ -73,28 +74,32 @@ class Renderer:
         return pixels_of(seen, self._cover, self._light, view.lamps)
 
     def _hits(self, view: View) -> tuple[Hits, NDArray[np.float32]]:
-        """Nearest hits, of movers with their own normals, and the height on which these stand (N,), NaN of others."""
+        """Return the nearest hits, on movers with their own normals, and the ground height below a mover (N,), NaN
+        elsewhere.
+        """
         origins, directions = view.origins, view.directions
         hits = self._scene.cast(origins, directions)
         foot_m = np.full(len(directions), np.nan, np.float32)
         for mover in self.world.movers:
-            place = mover.route.at(view.stamp_ns)[0]
-            towards = rays_towards(place, mover.reach_m, origins, directions)
+            position = mover.route.at(view.stamp_ns)[0]
+            towards = rays_towards(position, mover.reach_m, origins, directions)
             met = put_mover(hits, mover, view.stamp_ns, (origins, directions), towards)
             points = origins[met] + directions[met] * hits.range_m[met, None]
             hits.normal[met] = mover.normals(points.astype(np.float64), view.stamp_ns)
-            foot_m[met] = place[2]
+            foot_m[met] = position[2]
         return hits, foot_m
 
     def _shaded(self, view: View, hits: Hits) -> NDArray[np.bool_]:
-        """Which rays (N,) met what the beam does not reach."""
+        """Return which rays (N,) hit a point that the beam does not reach."""
         is_shaded = np.zeros(len(hits.range_m), np.bool_)
         if not self._light.casts_shade:
             return is_shaded
         met = np.flatnonzero(np.isfinite(hits.range_m))
         towards = self._light.towards.astype(np.float32)
         directions = view.directions[met]
-        side = np.where(np.isin(hits.surface[met], LEAVES)[:, None], -towards, directions)  # no leaf shades itself
+        side = np.where(
+            np.isin(hits.surface[met], LEAVES)[:, None], -towards, directions
+        )  # leaves do not shade themselves
         turn = -np.sign(np.einsum("ni,ni->n", hits.normal[met], side))
         points = view.origins[met] + directions * hits.range_m[met, None]
         points += CLEARANCE_M * (hits.normal[met] * turn[:, None] + towards)
@@ -107,17 +112,16 @@ class Renderer:
 
 
 def _may_shade(mover: Mover, light: Light, stamp_ns: int, points: Rays) -> NDArray[np.int64]:
-    """Indices of the points from which the way to the light passes near a mover, in plan."""
+    """Return the indices of the points whose path to the light passes near a mover, in plan."""
     ahead = light.towards[:2] / np.linalg.norm(light.towards[:2])
     offset = mover.route.at(stamp_ns)[0][:2].astype(np.float32) - points[:, :2]
     along, across = (offset @ way.astype(np.float32) for way in (ahead, np.array([-ahead[1], ahead[0]])))
     return np.flatnonzero((along > -mover.reach_m) & (np.abs(across) < mover.reach_m))
 
 
-# Pixels of what rays met: the surface's colour, in beam, sky light and lamps, through haze, as a camera shows it.
-#
-# **Conventions.** Arrays are of rays: directions and normals (N, 3) float32 in the map frame, ranges (N,) in metres,
-# inf for the sky. Light is linear until `shown`, which saturates softly and gives values of a picture, 0 to 255.
+# Pixels from hits: the surface's colour, lit by beam, sky and lamps, through haze, with the camera's exposure. Arrays
+# are of rays: directions and normals (N, 3) float32 in the map frame, ranges (N,) in metres, inf for the sky. Light is
+# linear until `shown`, which saturates softly and returns values of an image, 0 to 255.
 
 
 MATERIALS: Mapping[Surface, Callable[[Spots], Floats]] = {
@@ -130,11 +134,11 @@ MATERIALS: Mapping[Surface, Callable[[Spots], Floats]] = {
     Surface.WALKER: materials.clothes,
     Surface.VEHICLE: materials.paint,
 }
-LEAVES = (Surface.BUSH, Surface.CROWN, Surface.GRASS)  # light goes through them
+LEAVES = (Surface.BUSH, Surface.CROWN, Surface.GRASS)  # light passes through them
 THROUGH, UPON = np.float32(0.25), np.float32(0.55)
-BOUNCE_RATIO = 0.15  # of the beam upon the ground that it sends back up
-LEAST_COSINE = 0.25  # more would be right along the ray, and blur across it
-LAMP_NEAR_M2 = 1.0  # a lamp is no point
+BOUNCE_RATIO = 0.15  # share of the beam that the ground reflects upwards
+LEAST_COSINE = 0.25  # a higher limit would be exact along the ray, but blur across it
+LAMP_NEAR_M2 = 1.0  # a lamp has an extent
 LAMP_TINT = single((1.0, 0.97, 0.9))
 CLOUD_HEIGHT = 1.6  # in units in which their largest wavelength is 2.2
 GAMMA = 1.95
@@ -143,8 +147,9 @@ _TO_8BIT = (255 * (1 - np.exp(-np.linspace(0, 6, 4096))) ** (1 / GAMMA)).astype(
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What rays met: hits, which of them (N,) the beam does not reach, and the height on which a mover
-    stands that was met (N,), NaN of others, which stand on the ground."""
+    """The hits of rays, which of them (N,) the beam does not reach, and the ground height below a hit mover (N,), NaN
+    elsewhere.
+    """
 
     origins: Rays
     directions: Rays
@@ -155,7 +160,7 @@ class Seen:
 
 
 def pixels_of(seen: Seen, cover: GroundCover, light: Light, lamps: Array) -> NDArray[np.uint8]:
-    """Colours (N, 3) as the camera shows them; `lamps` (L, 7) are place, axis and strength."""
+    """Return the camera's colours (N, 3); `lamps` (L, 7) are position, axis and strength."""
     is_met = np.isfinite(seen.hits.range_m)
     met, unmet = np.flatnonzero(is_met), np.flatnonzero(~is_met)
     seen_light = np.empty((len(is_met), 3), np.float32)
@@ -171,13 +176,15 @@ def pixels_of(seen: Seen, cover: GroundCover, light: Light, lamps: Array) -> NDA
 
 
 def shown(light: Floats, exposure: float) -> NDArray[np.uint8]:
-    """Values of a picture (N, 3) for linear light: 1 − e^−x, then a gamma."""
+    """Return image values (N, 3) for linear light: 1 − e^−x, then a gamma."""
     steps = np.float32(exposure * (len(_TO_8BIT) - 1) / 6) * light
     return np.asarray(_TO_8BIT[np.minimum(steps, len(_TO_8BIT) - 1).astype(np.int32)])
 
 
 def sky(directions: Rays, light: Light) -> Floats:
-    """Horizon to zenith, clouds, and the glow round the sun or moon (N, 3); below the horizon, haze."""
+    """Return the sky's colour (N, 3): horizon to zenith, clouds, and the glow around the sun or moon; haze below the
+    horizon.
+    """
     up = np.maximum(directions[:, 2], np.float32(0))
     high = np.sqrt(up)[:, None]
     clear = single(light.horizon) * (1 - high) + single(light.zenith) * high
@@ -192,7 +199,7 @@ def sky(directions: Rays, light: Light) -> Floats:
 
 
 def colours(surface: NDArray[np.uint8], spots: Spots, ground: Floats) -> Floats:
-    """What each spot reflects (N, 3); `ground` holds the cover's layers there."""
+    """Return the share of light that each spot reflects (N, 3); `ground` contains the cover's layers there."""
     result = np.zeros((len(surface), 3), np.float32)
     where = np.flatnonzero(surface == Surface.GROUND)
     result[where] = _ground_colours(spots.of(where), ground[where])
@@ -204,7 +211,7 @@ def colours(surface: NDArray[np.uint8], spots: Spots, ground: Floats) -> Floats:
 
 
 def _spots(seen: Seen, met: NDArray[np.int64], cover: GroundCover) -> tuple[Spots, Floats, Floats]:
-    """The hits as spots, their normals turned to the viewer (N, 3), and the cover's layers there."""
+    """Return the hits as spots, their normals turned to the viewer (N, 3), and the cover's layers there."""
     reach, directions = seen.hits.range_m[met], seen.directions[met]
     points = seen.origins[met] + directions * reach[:, None]
     ground = cover.at(points[:, :2])
@@ -212,14 +219,14 @@ def _spots(seen: Seen, met: NDArray[np.int64], cover: GroundCover) -> tuple[Spot
     cosine = np.einsum("ni,ni->n", normals, directions)
     facing = np.where(cosine[:, None] > 0, -normals, normals)
     is_ground = seen.hits.surface[met] == Surface.GROUND
-    facing[is_ground] = smooth_normals(ground[is_ground])  # its triangles are flat
+    facing[is_ground] = smooth_normals(ground[is_ground])  # the triangles are flat
     footprint = reach * np.float32(seen.pixel_rad) / np.sqrt(np.maximum(np.abs(cosine), np.float32(LEAST_COSINE)))
     foot = np.where(np.isnan(seen.foot_m[met]), ground[:, HEIGHT], seen.foot_m[met])
     return Spots(points, normals, points[:, 2] - foot, np.maximum(footprint, 1e-4)), facing, ground
 
 
 def _ground_colours(spots: Spots, ground: Floats) -> Floats:
-    """The materials that cover these spots, by their shares; noise makes their borders ragged."""
+    """Return the mixture of the materials that cover these spots; noise makes their borders ragged."""
     edge = 0.7 * spots.plane_noise(0.6, 5, 139)
     shares = np.clip(0.5 + 2.5 * (ground[:, [SOIL, GRAVEL, ROCK]] + edge[:, None] * single((1, -1, 1)) - 0.5), 0, 1)
     rest = np.maximum(1 - shares.sum(axis=1), 0)
@@ -233,7 +240,7 @@ def _ground_colours(spots: Spots, ground: Floats) -> Floats:
 
 
 def _received(facing: Floats, is_leaf: NDArray[np.bool_], is_shaded: NDArray[np.bool_], light: Light) -> Floats:
-    """Light upon surfaces (N, 3): the beam unless shaded, the sky's half above and the ground's below."""
+    """Return the light on surfaces (N, 3): the beam unless shaded, half of the sky's light and half of the ground's."""
     slant = facing @ light.towards.astype(np.float32)
     slant = np.where(is_leaf, THROUGH + UPON * np.abs(slant), np.maximum(slant, 0))
     above = np.where(is_leaf, np.float32(0.6), 0.5 + 0.5 * facing[:, 2])
@@ -243,7 +250,7 @@ def _received(facing: Floats, is_leaf: NDArray[np.bool_], is_shaded: NDArray[np.
 
 
 def _lamplight(points: Floats, facing: Floats, lamps: Array) -> Floats:
-    """Light of the lamps upon surfaces (N, 3): inverse square, narrowing from the axis as cos⁴."""
+    """Return the lamps' light on surfaces (N, 3): inverse square, falling off from the axis as cos⁴."""
     total = np.zeros(len(points), np.float32)
     for lamp in lamps.astype(np.float32):
         away = points - lamp[:3]

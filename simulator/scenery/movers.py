@@ -1,7 +1,7 @@
-"""What moves in a simulated world: walkers and vehicles, each cast in closed form.
+"""Movers in a simulated world: walkers and vehicles, each cast in closed form.
 
 **Conventions.** A walker is an upright cylinder, a vehicle a level box above its wheels. In one sweep, or one exposure,
-a mover stands where it is at the middle of the sweep.
+a mover stays at its position in the middle of the sweep.
 """
 
 from dataclasses import dataclass
@@ -15,32 +15,31 @@ from simulator.scenery.objects import Surface
 from simulator.scenery.path import DriveTrajectory
 from stone.geometry.se3 import Array
 
-# Routes of what moves: along the robot's own track, earlier or later than it, slower, faster or the other way.
-#
-# **Conventions.** Where a mover is follows from time alone, in world coordinates. A schedule says which moment of the
-# robot's drive a mover has reached; before its beginning and beyond its end the track goes straight on.
+# Routes of movers along the robot's own track: earlier or later, slower, faster or in the other direction. A mover's
+# position depends only on time, in world coordinates. A schedule maps time to a moment of the robot's drive; before the
+# drive's start and after its end the track continues straight.
 
 
 S_NS = 1_000_000_000
-END_STEP_NS = 100_000_000  # of the track, by whose direction and length it goes on
+END_STEP_NS = 100_000_000  # the piece at the end of the track that defines its direction and speed beyond
 
 
 class WalkableGround(Protocol):
-    """What is moved on: the terrain of a simulation, or the truth about it."""
+    """The ground below movers: the terrain of a simulation, or its ground truth."""
 
     def elevation_m(self, xy: Array) -> Array: ...
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """After t seconds the place is reached where the robot is after `from_s` + `times` · t, up to `until_s`."""
+    """A schedule: after t seconds the mover is at the robot's position of `from_s` + `times` · t, up to `until_s`."""
 
     from_s: float
     times: float = 1.0
     until_s: float | None = None
 
     def reached_ns(self, elapsed_ns: int) -> int:
-        """Of the robot's drive, for a time since its beginning."""
+        """Return the moment of the robot's drive for a time since the start."""
         reached_ns = round(self.from_s * S_NS) + round(self.times * elapsed_ns)
         if self.until_s is None:
             return reached_ns
@@ -50,7 +49,7 @@ class Schedule:
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """A schedule along the robot's track, so far to its left, swaying about that by `sway_m` in `sway_period_ns`."""
+    """A schedule along the robot's track, offset to its left and swaying by `sway_m` in `sway_period_ns`."""
 
     trajectory: DriveTrajectory
     ground: WalkableGround
@@ -60,7 +59,7 @@ class Route:
     sway_period_ns: int = 8 * S_NS
 
     def at(self, stamp_ns: int) -> tuple[Array, float]:
-        """The place on the ground (3,) and the heading of the track there (rad)."""
+        """Return the position on the ground (3,) and the heading of the track there (rad)."""
         elapsed_ns = stamp_ns - self.trajectory.start_ns
         reached_ns = self.schedule.reached_ns(elapsed_ns)
         last_ns = int(self.trajectory.stamps_ns[-1]) - self.trajectory.start_ns
@@ -73,13 +72,13 @@ class Route:
         return np.append(xy[0], self.ground.elevation_m(xy)), float(np.arctan2(forward[1], forward[0]))
 
     def is_standing(self, stamp_ns: int) -> bool:
-        """Whether the schedule has reached where it ends."""
+        """Return whether the schedule has reached its end."""
         return self.schedule.until_s is not None and (
             self.schedule.reached_ns(stamp_ns - self.trajectory.start_ns) == round(self.schedule.until_s * S_NS)
         )
 
     def _beyond_m(self, beyond_ns: int, last_ns: int) -> float:
-        """How far straight on, at the speed at that end of the drive."""
+        """Return the distance straight beyond the drive, at the speed of that end."""
         begin_ns = self.trajectory.start_ns + (0 if beyond_ns < 0 else last_ns - END_STEP_NS)
         ends = self.trajectory.at(np.array([begin_ns, begin_ns + END_STEP_NS])).translation_m
         return float(np.linalg.norm(ends[1] - ends[0])) * beyond_ns / END_STEP_NS
@@ -90,13 +89,13 @@ AHEAD_S = 5.0
 SWAY_M = 2.5
 VEHICLE_M = (4.2, 1.8)  # length, width
 VEHICLE_BOTTOM_M, VEHICLE_TOP_M = 0.3, 1.6
-MARGIN_M = 0.35  # of the rays that are tried for a mover
+MARGIN_M = 0.35  # margin of the rays that are tested against a mover
 
 Rays = NDArray[np.float32]
 
 
 class Mover(Protocol):
-    """What is at one place at one moment, and hides what is behind it."""
+    """An object with one position at a time that occludes what is behind it."""
 
     @property
     def route(self) -> Route: ...
@@ -106,16 +105,16 @@ class Mover(Protocol):
 
     @property
     def reach_m(self) -> float:
-        """In plan, about its place, with a margin."""
+        """The radius in plan around its position, with a margin."""
 
     def ranges_m(self, stamp_ns: int, origins: Rays, directions: Rays) -> Rays:
-        """Distance along unit rays (N, 3) from origins (N, 3) to it at that time, inf where they miss."""
+        """Return the distance along unit rays (N, 3) from origins (N, 3) to it at that time, inf for misses."""
 
     def normals(self, points_map: Array, stamp_ns: int) -> Array:
-        """Of its surface, outwards (N, 3), at points on it (N, 3) at that time, map frame."""
+        """Return the outward normals (N, 3) of its surface at points on it (N, 3) at that time, map frame."""
 
     def is_inside(self, points_map: Array, stamp_ns: int, margin_m: float) -> NDArray[np.bool_]:
-        """Which of the points (N, 3) are inside it, or nearer than `margin_m` to it along an axis, at that time."""
+        """Return which points (N, 3) are inside it, or nearer than `margin_m` to it along an axis, at that time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +155,7 @@ class Vehicle:
 
     def normals(self, points_map: Array, stamp_ns: int) -> Array:
         low, high = _vehicle_corners(0.0)
-        aside = (self._own(points_map, stamp_ns) - (low + high) / 2) / ((high - low) / 2)  # ±1 on the face it is on
+        aside = (self._own(points_map, stamp_ns) - (low + high) / 2) / ((high - low) / 2)  # ±1 on the hit face
         face = np.argmax(np.abs(aside), axis=1)
         own = np.zeros_like(points_map)
         own[np.arange(len(own)), face] = np.sign(np.take_along_axis(aside, face[:, None], axis=1))[:, 0]
@@ -168,9 +167,9 @@ class Vehicle:
         return np.asarray(((own >= low) & (own <= high)).all(axis=1))
 
     def _own(self, points_map: NDArray[np.floating], stamp_ns: int) -> NDArray[np.floating]:
-        """Points (N, 3) as seen from the vehicle: x ahead, y left, z up from the ground."""
-        place = self.route.at(stamp_ns)[0].astype(points_map.dtype)
-        return (points_map - place) @ self._turn(stamp_ns).astype(points_map.dtype)
+        """Return points (N, 3) in the vehicle's frame: x ahead, y left, z up from the ground."""
+        position = self.route.at(stamp_ns)[0].astype(points_map.dtype)
+        return (points_map - position) @ self._turn(stamp_ns).astype(points_map.dtype)
 
     def _turn(self, stamp_ns: int) -> Array:
         heading = self.route.at(stamp_ns)[1]
@@ -179,12 +178,12 @@ class Vehicle:
 
 
 def walker_ahead(trajectory: DriveTrajectory, ground: WalkableGround) -> Walker:
-    """Who walks where the robot will be in five seconds, swaying across its track."""
+    """Return a walker at the robot's position in five seconds, swaying across its track."""
     return Walker(Route(trajectory, ground, Schedule(AHEAD_S), sway_m=SWAY_M))
 
 
 def movers_of(options: SimulateOptions, trajectory: DriveTrajectory, ground: WalkableGround) -> tuple[Mover, ...]:
-    """Who moves in the world of these options, the walker ahead first."""
+    """Return the movers of these options, the walker ahead first."""
     if options.traffic == "none":
         return ()
     ahead = walker_ahead(trajectory, ground)
@@ -192,8 +191,11 @@ def movers_of(options: SimulateOptions, trajectory: DriveTrajectory, ground: Wal
 
 
 def _traffic(trajectory: DriveTrajectory, ground: WalkableGround, seconds: float) -> tuple[Mover, ...]:
-    """Two more walkers, of whom one follows the robot and one comes towards it; a vehicle that overtakes it on its left
-    in the first half of the run; and one that comes towards it on its right, parks half-way, and stands there."""
+    """Return two more walkers and two vehicles.
+
+    One walker follows the robot, one comes towards it. One vehicle overtakes it on its left in the first half of the
+    run; the other comes towards it on its right, parks half-way, and stays there.
+    """
 
     def route(schedule: Schedule, aside_m: float) -> Route:
         return Route(trajectory, ground, schedule, aside_m)
@@ -207,7 +209,7 @@ def _traffic(trajectory: DriveTrajectory, ground: WalkableGround, seconds: float
 
 
 def cylinder_range(foot_m: Array, origins: Rays, directions: Rays) -> Rays:
-    """Distance along unit rays (N, 3) to a walker's side, inf where they miss."""
+    """Return the distance along unit rays (N, 3) to a walker's side, inf for misses."""
     offset = foot_m[:2].astype(np.float32) - origins[:, :2]
     plan = directions[:, :2]
     a = np.maximum(np.einsum("ij,ij->i", plan, plan), 1e-12)
@@ -220,7 +222,7 @@ def cylinder_range(foot_m: Array, origins: Rays, directions: Rays) -> Rays:
 
 
 def _vehicle_corners(margin_m: float) -> tuple[Array, Array]:
-    """The lowest and the highest corner (3,), on its own axes."""
+    """Return the lowest and the highest corner (3,), on its own axes."""
     half = np.array([*VEHICLE_M, 0.0]) / 2 + margin_m
     low = np.array([-half[0], -half[1], VEHICLE_BOTTOM_M - margin_m])
     return low, np.array([half[0], half[1], VEHICLE_TOP_M + margin_m])

@@ -1,8 +1,7 @@
 """Objects on the terrain: rocks, bushes, trees, walls and grass, as triangles and as obstacles.
 
-**Conventions.** `OBSTACLE` rows are upright cylinders in the world: nothing inside one may be driven over, at any
-height up to its top. A tree's crown hangs over ground that may be drivable, so only its trunk is an obstacle and the
-crown is kept as an overhang.
+**Conventions.** `OBSTACLE` rows are upright cylinders in the world: the space inside is not drivable at any height up
+to the top. A tree's crown may hang over drivable ground, so only its trunk is an obstacle and the crown is an overhang.
 """
 
 from collections.abc import Callable, Mapping
@@ -23,7 +22,7 @@ WALL_HEIGHT_M = 1.8
 
 
 class Surface(IntEnum):
-    """What a ray hits."""
+    """The surface that a ray hits."""
 
     SKY = 0
     GROUND = 1
@@ -50,8 +49,9 @@ class Objects:
 
 @dataclass(frozen=True)
 class Cover:
-    """How densely one kind stands: one per so many m² of lowland and of hillside, from `clear_m` to `within_m` from the
-    track; `scale` times as large as usual."""
+    """The density of one kind: one object per given m² of lowland and of hillside, from `clear_m` to `within_m` from
+    the track; `scale` times the usual size.
+    """
 
     lowland_m2: float
     hillside_m2: float
@@ -67,7 +67,7 @@ COVERS = {
     Surface.WALL: Cover(1400.0, np.inf, 4.6),
     Surface.GRASS: Cover(260.0, np.inf, 0.0),
 }
-# Within a robot's width of its way; the largest rock reaches 0.5 m from where it stands, the robot 0.43 m from its way.
+# Within a robot's width of its path; the largest rock reaches 0.5 m from its centre, the robot 0.43 m from its path.
 BESIDE = {
     Surface.ROCK: Cover(8.0, 8.0, 1.0, 2.0, scale=0.4),
     Surface.BUSH: Cover(16.0, 16.0, 1.3, 2.4, scale=0.6),
@@ -77,7 +77,7 @@ BESIDE = {
 
 @dataclass
 class _Yard:
-    """Collects what is placed; lives only inside `place_objects`."""
+    """A collector of placed objects inside `place_objects`."""
 
     soups: list[Array]
     surfaces: list[NDArray[np.uint8]]
@@ -96,7 +96,7 @@ class _Yard:
 def place_objects(terrain: Terrain, rng: np.random.Generator, beside: np.random.Generator | None = None) -> Objects:
     """Scatter every kind by its cover; the same generator state gives the same objects.
 
-    With a generator `beside`, more of them stand near the track; the others stay where they are.
+    With a generator `beside`, more objects are placed near the track; the others stay unchanged.
     """
     yard = _Yard([], [], [], [])
     _scatter(yard, COVERS, terrain, rng)
@@ -126,7 +126,7 @@ def _scatter(yard: _Yard, covers: Mapping[Surface, Cover], terrain: Terrain, rng
 
 
 def _feet(terrain: Terrain, cover: Cover, rng: np.random.Generator) -> Array:
-    """Points on the ground (N, 3): uniform darts, kept by the density of where they land."""
+    """Return points on the ground (N, 3): uniform darts, kept with the density at their position."""
     width, depth = terrain.extent_m
     densest = 1 / min(cover.lowland_m2, cover.hillside_m2)
     count = int(width * depth * densest)
@@ -173,7 +173,7 @@ def _tree(yard: _Yard, foot: Array, terrain: Terrain, rng: np.random.Generator, 
 
 
 def _wall(yard: _Yard, foot: Array, terrain: Terrain, rng: np.random.Generator, scale: float) -> None:
-    """A straight wall, left out where its ends would come near the track."""
+    """Add a straight wall unless its ends would come near the track."""
     length, yaw = scale * rng.uniform(5.0, 9.0), rng.uniform(0, np.pi)
     along = np.arange(-length / 2, length / 2 + 0.1, 0.2)
     line = foot[:2] + along[:, None] * (np.cos(yaw), np.sin(yaw))

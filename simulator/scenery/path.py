@@ -1,4 +1,4 @@
-"""Where the robot drives: a meandering line in plan, then exact poses on the ground at 200 Hz.
+"""The robot's path: a meandering line in plan, then exact poses on the ground at 200 Hz.
 
 **Conventions.** The world frame is the map: x along the valley, y left, z up, metres. Between two samples the exact
 pose is `stone.geometry.se3.interpolate` of them; sensors and truth use the same rule, so the truth has no interpolation
@@ -41,7 +41,7 @@ class DriveTrajectory:
         return self.start_ns + POSE_NS * np.arange(len(self.map_from_ego), dtype=np.int64)
 
     def at(self, stamps_ns: NDArray[np.int64]) -> SE3:
-        """Poses at these stamps (N,); stamps outside the run take the nearest end."""
+        """Return the poses at these stamps (N,); stamps outside the run take the nearest end."""
         last = len(self.map_from_ego) - 1
         elapsed = np.clip(stamps_ns - self.start_ns, 0, last * POSE_NS)
         index = np.minimum(elapsed // POSE_NS, last - 1)
@@ -50,7 +50,7 @@ class DriveTrajectory:
 
 
 def plan_track(length_m: float, start_m: tuple[float, float], rng: np.random.Generator) -> PlannedLine:
-    """Meanders: the heading is a sum of two waves around +x, so arc length and curvature are known."""
+    """Return a meandering line: the heading is a sum of two waves around +x, so arc length and curvature are known."""
     arc = np.arange(0.0, length_m, TRACK_STEP_M)
     phases = rng.uniform(0, 2 * np.pi, 2)
     heading = 0.55 * np.sin(2 * np.pi * arc / 47.0 + phases[0]) + 0.3 * np.sin(2 * np.pi * arc / 19.0 + phases[1])
@@ -61,14 +61,14 @@ def plan_track(length_m: float, start_m: tuple[float, float], rng: np.random.Gen
 
 
 def driven_m(speed_m_s: float, count: int) -> Array:
-    """The metres driven by each of `count` poses: at this speed on average, which swings in 8 s."""
+    """Return the metres driven by each of `count` poses, at this average speed, which varies with a period of 8 s."""
     time_s = np.arange(count) * POSE_NS * 1e-9
     swing = SPEED_SWING_RATIO * 8.0 / (2 * np.pi) * (1 - np.cos(2 * np.pi * time_s / 8.0))
     return np.asarray(speed_m_s * (time_s + swing))
 
 
 def drive(track: PlannedLine, terrain: Terrain, start_ns: int, driven: Array) -> DriveTrajectory:
-    """A pose where so many metres (N,) of the track are driven: the plane of the ground below, settled by springs."""
+    """Return a pose for each driven distance (N,): the plane of the ground below, smoothed by springs."""
     arc = np.minimum(driven, (len(track.heading_rad) - 1) * TRACK_STEP_M)
     grid = np.arange(len(track.heading_rad)) * TRACK_STEP_M
     x, y = (np.interp(arc, grid, track.points_m[:, axis]) for axis in (0, 1))
@@ -78,7 +78,7 @@ def drive(track: PlannedLine, terrain: Terrain, start_ns: int, driven: Array) ->
 
 
 def _ground_planes(terrain: Terrain, x: Array, y: Array, heading: Array) -> Array:
-    """Least squares z = a·forward + b·left + c over the footprint, (N, 3)."""
+    """Return the least-squares planes z = a·forward + b·left + c over the footprint, (N, 3)."""
     footprint = Footprint()
     half = np.linspace(-0.5, 0.5, 5)
     forward, left = (g.ravel() for g in np.meshgrid(half * footprint.length_m, half * footprint.width_m))

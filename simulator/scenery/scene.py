@@ -1,7 +1,7 @@
 """The ray-casting scene: the ground and the objects in embree, movers added in closed form.
 
-**Conventions.** Rays are (N, 3) float32 origins and unit directions in the world; a miss has range inf. The scene
-uses all cores; its answers do not depend on how many.
+**Conventions.** Rays are (N, 3) float32 origins and unit directions in the world; a miss has range inf. The scene uses
+all cores; its results do not depend on their number.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ MOVER_MARGIN_RAD = 0.03
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """Per ray: range (N,) metres, `Surface` (N,), and the world normal (N, 3) of what was hit."""
+    """The hits of rays: range (N,) metres, `Surface` (N,), and the world normal (N, 3) of the hit surface."""
 
     range_m: NDArray[np.float32]
     surface: NDArray[np.uint8]
@@ -31,7 +31,7 @@ class Hits:
 
 
 class RayScene:
-    """Built once per world; `cast` as often as needed."""
+    """A scene, built once per world; `cast` as often as needed."""
 
     def __init__(self, world: SimulatedWorld) -> None:
         self.world = world
@@ -44,7 +44,7 @@ class RayScene:
         self._object_surface = objects.surface
 
     def cast(self, origins: Rays, directions: Rays) -> Hits:
-        """Nearest hit of each ray with what stands still."""
+        """Return the nearest hit of each ray with static surfaces."""
         rays = np.concatenate([origins, directions], axis=1, dtype=np.float32)
         answer = self._scene.cast_rays(_tensor(rays))
         range_m = answer["t_hit"].numpy()
@@ -54,23 +54,23 @@ class RayScene:
         return Hits(range_m, surface, answer["primitive_normals"].numpy())
 
     def is_hidden(self, points: Rays, towards: Rays) -> NDArray[np.bool_]:
-        """Whether something that stands still lies between each point (N, 3) and what is infinitely far `towards`."""
+        """Return whether a static surface lies between each point (N, 3) and infinity in the direction `towards`."""
         rays = np.concatenate([points, np.broadcast_to(towards, points.shape)], axis=1, dtype=np.float32)
         hidden: NDArray[np.bool_] = self._scene.test_occlusions(_tensor(rays)).numpy()
         return hidden
 
 
 def _tensor(array: NDArray[Any]) -> Any:
-    """An Open3D tensor of the array's own type; Open3D's stubs lack this form."""
+    """Return an Open3D tensor of the array's own type; Open3D's stubs lack this form."""
     return o3d.core.Tensor.from_numpy(array)
 
 
 def put_mover(
     hits: Hits, mover: Mover, stamp_ns: int, rays: tuple[Rays, Rays], where: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """Let what moves hide what is behind it at this time, for the rays `where`; changes `hits` in place.
+    """Let a mover occlude what is behind it at this time, for the rays `where`; changes `hits` in place.
 
-    Returns the rays that met it.
+    Return the rays that hit it.
     """
     origins, directions = rays[0][where], rays[1][where]
     reach = mover.ranges_m(stamp_ns, origins, directions)
@@ -83,7 +83,7 @@ def put_mover(
 
 
 def rays_towards(place_m: Array, reach_m: float, origins: Rays, directions: Rays) -> NDArray[np.int64]:
-    """Rays whose bearing comes near what is at a place, and reaches so far about it: those worth the closed form."""
+    """Return the rays whose bearing and length come near a mover's position, as candidates for the closed form."""
     offset = place_m[:2].astype(np.float32) - origins[0, :2]
     distance = max(float(np.hypot(*offset)), 0.3)
     along = directions[:, 0] * (offset[0] / distance) + directions[:, 1] * (offset[1] / distance)
@@ -92,7 +92,7 @@ def rays_towards(place_m: Array, reach_m: float, origins: Rays, directions: Rays
 
 
 def ground_mesh(terrain: Terrain) -> tuple[Rays, NDArray[np.uint32]]:
-    """Vertices (V, 3) and triangles (F, 3) of the lattice, two to a cell."""
+    """Return vertices (V, 3) and triangles (F, 3) of the lattice, two per cell."""
     rows, columns = terrain.height_m.shape
     x, y = np.meshgrid(np.arange(columns), np.arange(rows))
     plan = np.stack([x, y], axis=-1) * terrain.resolution_m + np.asarray(terrain.origin_m)

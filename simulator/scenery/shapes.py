@@ -1,6 +1,6 @@
-"""Triangle soups of simple things, to be stood on the ground.
+"""Triangle soups of simple objects that stand on the ground.
 
-**Conventions.** A soup is (T, 3, 3) float64: triangles × corners × xyz, metres, around the thing's own foot.
+**Conventions.** A soup is (T, 3, 3) float64: triangles × corners × xyz, metres, around the object's foot.
 """
 
 import numpy as np
@@ -9,21 +9,21 @@ from stone.geometry.se3 import Array
 
 
 def boulder(radius_m: Array, rng: np.random.Generator) -> Array:
-    """A dented ball of half-axes `radius_m` (3,)."""
+    """Return a dented ball of half-axes `radius_m` (3,)."""
     points = _ball_points(6, 9)
     points *= 1 + 0.14 * rng.standard_normal((len(points), 1))
     return (points * radius_m)[_ball_faces(6, 9)]
 
 
 def leaves(half_axes_m: Array, count: int, size_m: float, rng: np.random.Generator) -> Array:
-    """Loose triangles scattered through an ellipsoid: lets some rays through, as foliage does."""
+    """Return loose triangles scattered through an ellipsoid, which let some rays through, like foliage."""
     centre = rng.standard_normal((count, 3))
     centre *= rng.random((count, 1)) ** (1 / 3) / np.linalg.norm(centre, axis=1, keepdims=True)
     return (centre * half_axes_m)[:, None] + size_m * rng.standard_normal((count, 3, 3))
 
 
 def trunk(radius_m: float, height_m: float) -> Array:
-    """An open tube of ten sides, standing from 0.5 m below its foot."""
+    """Return an open tube of ten sides, from 0.5 m below its foot."""
     angle = 2 * np.pi * np.arange(11) / 10
     ring = radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     low = np.concatenate([ring, np.full((11, 1), -0.5)], axis=1)
@@ -34,7 +34,7 @@ def trunk(radius_m: float, height_m: float) -> Array:
 
 
 def wall(length_m: float, thickness_m: float, height_m: float, yaw_rad: float) -> Array:
-    """A box standing from 1.5 m below its foot."""
+    """Return a box from 1.5 m below its foot."""
     corner = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
     corner *= (length_m, thickness_m, height_m + 1.5)
     corner[:, 2] -= 1.5
@@ -45,7 +45,7 @@ def wall(length_m: float, thickness_m: float, height_m: float, yaw_rad: float) -
 
 
 def blades(count: int, spread_m: float, rng: np.random.Generator) -> Array:
-    """Thin upright blades of grass, 0.12–0.35 m tall."""
+    """Return thin upright blades of grass, 0.12–0.35 m tall."""
     foot = spread_m * rng.standard_normal((count, 2))
     side = 0.02 * rng.standard_normal((count, 2))
     soup = np.zeros((count, 3, 3))

@@ -1,8 +1,8 @@
 """The ground: rolling fractal lowland between steep hillsides, with a ditch.
 
 **Conventions.** A terrain is a lattice of heights: `height_m[i, j]` at `origin + (j, i) · resolution`, bilinear
-between. Lowland rolls along x, so that one drive meets the heights that drivable ground around it has; hillsides
-rise at 33–43° from the lowland's edge and are undrivable for their slope alone.
+between. Lowland rolls along x, so that one drive covers the heights of the drivable ground around it. Hillsides rise at
+33–43° from the lowland's edge and are undrivable because of their slope.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ DITCH_DEPTH_M = 1.1
 
 @dataclass(frozen=True, eq=False)
 class Terrain:
-    """Heights (ny, nx) on a lattice, and where the lowland is."""
+    """Heights (ny, nx) on a lattice, and the mask of the lowland."""
 
     height_m: Array
     lowland: NDArray[np.bool_]
@@ -30,11 +30,11 @@ class Terrain:
     resolution_m: float = RESOLUTION_M
 
     def elevation_m(self, xy: Array) -> Array:
-        """Ground height at (..., 2) world points; outside the lattice, the nearest edge's."""
+        """Return the ground height at (..., 2) world points; outside the lattice, the nearest edge's height."""
         return bilinear(self.height_m, self.lattice(xy))
 
     def lattice(self, xy: Array) -> Array:
-        """Fractional (column, row) of world points."""
+        """Return the fractional (column, row) of world points."""
         return np.asarray((xy - np.asarray(self.origin_m)) / self.resolution_m)
 
     @property
@@ -44,13 +44,15 @@ class Terrain:
 
 
 def bilinear(field: Array, column_row: Array) -> Array:
-    """A lattice field at fractional (..., 2) positions."""
+    """Return a lattice field at fractional (..., 2) positions."""
     position = [column_row[..., 1], column_row[..., 0]]
     return np.asarray(map_coordinates(field, position, order=1, mode="nearest"))
 
 
 def fractal(shape: tuple[int, int], band_m: tuple[float, float], beta: float, rng: np.random.Generator) -> Array:
-    """Noise of zero mean and unit deviation whose amplitude falls as frequency^−beta inside the band of wavelengths."""
+    """Return noise of zero mean and unit deviation; its amplitude falls as frequency^−beta inside the band of
+    wavelengths.
+    """
     ky = np.fft.fftfreq(shape[0], RESOLUTION_M)[:, None]
     kx = np.fft.rfftfreq(shape[1], RESOLUTION_M)[None]
     k = np.hypot(ky, kx)
@@ -61,7 +63,7 @@ def fractal(shape: tuple[int, int], band_m: tuple[float, float], beta: float, rn
 
 
 def build_terrain(extent_m: tuple[float, float], track_m: Array, rng: np.random.Generator) -> Terrain:
-    """Ground for a drive along `track_m` (K, 2) inside `extent_m`."""
+    """Return the ground for a drive along `track_m` (K, 2) inside `extent_m`."""
     shape = (round(extent_m[1] / RESOLUTION_M) + 1, round(extent_m[0] / RESOLUTION_M) + 1)
     distance = _distance_to(track_m, shape)
     lowland = _lowland(distance, rng)
@@ -82,16 +84,16 @@ def _distance_to(track_m: Array, shape: tuple[int, int]) -> Array:
 
 
 def _lowland(distance_m: Array, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """True on the valley floor: below the quantile of a fractal, and always beside the track."""
+    """Return the mask of the valley floor: below the quantile of a fractal, and always beside the track."""
     hilliness = fractal((distance_m.shape[0], distance_m.shape[1]), (14.0, 40.0), 1.5, rng)
     hilliness -= 2.0 * np.exp(-((distance_m / 4.0) ** 2))
     return (hilliness < np.quantile(hilliness, 1 - HILL_COVER_RATIO)) | (distance_m < PATH_CLEAR_M)
 
 
 def _rollers(shape: tuple[int, int], start_x_m: float, rng: np.random.Generator) -> Array:
-    """Swells across the valley with bent crests: heights repeat along x, slopes stay below ≈ 18°.
+    """Return swells across the valley with bent crests: heights repeat along x, slopes stay below ≈ 18°.
 
-    The drive starts near a crest or a hollow, so that even 20 s of it meet both.
+    The drive starts near a crest or a hollow, so that even 20 s of it contain both.
     """
     x = np.arange(shape[1]) * RESOLUTION_M
     start = np.pi / 2 * rng.choice([-1.0, 1.0]) + rng.uniform(-0.4, 0.4)
@@ -102,7 +104,7 @@ def _rollers(shape: tuple[int, int], start_x_m: float, rng: np.random.Generator)
 
 
 def _hillsides(lowland: NDArray[np.bool_], rng: np.random.Generator) -> Array:
-    """Height above the lowland: distance to its edge times the tangent of 33–43°, with broken rock on it."""
+    """Return the height above the lowland: distance to its edge times the tangent of 33–43°, with broken rock on it."""
     shape = (lowland.shape[0], lowland.shape[1])
     distance = distance_transform_edt(~lowland) * RESOLUTION_M
     steepness = np.tan(np.deg2rad(38.0 + 2.5 * np.clip(fractal(shape, (10.0, 40.0), 1.5, rng), -2, 2)))
@@ -111,14 +113,14 @@ def _hillsides(lowland: NDArray[np.bool_], rng: np.random.Generator) -> Array:
 
 
 def _micro_relief(lowland: NDArray[np.bool_], rng: np.random.Generator) -> Array:
-    """Tufts and stones: centimetres, in patches, the same beside the track and away from it."""
+    """Return tufts and stones of centimetres, in patches, equally beside the track and away from it."""
     shape = (lowland.shape[0], lowland.shape[1])
     patches = np.clip(0.6 + 0.5 * fractal(shape, (4.0, 20.0), 1.5, rng), 0.1, 1.6)
     return 0.025 * fractal(shape, (1.0, 6.0), 1.5, rng) + 0.012 * patches * rng.standard_normal(shape)
 
 
 def _ditch(track_m: Array, shape: tuple[int, int], rng: np.random.Generator) -> Array:
-    """A V-shaped ditch (48°) that follows the track 6–9 m to one side, in stretches."""
+    """Return a V-shaped ditch (48°) that follows the track 6–9 m to one side, in stretches."""
     x, y = np.arange(shape[1]) * RESOLUTION_M, np.arange(shape[0]) * RESOLUTION_M
     side = rng.choice([-1.0, 1.0])
     aside = np.interp(x, track_m[:, 0], track_m[:, 1]) + side * (7.5 + 1.2 * np.sin(x / 9.0))

@@ -1,7 +1,7 @@
-"""One simulated place and one drive through it, drawn from the seed.
+"""One simulated world and one drive through it, drawn from the seed.
 
 **Conventions.** World = map = ENU at `ORIGIN_DEG_M`. The clock starts at a fixed instant, so that equal options give
-equal bytes. Each part draws from its own generator: more columns must not move a tree.
+equal bytes. Each part has its own generator: more columns must not move a tree.
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ MARGIN_M = 42.0
 
 @dataclass(frozen=True, eq=False)
 class SimulatedWorld:
-    """Ground, things, the robot's exact motion and what moves besides."""
+    """The ground, the objects, the robot's exact motion and the movers."""
 
     terrain: Terrain
     objects: Objects
@@ -33,12 +33,12 @@ class SimulatedWorld:
 
 
 def generator(seed: int, part: str) -> np.random.Generator:
-    """An independent stream for one named part of the simulation."""
+    """Return an independent generator for one named part of the simulation."""
     return np.random.default_rng([seed, *part.encode()])
 
 
 def build_world(options: SimulateOptions) -> SimulatedWorld:
-    """The valley is as long as the drive; poses reach beyond its end by the walker's lead."""
+    """Return the world; the valley is as long as the drive, and poses continue beyond its end by the walker's lead."""
     driven_s = options.seconds + AHEAD_S + 1.0
     length_m = driven_s * options.speed_m_s * (1 + SPEED_SWING_RATIO) + 2.0
     start = (MARGIN_M, options.world_width_m / 2)
@@ -52,10 +52,9 @@ def build_world(options: SimulateOptions) -> SimulatedWorld:
     return SimulatedWorld(terrain, objects, trajectory, movers_of(options, trajectory, terrain))
 
 
-# Where a tracked robot of 1.06 × 0.85 m can drive, from the exact heights alone.
-#
-# **Conventions.** Measured at the scale of the robot: the ground smoothed over 0.4 m gives the slope; what the
-# smoothing removed gives roughness and steps. Fields have the lattice's shape (ny, nx).
+# The drivable ground of a tracked robot of 1.06 × 0.85 m, from the exact heights alone. It is measured at the scale of
+# the robot: the ground smoothed over 0.4 m gives the slope; the residual gives roughness and steps. Fields have the
+# lattice's shape (ny, nx).
 
 
 PLANE_SCALE_M = 0.4
@@ -74,7 +73,7 @@ class Drivability:
 
 
 def drivability(height_m: Array, resolution_m: float) -> Drivability:
-    """Gentle, smooth and without steps at the robot's scale."""
+    """Return the ground that is gentle, smooth and without steps at the robot's scale."""
     sigma = PLANE_SCALE_M / resolution_m
     smooth = gaussian_filter(height_m, sigma, mode="nearest")
     along_y, along_x = np.gradient(smooth, resolution_m)

@@ -1,1 +1,1 @@
-"""The simulated sensors: LiDAR, cameras, radars, GNSS/INS and IMU, and where they sit on the robot."""
+"""The simulated sensors: LiDAR, cameras, radars, GNSS/INS and IMU, and their mounts on the robot."""

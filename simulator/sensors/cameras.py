@@ -1,8 +1,8 @@
-"""Six JPEG pictures a sweep, each taken when the LiDAR looks the camera's way.
+"""Six JPEG images per sweep, each taken when the LiDAR points in the camera's direction.
 
-**Conventions.** A coarse picture is cast at `COARSE_RAYS` and enlarged: edges, colours and times agree with the LiDAR,
-detail is not there. A full one has a ray through the centre of each pixel, half of one a ray for every 2 × 2 pixels,
-and both a sensor's noise. Optical frames: z forward, x right, y down.
+**Conventions.** A coarse image is cast at `COARSE_RAYS` and enlarged: edges, colours and times agree with the LiDAR,
+but it lacks detail. A full image has a ray through the centre of each pixel, a half image a ray for every 2 × 2 pixels;
+both have a sensor's noise. Optical frames: z forward, x right, y down.
 """
 
 from dataclasses import dataclass
@@ -24,13 +24,13 @@ from stone.sensors.calibration import CameraIntrinsics
 COARSE_RAYS = (80, 50)
 JPEG_QUALITY = 80
 TRIGGER_JITTER_NS = 50_000
-LAMP_ABOVE_M = 0.25  # over its camera
-FRONT_LAMP = 3.0  # times as strong as the others
+LAMP_ABOVE_M = 0.25  # above its camera
+FRONT_LAMP = 3.0  # relative to the other lamps
 
 
 @dataclass(frozen=True, eq=False)
 class CameraRing:
-    """Where each camera sits, the rays of one in its optical frame (rows, columns, 3), and how pictures are made."""
+    """The mount of each camera, the rays of one in its optical frame (rows, columns, 3), and the image options."""
 
     cameras: tuple[rig.CameraSpec, ...]
     directions: NDArray[np.float32]
@@ -50,7 +50,7 @@ class SimulatedPicture:
 
 
 def build_ring(options: SimulateOptions) -> CameraRing:
-    """The pinholes of these options: rays of equal parts of the picture."""
+    """Return the pinhole cameras of these options, with rays through equal parts of the image."""
     lens = rig.intrinsics(options.camera_width_px)
     parts = {"full": 1, "half": 2}.get(options.camera_detail)
     columns, rows = COARSE_RAYS if parts is None else (lens.width_px // parts, lens.height_px // parts)
@@ -62,7 +62,7 @@ def build_ring(options: SimulateOptions) -> CameraRing:
 
 
 def _rays(lens: CameraIntrinsics, columns: int, rows: int) -> NDArray[np.float32]:
-    """Unit rays through the centres of `columns` × `rows` equal parts of the picture (rows, columns, 3)."""
+    """Return unit rays through the centres of `columns` × `rows` equal parts of the image (rows, columns, 3)."""
     u = (np.arange(columns) + 0.5) * lens.width_px / columns - 0.5
     v = (np.arange(rows) + 0.5) * lens.height_px / rows - 0.5
     x, y = np.meshgrid((u - lens.cx_px) / lens.fx_px, (v - lens.cy_px) / lens.fy_px)
@@ -73,7 +73,7 @@ def _rays(lens: CameraIntrinsics, columns: int, rows: int) -> NDArray[np.float32
 def take_pictures(
     renderer: Renderer, ring: CameraRing, stamp_ns: int, rng: np.random.Generator
 ) -> list[SimulatedPicture]:
-    """The six exposures of the sweep at `stamp_ns`, in the order of `ring.cameras`."""
+    """Return the six exposures of the sweep at `stamp_ns`, in the order of `ring.cameras`."""
     jitter = rng.integers(-TRIGGER_JITTER_NS, TRIGGER_JITTER_NS, len(ring.cameras))
     jitter = np.rint(jitter * ring.options.noise_ratio).astype(np.int64)
     stamps = stamp_ns + np.array([camera.phase_ns for camera in ring.cameras]) + jitter
@@ -89,8 +89,9 @@ def take_pictures(
 
 
 def _view(trajectory: DriveTrajectory, ring: CameraRing, stamps_ns: NDArray[np.int64], middle_ns: int) -> View:
-    """The rays of all cameras, each from where it is at its own stamp; movers and lamps are where they are in the
-    middle of the sweep."""
+    """Return the rays of all cameras, each from its pose at its own stamp; movers and lamps are taken in the middle of
+    the sweep.
+    """
     poses = trajectory.at(stamps_ns)
     mounts = [poses[index] @ rig.ego_from_camera(camera) for index, camera in enumerate(ring.cameras)]
     turns = np.array([mount.rotation() for mount in mounts], np.float32)
@@ -103,7 +104,7 @@ def _view(trajectory: DriveTrajectory, ring: CameraRing, stamps_ns: NDArray[np.i
 
 
 def _lamps(map_from_ego: SE3, strength: float) -> Array:
-    """One lamp above each camera that looks the same way (L, 7): place, axis, strength; none by day."""
+    """Return one lamp above each camera with the same direction (L, 7): position, axis, strength; none by day."""
     if strength == 0.0:
         return np.zeros((0, 7))
     mounts = [map_from_ego @ rig.ego_from_camera(camera) for camera in rig.cameras()]
@@ -120,7 +121,7 @@ def _enlarged(pixels: NDArray[np.uint8], size_px: tuple[int, int]) -> NDArray[np
 
 
 def _with_noise(pixels: NDArray[np.uint8], ring: CameraRing, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Grain of brightness and, half as much, of colour; less of both where it is bright."""
+    """Add grain of brightness and, half as much, of colour; less of both in bright areas."""
     deviation = ring.options.noise_ratio * ring.light.noise_8bit * np.linspace(1.0, 0.5, 256, dtype=np.float32)
     grain = 0.5 * rng.standard_normal(pixels.shape, np.float32)
     grain += rng.standard_normal((*pixels.shape[:2], 1), np.float32)

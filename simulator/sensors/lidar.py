@@ -17,20 +17,14 @@ from simulator.sensors import rig
 from stone.geometry.se3 import Array
 from stone.sensors.calibration import Box
 
-# Faults of a real LiDAR's ranges: surfaces that return too little, beams on an edge, drops in the air.
-#
-# **Conventions.** A sweep's rays are (columns · channels,) in firing order, a column after another; no return is inf.
-# Of each ray: the range of the surface it meets, the cosine of the incidence there, and the reflectivity in [0, 1].
-#
-# - *Dropouts*. The mean power returned goes as reflectivity · cos(incidence) / range² (Lambert); speckle makes it
-#   exponentially distributed around its mean (Goodman, Speckle Phenomena in Optics, ch. 2), so a share
-#   exp(−threshold / mean) of the pulses is detected.
-# - *Mixed pixels*. A beam as wide as `beam_rad` lies across the edge between its own surface and that of the next
-# column
-#   in the share of cases that it fills of the angle between them. Echoes closer than a pulse's length are one,
-# somewhere
-#   between the two surfaces.
-# - *Rain*. Drops, insects and dust stop a ray at a constant rate along it, as far as they return enough.
+# Disturbances of a real LiDAR's ranges: surfaces that return too little, beams on an edge, drops in the air. A sweep's
+# rays are (columns · channels,) in firing order, a column after another; no return is inf. Inputs per ray: the range of
+# the hit surface, the cosine of the incidence there, and the reflectivity in [0, 1]. Dropouts: the mean returned power
+# is proportional to reflectivity · cos(incidence) / range² (Lambert); speckle makes it exponentially distributed around
+# its mean (Goodman, Speckle Phenomena in Optics, ch. 2), so a share exp(−threshold / mean) of the pulses is detected.
+# Mixed pixels: a beam as wide as `beam_rad` lies across the edge between its own surface and the next column's in the
+# share of cases that it fills of the angle between them. Echoes closer than a pulse's length merge into one between the
+# two surfaces. Rain: drops, insects and dust stop a ray at a constant rate along it, as far as they return enough.
 
 
 Ranges = NDArray[np.float32]
@@ -39,7 +33,8 @@ DARKEST = 1e-9
 
 @dataclass(frozen=True)
 class RangeNoise:
-    """How much of it: of a surface of `half_reflectivity`, met head-on at `half_range_m`, half the pulses come back.
+    """The strength of the disturbances: from a surface of `half_reflectivity`, hit head-on at `half_range_m`, half the
+    pulses return.
 
     The defaults are those of small LiDARs of 16 to 64 channels: 45 m on 10 %, 3 mrad, a pulse of 10 ns; and moderate
     rain, 2 of 1,000 rays.
@@ -56,7 +51,7 @@ class RangeNoise:
 
 @dataclass(frozen=True, eq=False)
 class Returns:
-    """What the rays of one sweep meet: range (N,), cosine of incidence (N,), reflectivity (N,)."""
+    """The surfaces hit by the rays of one sweep: range (N,), cosine of incidence (N,), reflectivity (N,)."""
 
     range_m: Ranges
     cosine: Ranges
@@ -64,20 +59,20 @@ class Returns:
 
 
 def disturbed(returns: Returns, channels: int, noise: RangeNoise, rng: np.random.Generator) -> Ranges:
-    """The ranges (N,) with mixed pixels, dropouts and rain, in this order."""
+    """Return the ranges (N,) with mixed pixels, dropouts and rain, in this order."""
     range_m = mixed(returns.range_m, channels, noise, rng)
     range_m = np.where(rng.random(len(range_m)) < detected_share(returns, noise), range_m, np.float32(np.inf))
     return rained(range_m, noise, rng)
 
 
 def detected_share(returns: Returns, noise: RangeNoise) -> Ranges:
-    """The share of pulses that comes back from each surface (N,)."""
+    """Return the share of pulses that return from each surface (N,)."""
     lit = np.maximum(returns.reflectivity * returns.cosine, DARKEST) / noise.half_reflectivity
     return np.asarray(np.exp2(-((returns.range_m / noise.half_range_m) ** 2) / lit), np.float32)
 
 
 def mixed(range_m: Ranges, channels: int, noise: RangeNoise, rng: np.random.Generator) -> Ranges:
-    """The ranges with those of beams on an edge drawn between its two surfaces."""
+    """Return the ranges with those of beams on an edge drawn between its two surfaces."""
     following = np.roll(range_m, -channels)
     is_wide = rng.random(len(range_m)) < noise.beam_rad * (len(range_m) // channels) / (2 * np.pi)
     part = rng.random(len(range_m), np.float32)
@@ -88,7 +83,7 @@ def mixed(range_m: Ranges, channels: int, noise: RangeNoise, rng: np.random.Gene
 
 
 def rained(range_m: Ranges, noise: RangeNoise, rng: np.random.Generator) -> Ranges:
-    """The ranges with those of rays that end at a drop before they meet anything."""
+    """Return the ranges with those of rays that end at a drop before any surface."""
     drop_m = rng.standard_exponential(len(range_m), np.float32) / np.float32(noise.drops_per_m)
     return np.where(drop_m < np.minimum(range_m, noise.drops_reach_m), drop_m, range_m).astype(np.float32)
 
@@ -102,7 +97,7 @@ REFLECTIVITY = {
 
 @dataclass(frozen=True, eq=False)
 class Lidar:
-    """What does not change from sweep to sweep."""
+    """The parts that are the same for every sweep."""
 
     directions: NDArray[np.float32]  # (steps, rays of a step, 3), LiDAR frame
     self_range_m: NDArray[np.float32]  # (rays,), inf where the ray clears the robot
@@ -118,12 +113,12 @@ class Lidar:
         return int(self.directions.shape[0])
 
     def packet_stamps_ns(self, stamp_ns: int) -> NDArray[np.int64]:
-        """When each step of the sweep at `stamp_ns` fires (steps,)."""
+        """Return the firing time of each step of the sweep at `stamp_ns` (steps,)."""
         return stamp_ns + np.arange(self.steps, dtype=np.int64) * self.sweep_ns // self.steps
 
 
 def build_lidar(options: SimulateOptions) -> Lidar:
-    """The ray fan of these options, with the robot's own body in front of it."""
+    """Return the ray fan of these options, with the robot's own body in front of it."""
     fan = rig.lidar_directions(options.channels, options.columns)
     ring = np.tile(np.arange(options.channels, dtype=np.uint16), options.columns)
     directions = fan.reshape(rig.sweep_steps(options.columns), -1, 3)
@@ -141,7 +136,7 @@ def build_lidar(options: SimulateOptions) -> Lidar:
 
 
 def sweep_points(scene: RayScene, lidar: Lidar, stamp_ns: int, rng: np.random.Generator) -> NDArray[np.void]:
-    """One sweep as `HESAI_POINT` records (rays,), in firing order."""
+    """Return one sweep as `HESAI_POINT` records (rays,), in firing order."""
     world, packets_ns = scene.world, lidar.packet_stamps_ns(stamp_ns)
     map_from_lidar = world.trajectory.at(packets_ns) @ rig.EGO_FROM_LIDAR
     turn = map_from_lidar.rotation().astype(np.float32)
@@ -150,9 +145,9 @@ def sweep_points(scene: RayScene, lidar: Lidar, stamp_ns: int, rng: np.random.Ge
     hits = scene.cast(origins, directions)
     middle_ns = stamp_ns + lidar.sweep_ns // 2
     for mover in world.movers:
-        place = mover.route.at(middle_ns)[0]
+        position = mover.route.at(middle_ns)[0]
         put_mover(
-            hits, mover, middle_ns, (origins, directions), rays_towards(place, mover.reach_m, origins, directions)
+            hits, mover, middle_ns, (origins, directions), rays_towards(position, mover.reach_m, origins, directions)
         )
     surface = np.where(lidar.self_range_m < hits.range_m, np.uint8(Surface.ROBOT), hits.surface)
     range_m = np.minimum(lidar.self_range_m, hits.range_m)
@@ -164,7 +159,7 @@ def sweep_points(scene: RayScene, lidar: Lidar, stamp_ns: int, rng: np.random.Ge
 
 
 def _returns(lidar: Lidar, hits: Hits, directions: Rays, surface: NDArray[np.uint8]) -> Returns:
-    """What the rays meet; the robot's own body is met head-on."""
+    """Return the surfaces hit by the rays; the robot's own body is hit head-on."""
     range_m = np.minimum(lidar.self_range_m, hits.range_m)
     cosine = np.abs(np.einsum("ni,ni->n", directions, hits.normal))
     cosine[surface == Surface.ROBOT] = 1.0
@@ -187,7 +182,7 @@ def _records(
 
 
 def robot_range(directions: Array) -> NDArray[np.float32]:
-    """Distance along LiDAR rays (N, 3) to the robot's own boxes and pole, inf where they miss."""
+    """Return the distance along LiDAR rays (N, 3) to the robot's own boxes and pole, inf for misses."""
     ego_directions = directions @ rig.EGO_FROM_LIDAR.rotation().T
     origin = rig.EGO_FROM_LIDAR.translation_m
     reach = _pole_range(ego_directions, origin)

@@ -1,9 +1,9 @@
 """Simulated GNSS/INS receiver and IMU.
 
-**Conventions.** The NovAtel driver stamps headers with the host's clock at publishing, 0–20 ms late; the time of
-validity is only in the GPS week and milliseconds. Attitude as the receiver gives it: roll right-down, pitch nose-up,
-azimuth clockwise from north, with ROS rpy = (roll, −pitch, 90° − azimuth) (novatel_oem7_driver, Humble).
-INSPVAX heights are ellipsoidal, BESTPOS heights above mean sea level.
+**Conventions.** The NovAtel driver stamps headers with the host's clock at publishing, 0–20 ms late; only the GPS week
+and milliseconds state the time of validity. Attitude as in the receiver: roll right-down, pitch nose-up, azimuth
+clockwise from north, with ROS rpy = (roll, −pitch, 90° − azimuth) (novatel_oem7_driver, Humble). INSPVAX heights are
+ellipsoidal, BESTPOS heights above mean sea level.
 """
 
 from dataclasses import dataclass, fields
@@ -37,7 +37,7 @@ ACCELERATION_NOISE_M_S2 = 0.03
 class Fixes:
     """The receiver's solution at true times `stamps_ns` (N,), published at `host_stamps_ns`.
 
-    `position_stdev_m` (N,) is what the receiver believes of each axis; where RTK is not fixed it floats.
+    `position_stdev_m` (N,) is the receiver's estimate for each axis; unless RTK is fixed, it floats.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -49,11 +49,11 @@ class Fixes:
     position_stdev_m: Array
 
     def where(self, is_kept: NDArray[np.bool_]) -> "Fixes":
-        """Those of the mask (N,)."""
+        """Return the fixes of the mask (N,)."""
         return Fixes(**{part.name: getattr(self, part.name)[is_kept] for part in fields(self)})
 
     def gps_week_ms(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """GPS week and milliseconds of the week of the true times."""
+        """Return GPS week and milliseconds of the week of the true times."""
         gps_ms = self.stamps_ns // 1_000_000 + (LEAP_SECONDS - GPS_EPOCH_UNIX_S) * 1000
         week, ms = np.divmod(gps_ms, WEEK_MS)
         return week, ms
@@ -62,7 +62,7 @@ class Fixes:
 def take_fixes(
     trajectory: DriveTrajectory, duration_ns: int, options: SimulateOptions, rng: np.random.Generator
 ) -> Fixes:
-    """20 Hz, RTK-like: the noise drifts smoothly over seconds. Both ends of the run are covered."""
+    """Return fixes at 20 Hz, RTK-like: the noise drifts smoothly over seconds. Both ends of the run are covered."""
     stamps = trajectory.start_ns + np.arange(0, duration_ns + FIX_NS, FIX_NS, dtype=np.int64)
     exact = trajectory.at(stamps) @ rig.EGO_FROM_INS
     ahead = trajectory.at(stamps + POSE_NS) @ rig.EGO_FROM_INS
@@ -84,7 +84,7 @@ def _with_rtk_noise(exact: SE3, noise_ratio: float, rng: np.random.Generator) ->
 
 
 def novatel_attitude_rad(map_from_ins: SE3) -> Array:
-    """(N, 3) roll, pitch, azimuth of poses whose body is x forward, y left, z up."""
+    """Return roll, pitch, azimuth (N, 3) of poses whose body is x forward, y left, z up."""
     r = map_from_ins.rotation()
     roll = np.arctan2(r[..., 2, 1], r[..., 2, 2])
     pitch_down = np.arcsin(np.clip(-r[..., 2, 0], -1, 1))
@@ -104,10 +104,10 @@ class Inertia:
 def take_inertia(
     trajectory: DriveTrajectory, duration_ns: int, rng: np.random.Generator, noise_ratio: float = 1.0
 ) -> Inertia:
-    """By central differences of the exact poses, with white noise."""
+    """Return samples from central differences of the exact poses, with white noise."""
     count = duration_ns // POSE_NS
     stamps = trajectory.start_ns + np.arange(count, dtype=np.int64) * POSE_NS
-    centre = np.maximum(stamps, stamps[:1] + POSE_NS)  # the first sample has nothing before it
+    centre = np.maximum(stamps, stamps[:1] + POSE_NS)  # the first sample has no predecessor
     before, here, after = (trajectory.at(centre + shift) @ rig.EGO_FROM_IMU for shift in (-POSE_NS, 0, POSE_NS))
     step_s = POSE_NS * 1e-9
     turn = (before.inverse() @ after).wxyz

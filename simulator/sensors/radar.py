@@ -1,8 +1,8 @@
 """Three ARS 548: sparse detections with range rate, at 20 Hz.
 
-**Conventions.** Azimuth is positive to the left, elevation up, in the radar's frame (x forward, y left, z up);
-range rate is positive when the target recedes. Only the first `count` slots of a list are valid: the rest hold stale
-detections, as the sensor's own lists do.
+**Conventions.** Azimuth is positive to the left, elevation up, in the radar's frame (x forward, y left, z up); range
+rate is positive when the target recedes. Only the first `count` slots of a list are valid: the rest contain stale
+detections, like the sensor's own lists.
 """
 
 from dataclasses import dataclass
@@ -46,14 +46,14 @@ class RadarLists:
 
 @dataclass(frozen=True, eq=False)
 class Radars:
-    """What does not change from list to list: the unused slots (800,) and how much noise the used ones have."""
+    """The parts that are the same for every list: the unused slots (800,) and the noise of the used ones."""
 
     stale: NDArray[np.void]
     noise_ratio: float
 
 
 def stale_detections(rng: np.random.Generator) -> NDArray[np.void]:
-    """What lies in the unused slots (800,): plausible numbers that must not be read."""
+    """Return the content of the unused slots (800,): plausible numbers that must not be read."""
     stale = np.zeros(MAX_DETECTIONS, DETECTION)
     stale["range"] = rng.uniform(1, 300, MAX_DETECTIONS)
     stale["azimuth"] = rng.uniform(-1, 1, MAX_DETECTIONS)
@@ -64,7 +64,7 @@ def stale_detections(rng: np.random.Generator) -> NDArray[np.void]:
 
 
 def scan(scene: RayScene, stamps_ns: list[int], radars: Radars, rng: np.random.Generator) -> list[RadarLists]:
-    """All radars at these stamps, in one cast."""
+    """Return the lists of all radars at these stamps, from one cast."""
     mounts = [rig.ego_from_radar(channel) for channel in rig.RADARS]
     stamps = np.repeat(np.array(stamps_ns, np.int64), len(mounts))
     ego_from_radar = SE3(np.tile(np.array([mount.wxyz_xyz for mount in mounts]), (len(stamps_ns), 1)))
@@ -100,7 +100,7 @@ def _fill(
     surface: NDArray[np.uint8],
     noise: Array,
 ) -> None:
-    """Write the seen rays into the first slots of one list, with the sensor's noise and its own deviations."""
+    """Write the visible rays into the first slots of one list, with the sensor's noise and its own deviations."""
     azimuth, elevation, range_m, range_rate = measured
     count = len(azimuth)
     valid = slots[:count]
@@ -119,6 +119,6 @@ def _fill(
 
 
 def scan_stamps_ns(sweep_stamp_ns: int) -> list[int]:
-    """The radar instants that fall into one sweep: 20 Hz, on the radar's own clock phase."""
+    """Return the radar instants within one sweep: 20 Hz, on the radar's own clock phase."""
     first = sweep_stamp_ns + PHASE_NS
     return list(range(first, first + rig.SWEEP_NS, FIX_NS))

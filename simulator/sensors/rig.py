@@ -1,8 +1,8 @@
-"""The simulated robot: where its sensors sit and when they fire.
+"""The simulated robot: the mounts and firing times of its sensors.
 
 **Conventions.** Mounts are `ego_from_<sensor>` (x forward, y left, z up; cameras optical) and become
-`lidar_from_<sensor>` in the calibration. The LiDAR frame is Hesai's: +y is forward, azimuth grows clockwise from +y.
-A sweep starts at `SWEEP_START_RAD`, 15° before it looks straight back, so that every camera fires well inside it.
+`lidar_from_<sensor>` in the calibration. The LiDAR frame is Hesai's: +y is forward, azimuth grows clockwise from +y. A
+sweep starts at `SWEEP_START_RAD`, 15° before it points straight back, so that every camera fires well inside it.
 """
 
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ CAMERA_YAWS_DEG = {
 RADARS = {"RADAR_FRONT": (0.50, 0.0, 0.0), "RADAR_LEFT": (0.0, 0.42, 90.0), "RADAR_RIGHT": (0.0, -0.42, -90.0)}
 CAMERA_VIEW_RAD = np.deg2rad(80.0)
 
-# What of the robot its own LiDAR sees: a box behind the mast and an antenna pole.
+# The parts of the robot in its LiDAR's view: a box behind the mast and an antenna pole.
 BODY_BOXES_EGO = (Box((-0.53, -0.425, 0.05), (0.53, 0.425, 0.55)), Box((-0.50, -0.28, 0.55), (-0.24, 0.16, 0.80)))
 POLE_EGO_XY_M = (-0.45, 0.30)
 POLE_RADIUS_M = 0.03
@@ -46,7 +46,9 @@ EGO_FROM_IMU = SE3.from_parts(np.array([1.0, 0, 0, 0]), np.array([0.05, 0.02, 0.
 
 @dataclass(frozen=True)
 class CameraSpec:
-    """One camera of the ring; `phase_ns` is the trigger after the sweep's stamp, when the LiDAR looks its way."""
+    """One camera of the ring; `phase_ns` is the trigger after the sweep's stamp, when the LiDAR points in its
+    direction.
+    """
 
     channel: str
     frame_id: str
@@ -56,15 +58,15 @@ class CameraSpec:
 
 
 def cameras() -> tuple[CameraSpec, ...]:
-    """Six cameras, 60° apart."""
+    """Return six cameras, 60° apart."""
     return tuple(_camera(channel, float(np.deg2rad(yaw_deg))) for channel, yaw_deg in CAMERA_YAWS_DEG.items())
 
 
 def _camera(channel: str, yaw_rad: float) -> CameraSpec:
     turned_rad = (-yaw_rad - SWEEP_START_RAD) % (2 * pi)
-    place = channel.removeprefix("CAM_").lower()
+    mount = channel.removeprefix("CAM_").lower()
     phase_ns = round(turned_rad / (2 * pi) * SWEEP_NS)
-    return CameraSpec(channel, f"cam_{place}", f"/camera/{place}/image/compressed", yaw_rad, phase_ns)
+    return CameraSpec(channel, f"cam_{mount}", f"/camera/{mount}/image/compressed", yaw_rad, phase_ns)
 
 
 def camera_info_topic(camera: CameraSpec) -> str:
@@ -72,7 +74,7 @@ def camera_info_topic(camera: CameraSpec) -> str:
 
 
 def ego_from_camera(camera: CameraSpec) -> SE3:
-    """Optical frame 0.12 m out from the mast at 0.80 m: z looks along the yaw, y down."""
+    """Return an optical frame 0.12 m out from the mast at 0.80 m: z along the yaw, y down."""
     c, s = cos(camera.yaw_rad), sin(camera.yaw_rad)
     matrix = np.eye(4)
     matrix[:3, :3] = np.array([[s, 0, c], [-c, 0, s], [0, -1, 0]])
@@ -81,14 +83,14 @@ def ego_from_camera(camera: CameraSpec) -> SE3:
 
 
 def ego_from_radar(channel: str) -> SE3:
-    """Radar frame x forward, y left, z up at 0.50 m."""
+    """Return a radar frame: x forward, y left, z up at 0.50 m."""
     x, y, yaw_deg = RADARS[channel]
     half = np.deg2rad(yaw_deg) / 2
     return SE3.from_parts(np.array([cos(half), 0, 0, sin(half)]), np.array([x, y, 0.50]))
 
 
 def intrinsics(width_px: int) -> CameraIntrinsics:
-    """A 16:10 pinhole with square pixels and 80° of horizontal view."""
+    """Return a 16:10 pinhole camera with square pixels and 80° of horizontal view."""
     height_px = round(width_px * 0.625)
     focal_px = width_px / 2 / tan(CAMERA_VIEW_RAD / 2)
     centre = ((width_px - 1) / 2, (height_px - 1) / 2)
@@ -96,7 +98,7 @@ def intrinsics(width_px: int) -> CameraIntrinsics:
 
 
 def calibration(camera_width_px: int) -> Calibration:
-    """The rig as the platform knows it: exactly the mounts the sensors are simulated with."""
+    """Return the rig's calibration: exactly the simulated mounts."""
     lidar_from_ego = EGO_FROM_LIDAR.inverse()
     lens = intrinsics(camera_width_px)
     mounts = [
@@ -120,12 +122,12 @@ def radar_topic(channel: str) -> str:
 
 
 def sweep_steps(columns: int) -> int:
-    """Pose steps of a sweep: the largest divisor of `columns` up to 100, so that a step is a whole packet."""
+    """Return the pose steps of a sweep: the largest divisor of `columns` up to 100, one whole packet per step."""
     return max(steps for steps in range(1, 101) if columns % steps == 0)
 
 
 def lidar_directions(channels: int, columns: int) -> Array:
-    """Unit rays (columns, channels, 3) in the LiDAR frame, in firing order; ring 0 is the top beam."""
+    """Return unit rays (columns, channels, 3) in the LiDAR frame, in firing order; ring 0 is the top beam."""
     azimuth = SWEEP_START_RAD + 2 * pi * np.arange(columns) / columns
     elevation = np.linspace(LIDAR_TOP_RAD, LIDAR_BOTTOM_RAD, channels)
     flat = np.cos(elevation)[None, :]
