@@ -115,7 +115,9 @@ class SimulateOptions:
             )
         for fault in self.faults:
             if fault not in FAULT_NAMES:
-                raise Refused("bad_simulation_option", f"faults is {fault!r}; it must be of {', '.join(FAULT_NAMES)}")
+                raise Refused(
+                    "bad_simulation_option", f"faults is {fault!r}; it must be one of {', '.join(FAULT_NAMES)}"
+                )
 
     @property
     def sweep_ns(self) -> int:

@@ -32,7 +32,7 @@ OBSTACLE_CELL_M = 0.1
 
 def truth_folder(folder: Path, reason: str) -> Refused:
     return Refused(
-        "not_a_truth_folder", f"{folder} holds no simulated truth ({reason}); write one with stone simulate --truth"
+        "not_a_truth_folder", f"{folder} contains no simulated truth ({reason}); write one with stone simulate --truth"
     )
 
 
@@ -56,7 +56,7 @@ class SimulationTruth:
         if not stamps[0] <= stamp_ns <= stamps[-1]:
             raise Refused(
                 "stamp_outside_truth",
-                f"stamp {stamp_ns} ns lies outside the simulated drive {int(stamps[0])}..{int(stamps[-1])} ns; "
+                f"stamp {stamp_ns} ns is outside the simulated drive {int(stamps[0])}..{int(stamps[-1])} ns; "
                 "another recording's truth?",
             )
         return self.trajectory.at(np.array([stamp_ns], np.int64))[0]
