@@ -135,7 +135,7 @@ def test_submissions_are_listed_newest_first_and_named_by_how_late_they_are(as_t
     for named in ("latest~3", "nope"):
         result = stone("benchmark", "results", named)
         assert refused(result) == "no_submission"
-        assert "of the 3 of your teams" in result.stderr
+        assert "your teams have 3" in result.stderr
     assert stone("benchmark", "results", "--by", "sequence").exit_code == 2
 
 

@@ -26,7 +26,7 @@ def test_five_digits_a_middle_and_other_texts_name_none(named: str) -> None:
 
 
 def test_an_ambiguous_short_id_is_refused_with_its_candidates() -> None:
-    with refused_as("ambiguous_id", match=f"2 ids; name one: {IDS[1]}, {IDS[0]}"):
+    with refused_as("ambiguous_id", match=f"2 ids; give more digits: {IDS[1]}, {IDS[0]}"):
         whole_id("01a223", IDS)
 
 
