@@ -1,12 +1,13 @@
 """Models of the STONE paper's Table II, in plain PyTorch, for `stone model train` and `stone model predict`.
 
-**Conventions.** `baselines/batch.py` says what a model is given, `baselines/models/occupancy_model.py` what it answers.
-Layers and models know tensors only; files are met in `data.py`, `cache.py`, `checkpoint.py` and `predict.py`. Nothing
-here is imported by the platform, which runs without torch.
+**Conventions.** `baselines/batch.py` defines the inputs of models, `baselines/models/occupancy_model.py` their outputs.
+Layers and models use tensors only; files are handled in `data.py`, `cache.py`, `checkpoint.py` and `predict.py`. The
+platform, which runs without torch, imports nothing from here.
 """
 
 import os
 
-# The matrix tiles of newer Xeons (AMX) are left out: with them oneDNN of torch 2.13 answers bfloat16 convolutions of
-# few input channels wrongly (pytorch issues 169688 and 163347). Read when oneDNN is first used, so before any model.
+# AMX (matrix tiles of newer Xeons) is disabled: with it oneDNN of torch 2.13 computes wrong bfloat16 convolutions of
+# few input channels (pytorch issues 169688 and 163347). oneDNN reads the variable at its first use, so it is set before
+# any model.
 os.environ.setdefault("ONEDNN_MAX_CPU_ISA", "AVX512_CORE_BF16")

@@ -1,9 +1,9 @@
-"""Augmentation of a frame for training, as OpenOccupancy's configurations have it: pictures and the grid.
+"""Augmentation of a frame for training, as in OpenOccupancy's configurations: images and the grid.
 
-**Conventions.** What is drawn depends on the seed, the epoch and the frame alone, so that a run which is resumed sees
-what it would have seen. Pixels: `augmented_from_image` is affine where the centre of the first pixel is
-(0, 0). The grid is mirrored along x and y, about the robot: exactly a permutation of voxels, since it is symmetric.
-Source: BEVDet (Huang et al., 2021), 3.2; OpenOccupancy, `data_config` and `bda_aug_conf`.
+**Conventions.** Random draws depend on the seed, the epoch and the frame alone, so that a resumed run draws the same.
+Pixels: `augmented_from_image` is affine with the centre of the first pixel at (0, 0). The grid is mirrored along x and
+y, about the robot: exactly a permutation of voxels, since it is symmetric. Source: BEVDet (Huang et al., 2021), 3.2;
+OpenOccupancy, `data_config` and `bda_aug_conf`.
 """
 
 import math
@@ -20,7 +20,7 @@ IMAGENET_MEAN, IMAGENET_DEVIATION = (123.675, 116.28, 103.53), (58.395, 57.12, 5
 
 @dataclass(frozen=True)
 class AugmentConfig:
-    """Ranges that are drawn from: zoom about 1, rotation of pictures, and how often something is mirrored."""
+    """Ranges of the draws: zoom about 1, rotation of images, and probabilities of mirroring."""
 
     zoom_below: float = 0.06
     zoom_above: float = 0.11
@@ -35,36 +35,36 @@ NO_AUGMENTATION = AugmentConfig(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, eq=False)
 class GridMirrors:
-    """Which axes of the grid are turned around."""
+    """The mirrored axes of the grid."""
 
     x: bool = False
     y: bool = False
 
     def grid_from_ego(self) -> Matrix:
-        """(4, 4): a reflection."""
+        """Return the reflection (4, 4)."""
         return np.diag([-1.0 if self.x else 1.0, -1.0 if self.y else 1.0, 1.0, 1.0])
 
     def of_labels(self, labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Labels (X, Y, Z) seen from the grid frame."""
+        """Return labels (X, Y, Z) in the grid frame."""
         return labels[:: -1 if self.x else 1, :: -1 if self.y else 1]
 
 
 def generator_of(seed: int, epoch: int, index: int) -> np.random.Generator:
-    """What a frame's augmentation is drawn with."""
+    """Return the generator of a frame's augmentation."""
     return np.random.default_rng((seed, epoch, index))
 
 
 def draw_mirrors(config: AugmentConfig, rng: np.random.Generator) -> GridMirrors:
-    """Of the grid."""
+    """Draw the mirrored axes of the grid."""
     draws = rng.random(2)
     return GridMirrors(bool(draws[0] < config.mirror_x_ratio), bool(draws[1] < config.mirror_y_ratio))
 
 
 def draw_picture_change(config: AugmentConfig, size_px: tuple[int, int], rng: np.random.Generator) -> Matrix:
-    """`augmented_from_image` (3, 3) for pictures of `size_px` (height, width): zoomed, cropped, mirrored, turned.
+    """Return `augmented_from_image` (3, 3) for images of `size_px` (height, width): zoomed, cropped, mirrored, rotated.
 
-    A picture that is zoomed in is cropped anywhere across and at its top, as the official code crops; one that is
-    zoomed out lies at the bottom, black around it.
+    A zoomed-in image is cropped at a random column and at its top, like in the official code; a zoomed-out image lies
+    at the bottom with black around it.
     """
     height, width = size_px
     zoom = 1 + rng.uniform(-config.zoom_below, config.zoom_above)
@@ -78,19 +78,19 @@ def draw_picture_change(config: AugmentConfig, size_px: tuple[int, int], rng: np
 
 
 def _turned(angle_rad: float, size_px: tuple[int, int]) -> Matrix:
-    """About the middle of the picture."""
+    """Return a rotation about the middle of the image."""
     cx, cy = (size_px[1] - 1) / 2, (size_px[0] - 1) / 2
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     return np.array([[c, -s, cx - c * cx + s * cy], [s, c, cy - s * cx - c * cy], [0, 0, 1]])
 
 
 def changed_picture(jpeg: bytes, augmented_from_image: Matrix) -> NDArray[np.float32]:
-    """(3, H, W) float32, normalised: the picture under the change, bilinear, black where it does not reach."""
+    """Return the normalised image (3, H, W) float32 under the change, bilinear, black outside."""
     with Image.open(BytesIO(jpeg), formats=("JPEG",)) as image:
         picture = image.convert("RGB")
     if not np.array_equal(augmented_from_image, np.eye(3)):
         (a, b, u), (c, d, v) = np.linalg.inv(augmented_from_image)[:2]
-        # Pillow's pixels have their centres at one half.
+        # Pillow's pixel centres are at one half.
         coefficients = (a, b, u + 0.5 - (a + b) / 2, c, d, v + 0.5 - (c + d) / 2)
         picture = picture.transform(picture.size, Image.Transform.AFFINE, coefficients, Image.Resampling.BILINEAR)
     pixels = np.asarray(picture, np.float32)

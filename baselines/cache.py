@@ -1,9 +1,10 @@
-"""A cache of frames for training: a safetensors file a frame, so that an epoch reads no tables and undistorts nothing.
+"""A cache of frames for training: a safetensors file per frame, so that an epoch reads no tables and undistorts
+nothing.
 
-**Conventions.** A file is named `<token>.<16 hex digits>.safetensors`; the digits are a digest of what it was made of
-(inputs, and sizes and times of the files read), so that what has changed is read anew and what has not is not. Files
-appear by atomic rename: a cache that was cut off goes on, and runs may share one. Its metadata has the sha256 of its
-content and the voxels of each class.
+**Conventions.** A file is named `<token>.<16 hex digits>.safetensors`; the digits are a digest of its inputs (including
+sizes and times of the files read), so that exactly the changed frames are read again. Files appear by atomic rename: an
+interrupted cache continues, and runs may share it. Its metadata contains the sha256 of its content and the voxels of
+each class.
 """
 
 import json
@@ -37,8 +38,9 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class FrameSource:
-    """A frame of an export, where its labels are (there, or in a version of the dataset beside it), and which of them
-    are wanted."""
+    """A frame of an export, the location of its labels (in the export, or a dataset version beside it), and the wanted
+    labels.
+    """
 
     frame: ExportedFrame
     labels: ExportFileSpan | None
@@ -47,7 +49,7 @@ class FrameSource:
 
 @dataclass(frozen=True)
 class CachedFrame:
-    """A file of the cache. `voxels` of each class that its labels have, `unsure` ones, `sha256` of its content."""
+    """A file of the cache: `voxels` per class of its labels, the number of `unsure` voxels, `sha256` of its content."""
 
     path: Path
     token: str
@@ -58,7 +60,7 @@ class CachedFrame:
     unsure: int = 0
 
     def read(self) -> FrameRecord:
-        """The frame."""
+        """Return the frame."""
         arrays = load_file(self.path)
         labels = arrays.get("labels")
         pictures = tuple(_pictures(arrays))
@@ -73,7 +75,7 @@ class CachedFrame:
 
 @dataclass(frozen=True)
 class CachedStore:
-    """Cached frames as a dataset reads them."""
+    """Cached frames in the form of a dataset."""
 
     frames: tuple[CachedFrame, ...]
 
@@ -90,7 +92,7 @@ class CachedStore:
 def cached_frames(
     sources: Iterable[FrameSource], inputs: InputConfig, folder: Path, progress: Progress, workers: int = 2
 ) -> tuple[CachedFrame, ...]:
-    """Every frame in the cache, in order; what is not in it yet is read and put there.
+    """Return every frame in the cache, in order; missing frames are read and added.
 
     Raises `DamagedExportError`, `sensor_missing`, `no_confidence`.
     """
@@ -105,7 +107,7 @@ def cached_frames(
 
 
 def data_hash(frames: Iterable[CachedFrame]) -> str:
-    """sha256 over what a network is given of these frames."""
+    """Return the sha256 of the network's inputs in these frames."""
     whole = sha256()
     for line in sorted(f"{frame.token} {frame.sequence} {frame.stamp_us} {frame.sha256}" for frame in frames):
         whole.update(line.encode())
@@ -129,7 +131,7 @@ def _described(path: Path, frame: ExportedFrame) -> CachedFrame:
 
 
 def write_record(path: Path, record: FrameRecord) -> None:
-    """The file of a frame, whole or absent."""
+    """Write the file of a frame, whole or not at all."""
     arrays = _arrays(record)
     whole = sha256()
     for name, array in sorted(arrays.items()):
@@ -175,7 +177,7 @@ def _inflated(labels: NDArray[np.uint8], shape: NDArray[np.int64] | None) -> NDA
 
 
 def _identity(source: FrameSource, inputs: InputConfig) -> str:
-    """Digits that change with whatever the frame is made of."""
+    """Return digits that change with every input of the frame."""
     facts: list[object] = [VERSION, inputs.modality, inputs.image_size_px, inputs.channels, inputs.with_depth]
     spans = [datum.span for _, datum in sorted(source.frame.data.items())]
     facts += [span.identity() for span in (*spans, *(() if source.labels is None else (source.labels,)))]

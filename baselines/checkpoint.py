@@ -1,8 +1,8 @@
-"""Checkpoints: everything that a run needs to go on as if it had never stopped, in one safetensors file.
+"""Checkpoints: the whole state of a run in one safetensors file, so that it can continue without a difference.
 
 **Conventions.** Tensors `model.<name>`, `optimizer.<parameter>.<state>`, `rng.cpu`, `rng.cuda`; metadata is JSON:
-config, step, where in the epoch, data hash. Nothing is pickled. A file appears by atomic rename, so a kill leaves the
-one before. Weights alone (`write_weights`) are what `stone model predict` reads.
+config, step, position in the epoch, data hash. Nothing is pickled. A file appears by atomic rename, so a kill leaves
+the previous file. `stone model predict` reads the weights alone (`write_weights`).
 """
 
 import json
@@ -21,7 +21,7 @@ from baselines.layers.resnet import ResNet
 from stone.errors import Refused
 from stone_files.atomic import atomic_file
 
-# What torch and safetensors raise for files that are none, `AttributeError` for one that holds no dictionary.
+# Errors of torch and safetensors for invalid files; `AttributeError` for a file without a dictionary.
 UNREADABLE = (OSError, RuntimeError, SafetensorError, ValueError, EOFError, AttributeError, UnpicklingError)
 CHECKPOINT, WEIGHTS = "checkpoint.safetensors", "weights.safetensors"
 SAID = "stone"
@@ -29,7 +29,7 @@ SAID = "stone"
 
 @dataclass(frozen=True)
 class Position:
-    """How far a run is: optimiser steps made, and frames of this epoch drawn by each process."""
+    """The progress of a run: optimiser steps, and frames of this epoch drawn by each process."""
 
     step: int = 0
     epoch: int = 0
@@ -38,7 +38,7 @@ class Position:
 
 @dataclass(frozen=True)
 class WeightsProvenance:
-    """What weights are of: the row's configuration as JSON, the data's hash, the metric, the best score watched."""
+    """The origin of weights: the row's config as JSON, the data's hash, the metric, the best validation score."""
 
     config: str
     data_sha256: str
@@ -62,7 +62,7 @@ def write_checkpoint(
 
 
 def read_checkpoint(folder: Path, model: nn.Module, optimizer: torch.optim.Optimizer) -> WeightsProvenance:
-    """Put model, optimiser and random numbers into the state of the checkpoint. Raises `bad_run`."""
+    """Restore model, optimiser and random numbers from the checkpoint. Raises `bad_run`."""
     path = folder / CHECKPOINT
     provenance = provenance_of(path)
     tensors = load_file(path)
@@ -85,14 +85,14 @@ def write_weights(folder: Path, model: nn.Module, provenance: WeightsProvenance)
 
 
 def read_weights(folder: Path, model: nn.Module) -> WeightsProvenance:
-    """Put the weights into the model. Raises `bad_run`."""
+    """Load the weights into the model. Raises `bad_run`."""
     provenance = provenance_of(folder / WEIGHTS)
     _load_model(folder, model, load_file(folder / WEIGHTS))
     return provenance
 
 
 def provenance_of(path: Path) -> WeightsProvenance:
-    """Read the description that the file carries. Raises `bad_run`."""
+    """Return the metadata of the file. Raises `bad_run`."""
     if not path.is_file():
         raise Refused(
             "bad_run", f"{path.parent}: there is no {path.name}; did the run end before its first checkpoint?"
@@ -106,10 +106,10 @@ def provenance_of(path: Path) -> WeightsProvenance:
 
 
 def load_backbone(model: nn.Module, path: Path) -> None:
-    """Pretrained weights of the model's image backbone, from a safetensors or torch file with torchvision's keys.
+    """Load pretrained weights of the model's image backbone, from a safetensors or torch file with torchvision's keys.
 
-    A classifier in it is passed over. Raises `bad_run` where a weight of the backbone is not in it, or of another
-    shape, where the file holds anything but tensors, and where the model has no such backbone.
+    A classifier in it is ignored. Raises `bad_run` if a weight of the backbone is missing or has another shape, if the
+    file contains anything but tensors, or if the model has no such backbone.
     """
     backbone = next((part for part in model.modules() if isinstance(part, ResNet)), None)
     if backbone is None:

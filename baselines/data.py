@@ -1,7 +1,7 @@
 """A torch dataset over cached frames: the frame, earlier sweeps of its sequence, augmented, and batches of these.
 
-**Conventions.** As `baselines/batch.py`. An item is drawn by (epoch, index): what it is depends on these and the seed
-only, whichever worker makes it. Earlier sweeps come in by the poses; a later one never does.
+**Conventions.** As in `baselines/batch.py`. An item is drawn by (epoch, index); its content depends on these and the
+seed only, not on the worker. Earlier sweeps are transformed by the poses; later sweeps are never used.
 """
 
 from collections import OrderedDict
@@ -35,12 +35,12 @@ RECORDS_KEPT = 24
 
 
 class FrameStore(Protocol):
-    """Frames in order of sequence and stamp, each read when it is asked for: of a cache, or of exports themselves."""
+    """Frames in order of sequence and stamp, each read on demand: from a cache, or from exports."""
 
     def __len__(self) -> int: ...
 
     def key(self, index: int) -> tuple[str, int]:
-        """Sequence and stamp in microseconds."""
+        """Return the sequence and the stamp in microseconds."""
         ...
 
     def read(self, index: int) -> FrameRecord: ...
@@ -48,8 +48,9 @@ class FrameStore(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FrameRequest:
-    """What is asked of frames: the row's inputs and lattice, how they are augmented, which voxels count, and the grid
-    of their labels."""
+    """The required content of frames: the row's inputs and lattice, the augmentation, the counted voxels, and the grid
+    of the labels.
+    """
 
     inputs: InputConfig
     lattice: VoxelLattice
@@ -84,7 +85,7 @@ class FrameDataset(Dataset[Batch]):
         )
 
     def _record(self, index: int) -> FrameRecord:
-        """The frame, which stays in memory for those that come after it."""
+        """Return the frame, which stays in memory for later frames."""
         if index not in self._records:
             self._records[index] = self.store.read(index)
             if len(self._records) > RECORDS_KEPT:
@@ -92,7 +93,7 @@ class FrameDataset(Dataset[Batch]):
         return self._records[index]
 
     def _earlier(self, index: int, most: int) -> Iterator[tuple[FrameRecord, float]]:
-        """The frame and those before it in its sequence, with their ages in seconds, newest first."""
+        """Yield the frame and earlier frames of its sequence, with their ages in seconds, newest first."""
         sequence, stamp_us = self.store.key(index)
         for place in range(index, max(index - most, -1), -1):
             name, then_us = self.store.key(place)
@@ -118,7 +119,7 @@ class FrameDataset(Dataset[Batch]):
     def _labels(self, record: FrameRecord, mirrors: GridMirrors) -> torch.Tensor | None:
         if record.labels is None:
             return None
-        # All of the grid is mirrored, then cut: a part of it need not be symmetric about the robot.
+        # The whole grid is mirrored, then cut: a part of it need not be symmetric about the robot.
         part = mirrors.of_labels(record.labels)[grid_part(self.request.lattice, self.request.grid)]
         if self.request.counted == "all":
             part = np.where(part == NOT_OBSERVED, np.uint8(0), part)
@@ -149,9 +150,9 @@ class FrameDataset(Dataset[Batch]):
 
 
 class EpochSampler(Sampler[Draw]):
-    """(epoch, index) of every one of `indices`, or of this process's share; shuffled by seed and epoch with a seed.
+    """Yield (epoch, index) of all `indices`, or of this process's share; shuffled by seed and epoch with a seed.
 
-    Shares are equally long: what is over at the end of an epoch is left out of it. `begin` leaves out what was drawn.
+    Shares have equal length: the remainder of an epoch is left out. `begin` skips the drawn items.
     """
 
     def __init__(self, indices: Sequence[int], seed: int | None = None, share: tuple[int, int] = (0, 1)) -> None:
@@ -170,7 +171,7 @@ class EpochSampler(Sampler[Draw]):
 
 
 def _placed(now: FrameRecord, then: FrameRecord, rows: NDArray[np.float32], age_s: float) -> NDArray[np.float32]:
-    """Rows (N, F) of an earlier frame in the ego frame of this one, velocities turned, with their age at the end."""
+    """Return rows (N, F) of an earlier frame in this frame's ego frame, velocities rotated, with their age last."""
     placed = np.concatenate([rows, np.full((len(rows), 1), age_s, np.float32)], axis=1)
     if then is not now:
         ego_from_then = now.global_from_ego.inverse() @ then.global_from_ego
@@ -194,9 +195,8 @@ def _stacked(matrices: Sequence[NDArray[np.float64]]) -> torch.Tensor:
     return torch.from_numpy(np.stack(matrices)).float()[None]
 
 
-# What depth networks are trained towards: the LiDAR's depth at pixels.
-#
-# **Conventions.** Depth is along z of the optical frame, metres; of several points at a pixel the nearest counts.
+# Targets of depth networks: the LiDAR's depth at pixels. Depth is along z of the optical frame, metres; of several
+# points at a pixel the nearest counts.
 
 
 def depth_picture(
@@ -205,7 +205,7 @@ def depth_picture(
     camera_from_ego: NDArray[np.floating[Any]],
     size_px: tuple[int, int],
 ) -> NDArray[np.float32]:
-    """(H, W) depth along z in metres of the nearest point (N, 3) at each pixel, 0 where there is none."""
+    """Return the depth (H, W) along z in metres of the nearest point (N, 3) at each pixel, 0 without a point."""
     points = points_ego.astype(np.float64) @ camera_from_ego[:3, :3].T + camera_from_ego[:3, 3]
     points = points[points[:, 2] > 0.1]
     rays = points @ image_from_camera.T

@@ -1,8 +1,8 @@
-"""A frame as models read it: points and detections in the ego frame, undistorted pictures, labels.
+"""A frame as models read it: points and detections in the ego frame, undistorted images, labels.
 
-**Conventions.** The ego frame is that at the LiDAR's stamp. A camera's `ego_from_camera` goes through the robot's pose
-at its exposure: camera → ego at exposure → global → ego at the LiDAR's stamp; so do radar detections. Points are kept
-in steps of 4 mm up to 131 m, farther ones are left out; intensities are whole numbers.
+**Conventions.** The ego frame is at the LiDAR's stamp. A camera's `ego_from_camera` includes the robot's pose at its
+exposure: camera → ego at exposure → global → ego at the LiDAR's stamp; the same holds for radar detections. Points are
+stored in steps of 4 mm up to 131 m, farther points are left out; intensities are whole numbers.
 """
 
 from collections.abc import Iterator
@@ -29,7 +29,7 @@ JPEG_QUALITY = 95
 
 @dataclass(frozen=True)
 class WantedLabels:
-    """The grid of labels, and how sure an occupied voxel of theirs must be."""
+    """The grid of labels, and the minimum confidence of their occupied voxels."""
 
     least_confidence: float = 0.0
     grid: LabelGrid = PAPER
@@ -40,7 +40,7 @@ ALL_LABELS = WantedLabels()
 
 @dataclass(frozen=True, eq=False)
 class PictureRecord:
-    """One picture: JPEG of the network's size, its matrix (3, 3) at that size, `ego_from_camera` (4, 4)."""
+    """One image: JPEG of the network's size, its matrix (3, 3) at that size, `ego_from_camera` (4, 4)."""
 
     jpeg: bytes
     intrinsics: NDArray[np.float64]
@@ -70,7 +70,7 @@ def read_record(
     inputs: InputConfig,
     wanted: WantedLabels = ALL_LABELS,
 ) -> FrameRecord:
-    """Return the parts of a frame that `inputs` names, and which of its labels, of the grid, are sure.
+    """Return the parts of a frame that `inputs` names, and its sure labels at the grid.
 
     Raises `DamagedExportError`, `sensor_missing`, `no_confidence`.
     """
@@ -87,7 +87,7 @@ def read_record(
 
 
 def within_reach(returns: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Rows (N, 4) that can be kept."""
+    """Return the rows (N, 4) within the storable range."""
     kept: NDArray[np.float32] = returns[(np.abs(returns[:, :3]) < REACH_M).all(axis=1)]
     return kept
 
@@ -101,7 +101,7 @@ def _detections(frame: ExportedFrame, inputs: InputConfig) -> NDArray[np.float32
 
 
 def _at_lidar_stamp(frame: ExportedFrame, datum: ExportedDatum, rows: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Detections (R, 6) in the ego frame of the LiDAR's stamp, as if nothing they hit had moved meanwhile."""
+    """Return detections (R, 6) in the ego frame of the LiDAR's stamp, assuming static targets."""
     ego_from_then = frame.lidar.global_from_ego.inverse() @ datum.global_from_ego
     velocities = np.pad(rows[:, 4:].astype(np.float64), ((0, 0), (0, 1))) @ ego_from_then.rotation().T
     points = ego_from_then @ rows[:, :3].astype(np.float64)

@@ -1,19 +1,21 @@
-"""What a row looks at: which sensors, how many earlier sweeps, and how large pictures are."""
+"""Inputs of a row: its sensors, the number of earlier sweeps, and the size of images."""
 
 from dataclasses import dataclass
 from typing import Literal
 
-# Of a benchmark: all voxels, where what nobody observed is free; or those that a ray of the run reached or passed.
+# Voxels that a benchmark counts: all voxels, with unobserved voxels free; or voxels that a ray of the run reached or
+# passed.
 CountedVoxels = Literal["all", "observed"]
 Modality = Literal["C", "L", "R", "C+L", "C+R", "L+R", "C+L+R"]
 
 
 @dataclass(frozen=True)
 class InputConfig:
-    """`image_size_px` is (height, width) of what the network sees; `lidar_sweeps`, `radar_scans` count the frame's own.
+    """`image_size_px` is (height, width) of the network's images; `lidar_sweeps`, `radar_scans` include the frame's
+    own.
 
-    Earlier ones are taken from at most `earliest_s` before the frame, never from after it. `channels` names the cameras
-    in the order that the network sees them; frames without one of them are refused.
+    Earlier ones are at most `earliest_s` older than the frame, never newer. `channels` are the cameras in the network's
+    order; frames without one of them are refused.
     """
 
     modality: Modality
@@ -34,7 +36,7 @@ class InputConfig:
 
 
 def refuse_below_one(config: object, *names: str) -> None:
-    """Raises `ValueError` where one of these fields is less than 1."""
+    """Raise `ValueError` if one of these fields is less than 1."""
     low = next((name for name in names if getattr(config, name) < 1), None)
     if low is not None:
         raise ValueError(f"{low} is {getattr(config, low)}, the least is 1")

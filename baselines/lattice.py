@@ -1,4 +1,4 @@
-"""The voxel lattice that a model predicts on: the benchmark's grid, or a part of it, or a coarser one.
+"""The voxel lattice of a model's predictions: the benchmark's grid, a part of it, or a coarser grid.
 
 **Conventions.** Axes x, y, z of the ego frame, in that order, C order; a voxel's index is `floor((p − min) / size)`.
 """
@@ -25,7 +25,7 @@ class VoxelLattice:
 
     @classmethod
     def of(cls, grid: LabelGrid) -> "VoxelLattice":
-        """The whole of a label grid."""
+        """Return the whole lattice of a label grid."""
         return cls(grid.min_m, (grid.voxel_m, grid.voxel_m, grid.voxel_m), grid.shape)
 
     @property
@@ -34,7 +34,7 @@ class VoxelLattice:
         return x, y, z
 
     def coarser(self, ratio: int | Shape) -> "VoxelLattice":
-        """The same volume in voxels `ratio` times as long. Raises `ValueError` where it does not divide the shape."""
+        """Return the same volume in voxels `ratio` times as long. Raises `ValueError` if `ratio` does not fit."""
         ratios = (ratio, ratio, ratio) if isinstance(ratio, int) else ratio
         if any(n % r for n, r in zip(self.shape, ratios, strict=True)):
             raise ValueError(f"a lattice of {self.shape} voxels cannot be made {ratios} times coarser")
@@ -47,7 +47,7 @@ class VoxelLattice:
         return x * y * z
 
     def centres_m(self, device: torch.device | None = None) -> Tensor:
-        """Centres of all voxels (X, Y, Z, 3), float32, ego frame."""
+        """Return the centres of all voxels (X, Y, Z, 3), float32, ego frame."""
         axes = [
             low + size * (torch.arange(n, device=device, dtype=torch.float32) + 0.5)
             for low, size, n in zip(self.min_m, self.voxel_m, self.shape, strict=True)
@@ -55,7 +55,7 @@ class VoxelLattice:
         return torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1)
 
     def indices_of(self, points_ego: Tensor) -> tuple[Tensor, Tensor]:
-        """Voxel indices (N, 3) int64 of points (N, 3), and which of them (N,) lie in the lattice.
+        """Return the voxel indices (N, 3) int64 of points (N, 3), and which of them (N,) are in the lattice.
 
         Indices of points outside, NaN among them, are 0.
         """
@@ -65,7 +65,7 @@ class VoxelLattice:
         return torch.where(is_inside[:, None], place, place.new_zeros(())).long(), is_inside
 
     def is_whole(self, grid: LabelGrid) -> bool:
-        """Whether a prediction on it is one of all of the grid."""
+        """Return whether a prediction on the lattice covers all of the grid."""
         whole = VoxelLattice.of(grid)
         places = zip((*self.min_m, *self.voxel_m), (*whole.min_m, *whole.voxel_m), strict=True)
         return self.shape == grid.shape and all(isclose(a, b) for a, b in places)

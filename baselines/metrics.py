@@ -1,7 +1,7 @@
-"""The platform's own metric of predictions while training: confusions add, ratios are read once.
+"""The platform's own metric of predictions in training: confusions are summed, ratios are computed once.
 
-**Conventions.** As `stone.scoring.confusion`: rows ground truth, columns prediction. Which voxels count is the row's
-`counted`, as a benchmark's mask has it.
+**Conventions.** As in `stone.scoring.confusion`: rows ground truth, columns prediction. The row's `counted` selects the
+voxels, like a benchmark's mask.
 """
 
 import math
@@ -22,12 +22,12 @@ from stone.scoring.metric import CLASSES, RATIOS
 
 
 def confusion_of(logits: Tensor, labels: Tensor) -> NDArray[np.int64]:
-    """(4, 4) counts of logits (B, 4, X, Y, Z) against labels (B, X, Y, Z)."""
+    """Return counts (4, 4) of logits (B, 4, X, Y, Z) against labels (B, X, Y, Z)."""
     return class_confusion(likeliest(logits.detach()), labels)
 
 
 def class_confusion(predicted: Tensor, labels: Tensor) -> NDArray[np.int64]:
-    """(4, 4) counts of classes (...) against labels (...), uint8."""
+    """Return counts (4, 4) of classes (...) against labels (...), uint8."""
     counted = labels != IGNORED
     cells = labels[counted].long() * CLASSES + predicted[counted]
     counts = torch.bincount(cells, minlength=CLASSES * CLASSES).reshape(CLASSES, CLASSES)
@@ -35,16 +35,15 @@ def class_confusion(predicted: Tensor, labels: Tensor) -> NDArray[np.int64]:
 
 
 def scores_of(confusion: NDArray[np.int64]) -> dict[str, float | None]:
-    """Ratios by name (`stone.scoring.metric.RATIOS`), None where a class is in neither."""
+    """Return ratios by name (`stone.scoring.metric.RATIOS`), None for a class that occurs in neither."""
     return {
         name: None if isnan(value) else value for name, value in zip(RATIOS, ratios(confusion).tolist(), strict=True)
     }
 
 
-# One training step: losses of a batch, gradients, and AdamW under a warmed-up cosine.
-#
-# **Conventions.** Only `forward` runs in bfloat16, losses in float32 (`occupancy_model.py`). Source: AdamW, Loshchilov
-# and Hutter (2019); the schedule and clipping of OpenOccupancy's configurations.
+# One training step: losses of a batch, gradients, and AdamW under a warmed-up cosine. Only `forward` runs in bfloat16,
+# losses in float32 (`occupancy_model.py`). Source: AdamW, Loshchilov and Hutter (2019); the schedule and clipping of
+# OpenOccupancy's configurations.
 
 
 LEAST_RATE_RATIO = 1e-3
@@ -52,14 +51,14 @@ FIRST_RATE_RATIO = 1 / 3
 
 
 class BatchLosses(nn.Module):
-    """A model as the function that is minimised: what DistributedDataParallel wraps."""
+    """A model as the minimised function, for DistributedDataParallel."""
 
     def __init__(self, model: OccupancyModel[Any], precision: str) -> None:
         super().__init__()
         self.model, self.precision = model, precision
 
     def forward(self, batch: Batch, with_logits: bool = False) -> tuple[dict[str, Tensor], Tensor | None]:
-        """Terms of the loss by name; logits too if the metric is wanted."""
+        """Return the terms of the loss by name, with `with_logits` also the logits for the metric."""
         with torch.autocast(batch.device.type, torch.bfloat16, enabled=self.precision == "bfloat16"):
             outputs = self.model(batch)
         terms = self.model.losses(outputs, batch)
@@ -86,7 +85,7 @@ class RateSchedule:
 
 
 def build_optimizer(model: nn.Module, config: TrainingConfig) -> torch.optim.AdamW:
-    """AdamW; biases and norms do not decay, a backbone has its own rate."""
+    """Return AdamW; biases and norms do not decay, a backbone has its own rate."""
     groups = dict[tuple[bool, bool], list[nn.Parameter]]()
     for name, parameter in model.named_parameters():
         if parameter.requires_grad:
@@ -103,7 +102,7 @@ def build_optimizer(model: nn.Module, config: TrainingConfig) -> torch.optim.Ada
 
 
 def take_step(parameters: list[nn.Parameter], optimizer: torch.optim.Optimizer, rate: float, clip_norm: float) -> float:
-    """Clip, step and clear; the gradients' norm before clipping. Where that is not finite, no step is made."""
+    """Clip, step and clear; return the gradients' norm before clipping. If it is not finite, no step is made."""
     norm = float(nn.utils.clip_grad_norm_(parameters, clip_norm))
     if not math.isfinite(norm):
         return norm

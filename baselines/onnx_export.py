@@ -1,9 +1,8 @@
 """A trained row as one ONNX file, for a robot's own runtime.
 
-**Conventions.** The file holds all that was learned; points become columns, and pixels cells, outside it
-(`baselines/models/column_net_program.py`). Float32, static shapes, one frame at a time. Its metadata say what it is:
-`stone.row` the configuration, `stone.classes`, `stone.grid`, `stone.lattice`, `stone.inputs`, `stone.data_sha256`,
-`stone.steps`.
+**Conventions.** The file contains all learned layers; sorting points into columns and pixels into cells is outside it
+(`baselines/models/column_net_program.py`). Float32, static shapes, one frame at a time. Its metadata are `stone.row`
+(the configuration), `stone.classes`, `stone.grid`, `stone.lattice`, `stone.inputs`, `stone.data_sha256`, `stone.steps`.
 """
 
 import json
@@ -73,7 +72,7 @@ def write_onnx(run: Path, output: Path) -> WrittenOnnx:
 def _export(model: ColumnNet, inputs: Mapping[str, Tensor], metadata: Mapping[str, str], path: Path) -> None:
     with _quiet_exporter():
         program = cast(
-            "torch.onnx.ONNXProgram",  # as the exporter of torch's graphs always gives it
+            "torch.onnx.ONNXProgram",  # the type that torch's graph exporter always returns
             torch.onnx.export(
                 ColumnNetProgram(model).eval(),
                 tuple(inputs.values()),
@@ -102,7 +101,7 @@ def _metadata(loaded: LoadedRun, inputs: Mapping[str, Tensor]) -> dict[str, str]
 
 @contextmanager
 def _quiet_exporter() -> Iterator[None]:
-    """Without what the exporter says of libraries that nobody needs, and of its own deprecated calls."""
+    """Suppress the exporter's warnings about unneeded libraries and its own deprecated calls."""
     logger = logging.getLogger("torch.onnx")
     level = logger.level
     logger.setLevel(logging.ERROR)

@@ -1,7 +1,7 @@
-"""Predicting frames by a trained row: a submission, frame by frame, from exports.
+"""Prediction of frames with a trained row: a submission, frame by frame, from exports.
 
-**Conventions.** A frame is predicted from itself and earlier frames of its sequence that the exports have. Where the
-row's lattice is a part of the benchmark's grid, all outside of it is free. Memory holds a few frames.
+**Conventions.** The prediction of a frame uses it and earlier frames of its sequence in the exports. If the row's
+lattice is a part of the benchmark's grid, voxels outside it are free. Memory holds a few frames.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -37,7 +37,7 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class ExportedStore:
-    """Frames of exports as a dataset reads them: undistorted and cut when they are asked for."""
+    """Frames of exports in the form of a dataset: undistorted and cut on demand."""
 
     frames: Sequence[ExportedFrame]
     inputs: InputConfig
@@ -54,7 +54,7 @@ class ExportedStore:
 
 @dataclass(frozen=True)
 class PredictionPlan:
-    """Which run predicts which frames (a manifest's path) of which exports, and where to."""
+    """The run, the frames (a manifest's path), the exports and the output."""
 
     run: Path
     exports: tuple[Path, ...]
@@ -65,7 +65,7 @@ class PredictionPlan:
 
 @dataclass(frozen=True)
 class WrittenPrediction:
-    """A written submission, and what made it."""
+    """A written submission, and its origin."""
 
     output: str
     frames: int
@@ -108,7 +108,7 @@ class Predictor:
     grid: LabelGrid = PAPER
 
     def classes(self, dataset: FrameDataset, index: int) -> NDArray[np.uint8]:
-        """Classes of a frame, of the grid's shape."""
+        """Return the classes of a frame in the grid's shape."""
         batch = moved(dataset[0, index], self.device)
         with torch.inference_mode():
             with torch.autocast(self.device.type, torch.bfloat16, enabled=self.precision == "bfloat16"):
@@ -121,14 +121,14 @@ class Predictor:
 
 @dataclass(frozen=True, eq=False)
 class LoadedRun:
-    """A run that predicts: its row, its model with weights, and what these have seen."""
+    """A run for prediction: its row, its model with weights, and their origin."""
 
     row: RowConfig
     predictor: Predictor
     provenance: WeightsProvenance
 
     def require_grid(self, grid: LabelGrid) -> None:
-        """Raise `grids_differ` if what is asked for is of another grid than the row's."""
+        """Raise `grids_differ` if the requested grid differs from the row's."""
         if grid.geometry != self.row.label_grid.geometry:
             raise Refused(
                 "grids_differ",
@@ -137,8 +137,7 @@ class LoadedRun:
             )
 
     def predicted(self, store: FrameStore, indices: Iterable[int]) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-        """Index and classes, of the grid's shape, of frames of the store; cheapest in the order of time, as they share
-        sweeps.
+        """Yield index and classes (grid's shape) of frames of the store; fastest in time order, as frames share sweeps.
 
         Raises what reading the store raises.
         """
@@ -153,7 +152,7 @@ class LoadedRun:
 
 
 def loaded_run(run: Path, device: str) -> LoadedRun:
-    """The run's row and model. Raises `bad_run`, `bad_row`, `no_accelerator`."""
+    """Return the run's row and model. Raises `bad_run`, `bad_row`, `no_accelerator`."""
     row, own = read_run_row(run), usable_device(device)
     model = build_model(row.model).to(own)
     provenance = read_weights(run, model)

@@ -1,4 +1,4 @@
-"""Training by several processes, as `torchrun` starts them: which one this is, and its device."""
+"""Training by several processes under `torchrun`: the rank and device of this process."""
 
 import os
 from collections.abc import Iterator
@@ -24,14 +24,14 @@ class ProcessShare:
         return self.rank == 0
 
     def wait(self) -> None:
-        """Until all processes have come here."""
+        """Wait until all processes have called this."""
         if self.world > 1:
             distributed.barrier()
 
 
 @contextmanager
 def joined_processes(device: str) -> Iterator[ProcessShare]:
-    """This process among those of its `torchrun`, or alone. Raises `no_accelerator`."""
+    """Yield this process's share of its `torchrun`, or a share alone. Raises `no_accelerator`."""
     rank, world = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
     own = usable_device(device, int(os.environ.get("LOCAL_RANK", "0")))
     if world == 1:
@@ -45,7 +45,7 @@ def joined_processes(device: str) -> Iterator[ProcessShare]:
 
 
 def usable_device(name: str, place: int = 0) -> torch.device:
-    """The CPU, or of the GPUs the one at `place`. Raises `no_accelerator`."""
+    """Return the CPU, or the GPU with the index `place`. Raises `no_accelerator`."""
     if name != "cuda":
         return torch.device(name)
     if place >= torch.cuda.device_count():

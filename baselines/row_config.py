@@ -1,7 +1,7 @@
-"""Configurations of rows: what a row looks at, what it is made of, how it is trained. YAML files, `configs/<row>.yaml`.
+"""Configurations of rows: inputs, model and training. YAML files, `configs/<row>.yaml`.
 
-**Conventions.** A file says what differs from the defaults, which are the official ones. Which model it is of, its
-`architecture` says. Unknown keys are refused: a misspelt one would train something else.
+**Conventions.** A file contains only the differences from the defaults, which are the official ones. `architecture`
+selects the model. Unknown keys are refused, because a misspelt key would train something else.
 """
 
 import json
@@ -28,12 +28,12 @@ MOST_CONFIG_BYTES = 65536
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """How a row is trained. A step is `batch` · `accumulate` frames of each process.
+    """The training of a row. A step is `batch` · `accumulate` frames of each process.
 
-    The learning rate rises for `warmup_steps` and falls by a cosine to a thousandth; that of a pretrained image
-    backbone is `backbone_rate_ratio` of it. `stride`: every n-th frame of a sequence is trained on; earlier sweeps are
-    all used. `counted`: the voxels that losses and the metric count, as the benchmark's mask has it. Losses ignore
-    occupied voxels whose label is right with a probability below `least_confidence`; what is watched is scored whole.
+    The learning rate rises for `warmup_steps` and falls by a cosine to a thousandth; for a pretrained image backbone it
+    is `backbone_rate_ratio` of it. `stride`: train on every n-th frame of a sequence; all earlier sweeps are used.
+    `counted`: the voxels of losses and the metric, like the benchmark's mask. Losses ignore occupied voxels with a
+    confidence below `least_confidence`; validation scores count all.
     """
 
     epochs: int = 24
@@ -61,8 +61,11 @@ class TrainingConfig:
 
 @dataclass(frozen=True)
 class RowConfig:
-    """One row. `name` and `method` are what the files and a board call it, `reference` its paper, `grid` the grid of
-    its labels: a name, or the record of one; the model's lattice is a part of it, and all of it if none is named."""
+    """One row.
+
+    `name` and `method` are its names in files and on a board, `reference` its paper, `grid` the grid of its labels: a
+    name, or its record. The model's lattice is a part of the grid, by default all of it.
+    """
 
     name: str
     method: str
@@ -89,7 +92,7 @@ class RowConfig:
 
     @property
     def label_grid(self) -> LabelGrid:
-        """The grid of its labels. Raises `ValueError`."""
+        """Return the grid of its labels. Raises `ValueError`."""
         return _grid_of(self.grid)
 
     def as_json(self) -> str:
@@ -107,12 +110,12 @@ ROW: TypeAdapter[RowConfig] = TypeAdapter(RowConfig)
 
 
 def known_rows() -> tuple[str, ...]:
-    """Names of the rows that are shipped."""
+    """Return the names of the shipped rows."""
     return tuple(sorted(path.stem for path in CONFIGS.glob("*.yaml")))
 
 
 def read_row(name: str, changes: Mapping[str, Any] | None = None) -> RowConfig:
-    """The row of this name, or of this YAML file, with `changes` of its training. Raises `bad_row`."""
+    """Return the row of this name or YAML file, with `changes` of its training. Raises `bad_row`."""
     path = CONFIGS / f"{name}.yaml" if name in known_rows() else Path(name)
     if not path.is_file():
         raise bad_row(name, "there is no such row", known_rows())
@@ -128,20 +131,20 @@ def read_row(name: str, changes: Mapping[str, Any] | None = None) -> RowConfig:
 
 
 def with_checkpointed_gradients(row: RowConfig) -> RowConfig:
-    """The row with less memory for more time: activations are computed anew in backward. Raises `bad_row`."""
+    """Return the row with less memory for more time: the backward pass recomputes activations. Raises `bad_row`."""
     if isinstance(row.model, ColumnNetConfig):
         raise bad_row(row.name, "it has no blocks large enough for --checkpoint-gradients to be of use")
     return replace(row, model=replace(row.model, checkpoint_gradients=True))
 
 
 def row_of(name: str, said: object) -> RowConfig:
-    """The row that a mapping describes. Raises `bad_row`."""
+    """Return the row of a mapping. Raises `bad_row`."""
     try:
         row = ROW.validate_python(_with_lattice(said))
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
-        why = first["msg"].removeprefix("Value error, ")  # pydantic's, before a sentence of our own
+        why = first["msg"].removeprefix("Value error, ")  # pydantic's prefix of our own sentences
         raise bad_row(name, f"{place}: {why}, found {str(first['input'])[:80]!r}") from error
     unknown = next(_unknown_keys(said, row, ""), None)
     if unknown is not None:
@@ -150,18 +153,18 @@ def row_of(name: str, said: object) -> RowConfig:
 
 
 def _with_lattice(said: object) -> object:
-    """A row that names a grid, and no lattice of its model, with all of the grid as that."""
+    """Return the row's mapping; a grid without a lattice of the model gets the whole grid as lattice."""
     if not isinstance(said, Mapping) or "grid" not in said or not isinstance(said.get("model"), Mapping):
         return said
     try:
         lattice = asdict(VoxelLattice.of(_grid_of(said["grid"])))
     except ValueError:
-        return said  # reading the row refuses the grid in its place
+        return said  # reading the row refuses the grid later
     return {**said, "model": {"lattice": lattice, **said["model"]}}
 
 
 def _unknown_keys(said: object, value: object, path: str) -> Iterator[str]:
-    """Keys of a mapping that the dataclass made of it does not have."""
+    """Yield the keys of a mapping that its dataclass lacks."""
     if not isinstance(said, Mapping) or not is_dataclass(value):
         return
     known = {one.name for one in fields(value)}

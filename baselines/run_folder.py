@@ -1,4 +1,4 @@
-"""The folder of a run: which row it trains, said once, so that a resumed run trains the same."""
+"""The folder of a run, which records its row once, so that a resumed run trains the same row."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -18,10 +18,10 @@ ROW_FILE = "row.json"
 
 
 def opened_run(folder: Path, row: RowConfig, resume: bool) -> tuple[RowConfig, bool]:
-    """The row that the run trains, and whether it has a checkpoint to go on from; nothing is written yet.
+    """Return the run's row, and whether it can continue from a checkpoint; nothing is written.
 
-    A run that was killed before its first checkpoint begins again. Raises `run_exists` where one is there and is
-    not to be resumed, `bad_run` where it trains another row.
+    A run killed before its first checkpoint starts again. Raises `run_exists` if a run exists and `resume` is false,
+    `bad_run` if it trains another row.
     """
     named = folder / ROW_FILE
     if not named.exists():
@@ -41,14 +41,14 @@ def opened_run(folder: Path, row: RowConfig, resume: bool) -> tuple[RowConfig, b
 
 
 def say_row(folder: Path, row: RowConfig) -> None:
-    """Make the folder a run of this row."""
+    """Create the folder as a run of this row."""
     folder.mkdir(parents=True, exist_ok=True)
     with atomic_file(folder / ROW_FILE) as staging:
         staging.write_text(row.as_json() + "\n", "utf-8")
 
 
 def read_run_row(folder: Path) -> RowConfig:
-    """The row of a run. Raises `bad_run`, `bad_row`."""
+    """Return the row of a run. Raises `bad_run`, `bad_row`."""
     try:
         said = json.loads((folder / ROW_FILE).read_text("utf-8"))
     except (OSError, ValueError) as error:
@@ -59,7 +59,7 @@ def read_run_row(folder: Path) -> RowConfig:
 
 
 def differences(one: RowConfig, other: RowConfig) -> str:
-    """Where two rows differ, in words."""
+    """Return the differences of two rows in words."""
     a, b = _flat(json.loads(one.as_json())), _flat(json.loads(other.as_json()))
     parts = [f"{key} {a.get(key)}, not {b.get(key)}" for key in sorted(a.keys() | b.keys()) if a.get(key) != b.get(key)]
     return "; ".join(parts[:3])
@@ -74,9 +74,8 @@ def _flat(value: object, path: str = "") -> dict[str, object]:
     return found
 
 
-# The log of a run: a JSON line a report, and the same for TensorBoard.
-#
-# **Conventions.** A run that goes on forgets what it said after its checkpoint, so that no step is logged twice.
+# The log of a run: a JSON line per report, and the same for TensorBoard. A resumed run deletes its log after its
+# checkpoint, so that no step is logged twice.
 
 
 LOG, TENSORBOARD = "log.jsonl", "tensorboard"
@@ -84,7 +83,7 @@ LOG, TENSORBOARD = "log.jsonl", "tensorboard"
 
 @dataclass(frozen=True)
 class TrainingReport:
-    """Where a run is. `losses` by term, `scores` of the platform's metric; `watched`: of sequences not trained on."""
+    """The progress of a run: `losses` by term, `scores` of the platform's metric, `watched` on validation sequences."""
 
     step: int
     steps: int
@@ -102,7 +101,7 @@ class TrainingReport:
 
 
 class RunLog:
-    """Writes reports of one run; used as a context manager."""
+    """A writer of one run's reports; used as a context manager."""
 
     def __init__(self, folder: Path, step: int) -> None:
         self._path = folder / LOG
@@ -121,7 +120,7 @@ class RunLog:
                 self._board.add_scalar(f"{part}/{name}", value, report.step)
 
     def _lines(self) -> Iterator[tuple[Mapping[str, Any], str]]:
-        """Whole lines of an earlier part of the run; a kill may have cut the last one."""
+        """Yield whole lines of an earlier part of the run; a kill may have cut the last one."""
         if self._path.exists():
             for line in self._path.read_text("utf-8").splitlines():
                 with suppress(ValueError):

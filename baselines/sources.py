@@ -1,8 +1,8 @@
-"""Which frames to train on, watch and predict: those of exports, with labels of theirs or of a dataset version.
+"""The frames for training, validation and prediction: frames of exports, with labels of theirs or of a dataset version.
 
-**Conventions.** Sources are as `stone baseline` takes them. Of several that have a frame, the first named gives it.
-Labels may come from other files than samples: a version of the dataset has labels and no samples, `inputs` the reverse.
-A published ZIP is read where it lies. Manifests among the sources name the frames that are meant.
+**Conventions.** Sources are those of `stone baseline`. The first source with a frame provides it. Labels may come from
+other files than samples: a version of the dataset has labels and no samples, `inputs` the reverse. A published ZIP is
+read in place. Manifests among the sources select frames.
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,10 +23,10 @@ LABELS, MANIFEST = "gts", ".json"
 
 
 def labelled_frames(paths: Sequence[Path], wanted: WantedLabels = ALL_LABELS) -> tuple[FrameSource, ...]:
-    """Every frame with samples, with those of its labels that are wanted where there are some.
+    """Return every frame with samples, with its wanted labels if it has any.
 
     Raises `NotExportedError`, `bad_tar`, `DamagedExportError`, `bad_manifest`, a `DatasetFaultError`, and
-    `nothing_to_train_on` where no frame has labels.
+    `nothing_to_train_on` if no frame has labels.
     """
     stores = [store for path in paths for store in _label_stores(path)]
     sources = tuple(_with_labels(frame, stores, wanted) for frame in frames_at(paths))
@@ -36,10 +36,10 @@ def labelled_frames(paths: Sequence[Path], wanted: WantedLabels = ALL_LABELS) ->
 
 
 def frames_at(paths: Sequence[Path]) -> tuple[ExportedFrame, ...]:
-    """Frames of several exports and published ZIPs, each once, by sequence and stamp; of manifests, if some are given,
-    no others.
+    """Return the frames of several exports and published ZIPs, each once, by sequence and stamp.
 
-    Raises `NotExportedError`, `bad_tar`, `DamagedExportError`, `bad_manifest`, a `DatasetFaultError`.
+    If manifests are given, only their frames are returned. Raises `NotExportedError`, `bad_tar`, `DamagedExportError`,
+    `bad_manifest`, a `DatasetFaultError`.
     """
     found, named = dict[str, ExportedFrame](), [path for path in paths if path.suffix == MANIFEST]
     asked = {token for path in named for token in read_manifest(path).tokens}
@@ -72,7 +72,7 @@ def _with_labels(frame: ExportedFrame, stores: Sequence[Files], wanted: WantedLa
 
 
 def _label_stores(path: Path) -> Iterator[Files]:
-    """A folder with `gts/`, a tar with one, or a folder of such tars."""
+    """Yield a folder with `gts/`, a tar with one, or a folder of such tars."""
     if path.is_dir():
         if (path / LABELS).is_dir():
             yield FolderFiles(path)

@@ -1,10 +1,10 @@
-"""Training a row, from exports to weights. The page to read first.
+"""Training of a row, from exports to weights. The page to read first.
 
-    sources → cache → dataset → batches → losses → steps → checkpoint; what is watched → the best weights
+        sources → cache → dataset → batches → losses → steps → checkpoint; validation → the best weights
 
 **Conventions.** A run is a folder: `row.json`, `checkpoint.safetensors`, `weights.safetensors`, `log.jsonl`,
-`tensorboard/`, and `frames/`, the cache, unless another is named. Killed at any moment it goes on from its checkpoint;
-on a CPU the result is that of a run that never stopped, bit for bit.
+`tensorboard/`, and `frames/`, the cache, unless another is named. A killed run continues from its checkpoint; on a CPU
+the result equals an uninterrupted run's, bit for bit.
 """
 
 import math
@@ -35,11 +35,11 @@ from baselines.sources import labelled_frames
 from baselines.training_state import TrainingState, begun_state, resumed_state
 from stone.errors import Refused
 
-# One batch of several frames: the collate function of loaders.
+# The collate function of loaders: one batch of several frames.
 
 
 def joined(batches: Sequence[Batch]) -> Batch:
-    """One batch of several, in their order."""
+    """Return one batch of several, in their order."""
     cameras = [batch.cameras for batch in batches if batch.cameras is not None]
     labels = [batch.labels for batch in batches if batch.labels is not None]
     return Batch(
@@ -70,21 +70,21 @@ def _joined_points(points: Sequence[Points]) -> Points | None:
     return Points(torch.cat([one.features for one in points]), torch.cat(frames))
 
 
-# How fast a run is and how long it will take yet, from the steps of the last minutes.
+# The rate of a run and its remaining time, from the steps of the last minutes.
 
 
 STEPS_REMEMBERED = 200
 
 
 class RunClock:
-    """Stamps reports; the first step of a process, which is slower than others, is not counted."""
+    """A clock that stamps reports; a process's first step, which is slower, is not counted."""
 
     def __init__(self, steps: int, begin: int) -> None:
         self._steps, self._begin = steps, begin
         self._times = deque[tuple[int, float]](maxlen=STEPS_REMEMBERED)
 
     def stamped(self, report: TrainingReport, frames_a_step: int) -> TrainingReport:
-        """The report with rate and time left; both 0 until they are known."""
+        """Return the report with rate and time left; both 0 until they are known."""
         self._times.append((report.step, monotonic()))
         (first, begun), (last, now) = self._times[0], self._times[-1]
         if last == first or now <= begun:
@@ -95,17 +95,17 @@ class RunClock:
 
 
 METRIC_EVERY = 10  # steps
-CPU_IS_FULL = "DefaultCPUAllocator: can't allocate memory"  # only of a GPU torch has an error of its own
+CPU_IS_FULL = "DefaultCPUAllocator: can't allocate memory"  # torch has its own error only for a GPU
 Reports = Callable[[TrainingReport], None]
 Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
 class TrainingPlan:
-    """What to train, on what, and where the run is.
+    """The row, the exports and the folder of the run.
 
-    `watch`: exports that are scored after each epoch and never trained on; the weights are then those of the best
-    epoch, else the last. `loaders`: processes that read frames; 0 reads them in the training process.
+    `watch`: validation exports, scored after each epoch and never trained on; the weights are then those of the best
+    epoch, otherwise of the last. `loaders`: processes that read frames; 0 reads them in the training process.
     """
 
     row: RowConfig
@@ -121,7 +121,7 @@ class TrainingPlan:
 
 @dataclass(frozen=True)
 class TrainedRun:
-    """Where weights are, what they have seen, and the best score of what was watched."""
+    """The weights, their training data, and the best validation score."""
 
     run: str
     steps: int
@@ -131,14 +131,14 @@ class TrainedRun:
 
 
 def train(plan: TrainingPlan, progress: Progress, reports: Reports) -> TrainedRun:
-    """Train to the end of the plan, from the beginning or from the run's checkpoint.
+    """Train to the end of the plan, from the start or from the run's checkpoint.
 
-    Raises what reading exports raises, `nothing_to_train_on`, `run_exists`, `bad_run`,
-    `no_confidence`, `too_few_frames`, `training_diverged`, `too_little_memory`, `no_accelerator`.
+    Raises what reading exports raises, `nothing_to_train_on`, `run_exists`, `bad_run`, `no_confidence`,
+    `too_few_frames`, `training_diverged`, `too_little_memory`, `no_accelerator`.
     """
     with joined_processes(plan.device) as share:
         row, goes_on = opened_run(plan.run, plan.row, plan.resume)
-        share.wait()  # each has looked before one writes, or others would find a run that exists
+        share.wait()  # all processes must check before one writes, or others would find an existing run
         if share.is_first:
             say_row(plan.run, row)
         frames = _frames(plan, plan.exports, progress, WantedLabels(row.training.least_confidence, row.label_grid))
@@ -170,7 +170,7 @@ def _frames(
 
 
 def targets_of(frames: Sequence[CachedFrame], stride: int) -> tuple[int, ...]:
-    """Of each sequence every `stride`-th frame that has labels, by index."""
+    """Return every `stride`-th labelled frame of each sequence, by index."""
     seen, targets = dict[str, int](), []
     for index, frame in enumerate(frames):
         if any(frame.voxels):
@@ -210,7 +210,7 @@ class _Run:
             num_workers=plan.loaders,
             collate_fn=joined,
             drop_last=True,
-            generator=torch.Generator(),  # one of its own: that of the model is part of checkpoints
+            generator=torch.Generator(),  # its own generator: the model's is part of checkpoints
         )
         a_step = self.config.batch * self.config.accumulate
         if len(self.sampler) < a_step:
@@ -237,7 +237,7 @@ class _Run:
 
     @contextmanager
     def _log(self) -> Iterator[Reports]:
-        """Where reports go: of the first process only."""
+        """Yield the target of reports: only the first process has one."""
         if not self.share.is_first:
             yield lambda report: None
             return
@@ -245,7 +245,7 @@ class _Run:
             yield log.write
 
     def _epoch(self, epoch: int, clock: RunClock) -> Iterator[TrainingReport]:
-        """Steps of what is left of the epoch, a report for each, said before a checkpoint has the step."""
+        """Yield a report for each remaining step of the epoch, before a checkpoint contains the step."""
         position = self.state.provenance.position
         self.sampler.epoch, self.sampler.begin = epoch, position.drawn
         self.state.model.train()
@@ -281,7 +281,7 @@ class _Run:
         return TrainingReport(step + 1, self.schedule.steps, 0, terms, scores, rate)
 
     def _end_of(self, epoch: int, say: Reports) -> None:
-        """Score what is watched, keep the best weights, say so, and begin the next epoch."""
+        """Score the validation data, keep the best weights, report, and begin the next epoch."""
         scores, best = dict[str, float | None](), self.state.provenance.best_miou
         if self.watched:
             request = FrameRequest(
@@ -309,13 +309,13 @@ class _Run:
             self.state.keep(self.plan.run)
 
 
-# Scores of a model on frames that it was not trained on, by the platform's metric.
+# Scores of a model on frames outside its training data, by the platform's metric.
 
 
 def scores_on(
     model: OccupancyModel[Any], dataset: FrameDataset, targets: Sequence[int], where: tuple[torch.device, str]
 ) -> dict[str, float | None]:
-    """Ratios over all observed voxels of the frames `targets`; the model is left in training mode if it was in it."""
+    """Return the ratios over all observed voxels of the frames `targets`; the model's training mode is restored."""
     device, precision = where
     whole, was_training = np.zeros((4, 4), np.int64), model.training
     model.eval()

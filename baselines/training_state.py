@@ -1,4 +1,4 @@
-"""What changes while a row is trained: weights, the optimiser, and how far it is; made anew or from a checkpoint."""
+"""The changing state of a training: weights, the optimiser, and the position; new or from a checkpoint."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -23,7 +23,7 @@ from stone.scoring.metric import METRIC_VERSION
 
 @dataclass
 class TrainingState:
-    """`losses` is the model as the function that is minimised, over all processes."""
+    """`losses` is the model as the minimised function, over all processes."""
 
     model: OccupancyModel[Any]
     losses: nn.Module
@@ -34,7 +34,7 @@ class TrainingState:
         return [parameter for parameter in self.model.parameters() if parameter.requires_grad]
 
     def at(self, **position: int) -> None:
-        """Say how far it is."""
+        """Set the position."""
         self.provenance = replace(self.provenance, position=replace(self.provenance.position, **position))
 
     def keep(self, folder: Path) -> None:
@@ -43,7 +43,7 @@ class TrainingState:
 
 
 def begun_state(row: RowConfig, frames: Sequence[CachedFrame], share: ProcessShare) -> TrainingState:
-    """The state before the first step: weights by the row's seed, classes weighed by the voxels of `frames`."""
+    """Return the state before the first step: weights by the row's seed, classes weighted by the voxels of `frames`."""
     torch.manual_seed(row.training.seed)
     free, t, p, n = (sum(frame.voxels[place] for frame in frames) for place in range(4))
     if row.training.counted == "all":
@@ -59,7 +59,7 @@ def begun_state(row: RowConfig, frames: Sequence[CachedFrame], share: ProcessSha
 
 
 def resumed_state(folder: Path, state: TrainingState) -> TrainingState:
-    """The state of the run's checkpoint. Raises `bad_run` where that is of another row or other data."""
+    """Return the state of the run's checkpoint. Raises `bad_run` if it has another row or other data."""
     read = read_checkpoint(folder, state.model, state.optimizer)
     same: Mapping[str, tuple[object, object]] = {
         "row": (row_of(str(folder), json.loads(read.config)).as_json(), state.provenance.config),

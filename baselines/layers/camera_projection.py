@@ -1,8 +1,8 @@
 """Camera features on a voxel lattice by projection: the mean over the cameras that see a voxel's centre.
 
-**Conventions.** A cell (row, column) of features of h × w over an image of H × W holds the pixels whose area it covers:
-`column = floor((u + ½) w / W)`. Voxels that no camera sees are 0. Computed in float32 outside autocast.
-Source: Ming et al., OccFusion, IEEE T-IV 2024 (view transformation without depth).
+**Conventions.** A cell (row, column) of features of h × w over an image of H × W covers the pixels of its area: `column
+= floor((u + ½) w / W)`. Voxels outside all cameras' views are 0. Computed in float32 outside autocast. Source: Ming et
+al., OccFusion, IEEE T-IV 2024 (view transformation without depth).
 """
 
 from typing import NamedTuple
@@ -13,19 +13,22 @@ from torch import Tensor
 from baselines.batch import CameraViews
 from baselines.lattice import VoxelLattice
 
-NEAREST_M = 0.1  # closer to the camera's plane a projection says nothing
+NEAREST_M = 0.1  # projections closer to the camera's plane are meaningless
 
 
 class ProjectedFeatures(NamedTuple):
-    """`volume` (B, C, X, Y, Z): mean of the cells that a voxel's centre falls in. `bev` (B, C, X, Y): the same of its
-    column's voxels, each sighting weighing the same."""
+    """`volume` (B, C, X, Y, Z): mean of the cells around a voxel's centre in the images. `bev` (B, C, X, Y): the mean
+    over its column's voxels, with equal weights of all sightings.
+    """
 
     volume: Tensor
     bev: Tensor
 
 
 def pixels_from_grid(views: CameraViews, grid_from_camera: Tensor) -> Tensor:
-    """(B, N, 3, 4): points of the grid frame to homogeneous pixels of `views.images`, the third number depth in m."""
+    """Return the projection (B, N, 3, 4) of the grid frame to homogeneous pixels of `views.images`; the third number is
+    depth in m.
+    """
     camera_from_grid: Tensor = torch.linalg.inv(grid_from_camera)
     return views.image_from_camera() @ camera_from_grid[..., :3, :]
 
@@ -33,7 +36,7 @@ def pixels_from_grid(views: CameraViews, grid_from_camera: Tensor) -> Tensor:
 def seen_cells(
     points_grid: Tensor, pixels_from_grid: Tensor, image: tuple[int, int], cells: tuple[int, int]
 ) -> tuple[Tensor, Tensor]:
-    """Which points (P, 3) one camera sees, (S,) int64 ascending, and the flat cell (S,) of `cells` that each falls in.
+    """Return which points (P, 3) one camera sees, (S,) int64 ascending, and the flat cell (S,) of `cells` of each.
 
     `pixels_from_grid` is (3, 4); `image` and `cells` are heights and widths. NaN is not seen.
     """
@@ -49,7 +52,7 @@ def seen_cells(
 
 
 class Sightings(NamedTuple):
-    """Of points: `total` (B, P, C) of the cells that each falls in, `cameras` (B, P, 1): how many see it."""
+    """Sightings of points: `total` (B, P, C) of the cells around each, `cameras` (B, P, 1), the number that see it."""
 
     total: Tensor
     cameras: Tensor
@@ -59,7 +62,7 @@ class Sightings(NamedTuple):
 
 
 def sightings_of(points_grid: Tensor, features: Tensor, views: CameraViews, grid_from_camera: Tensor) -> Sightings:
-    """Points (B, P, 3) of the grid frame, seen in features (B, N, C, h, w) of the images of `views`."""
+    """Return the sightings of grid points (B, P, 3) in features (B, N, C, h, w) of the images of `views`."""
     image = (views.images.shape[-2], views.images.shape[-1])
     with torch.autocast(features.device.type, enabled=False):
         matrices = pixels_from_grid(views, grid_from_camera).float()
@@ -71,7 +74,7 @@ def sightings_of(points_grid: Tensor, features: Tensor, views: CameraViews, grid
 def project_features(
     features: Tensor, views: CameraViews, grid_from_camera: Tensor, lattice: VoxelLattice
 ) -> ProjectedFeatures:
-    """Features (B, N, C, h, w) of the images of `views`, on `lattice` in the grid frame."""
+    """Return features (B, N, C, h, w) of the images of `views`, on `lattice` in the grid frame."""
     centres = lattice.centres_m(features.device).reshape(1, -1, 3).expand(len(features), -1, -1)
     seen = sightings_of(centres, features, views, grid_from_camera)
     shape = (len(features), *lattice.shape, -1)
@@ -81,7 +84,9 @@ def project_features(
 
 
 def _sums(features: Tensor, matrices: Tensor, centres: Tensor, image: tuple[int, int]) -> tuple[Tensor, Tensor]:
-    """Of one frame's features (N, C, h, w): their sums (P, C) at the centres, and how many cameras saw each (P,)."""
+    """Return the sums (P, C) of one frame's features (N, C, h, w) at the centres, and the number of cameras per centre
+    (P,).
+    """
     total = features.new_zeros(len(centres), features.shape[1])
     count = features.new_zeros(len(centres))
     for cells, matrix in zip(features, matrices, strict=True):

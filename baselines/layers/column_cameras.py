@@ -1,4 +1,4 @@
-"""What cameras see at columns: features of a light network, looked up where heights of each column project to."""
+"""Camera features of columns: features of a light network at the projections of each column's heights."""
 
 from itertools import pairwise
 
@@ -28,7 +28,7 @@ class LightImageEncoder(nn.Module):
         )
 
     def cells_of(self, image: tuple[int, int]) -> tuple[int, int]:
-        """Height and width of the features of images of such a height and width."""
+        """Return the height and width of the features for images of this height and width."""
         height, width = (-(-(side // self.pool) // 4) for side in image)
         return height, width
 
@@ -46,7 +46,7 @@ class ColumnCameras(nn.Module):
         self.encoder = LightImageEncoder(channels, pool)
 
     def forward(self, views: CameraViews, grid_from_camera: Tensor, heights_m: Tensor) -> Tensor:
-        """`heights_m` (B, A, X, Y), grid frame."""
+        """Return the features of the columns; `heights_m` (B, A, X, Y), grid frame."""
         frames, cameras = views.images.shape[:2]
         features: Tensor = self.encoder(views.images.flatten(0, 1))
         features = features.reshape(frames, cameras, *features.shape[1:])
@@ -57,7 +57,7 @@ class ColumnCameras(nn.Module):
 
 
 def halving(inputs: int, outputs: int) -> nn.Sequential:
-    """3 × 3 convolution of stride 2, batch norm, ReLU."""
+    """Return a 3 × 3 convolution of stride 2, batch norm, ReLU."""
     convolution = nn.Conv2d(inputs, outputs, 3, stride=2, padding=1, bias=False)
     return nn.Sequential(convolution, nn.BatchNorm2d(outputs), nn.ReLU(inplace=True))
 

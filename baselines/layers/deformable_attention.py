@@ -1,8 +1,8 @@
 """Multi-scale deformable attention in two dimensions, by bilinear sampling.
 
-**Conventions.** A place is (column, row) as a share of a map's width and height: (0, 0) is the outer corner of its
-first pixel, (1, 1) that of its last. Maps are zero outside. Source: Zhu et al., Deformable DETR, ICLR 2021, equations
-2 and 3; the ring of first offsets is theirs too.
+**Conventions.** A place is (column, row) as a fraction of a map's width and height: (0, 0) is the outer corner of the
+first pixel, (1, 1) of the last. Maps are zero outside. Source: Zhu et al., Deformable DETR, ICLR 2021, equations 2 and
+3; the ring of initial offsets is theirs too.
 """
 
 from collections.abc import Sequence
@@ -14,9 +14,9 @@ from torch.nn import functional
 
 
 def deformable_attention(maps: Sequence[Tensor], places: Tensor, weights: Tensor) -> Tensor:
-    """Σ over levels and points of weight · bilinear(map, place), (B, Q, heads · c), float32 or wider.
+    """Return Σ over levels and points of weight · bilinear(map, place), (B, Q, heads · c), float32 or wider.
 
-    `maps`: one (B, heads, c, rows, columns) a level; `places` (B, Q, heads, levels, points, 2); `weights` the same
+    `maps`: one (B, heads, c, rows, columns) per level; `places` (B, Q, heads, levels, points, 2); `weights` likewise
     without the last axis. Q may be 0.
     """
     with torch.autocast(places.device.type, enabled=False):
@@ -27,7 +27,9 @@ def deformable_attention(maps: Sequence[Tensor], places: Tensor, weights: Tensor
 
 
 def _attended(values: Tensor, places: Tensor, weights: Tensor) -> Tensor:
-    """One level: (B, heads, c, rows, columns), (B, Q, heads, points, 2), (B, Q, heads, points) → (B, Q, heads · c)."""
+    """Return one level: (B, heads, c, rows, columns), (B, Q, heads, points, 2), (B, Q, heads, points) → (B, Q, heads ·
+    c).
+    """
     batch, heads = values.shape[:2]
     grid = (2 * places - 1).transpose(1, 2).flatten(0, 1)
     sampled = functional.grid_sample(values.flatten(0, 1), grid, align_corners=False)  # (B · heads, c, Q, points)
@@ -37,10 +39,10 @@ def _attended(values: Tensor, places: Tensor, weights: Tensor) -> Tensor:
 
 
 class SamplingHead(nn.Module):
-    """Where each query looks, and how much each place counts: offsets in pixels of the map, and scores before softmax.
+    """The sampling places and weights of each query: offsets in pixels of the map, and scores before softmax.
 
-    `shape` is (heads, groups, points). At first the scores are 0 and the offsets do not depend on the query: point j
-    of a head lies j + 1 pixels out, each head in its own direction.
+    `shape` is (heads, groups, points). Initially the scores are 0 and the offsets do not depend on the query: point j
+    of a head is j + 1 pixels out, each head in its own direction.
     """
 
     def __init__(self, channels: int, shape: tuple[int, int, int]) -> None:
@@ -63,7 +65,7 @@ class SamplingHead(nn.Module):
             nn.init.zeros_(zeroed)
 
     def forward(self, queries: Tensor) -> tuple[Tensor, Tensor]:
-        """Queries (…, channels) to offsets (…, *shape, 2), x first, and scores (…, *shape), float32 or wider."""
+        """Return offsets (…, *shape, 2), x first, and scores (…, *shape) of queries (…, channels), float32 or wider."""
         offsets, scores = at_least_float32(self.offsets(queries)), at_least_float32(self.scores(queries))
         return torch.unflatten(offsets, -1, (*self.shape, 2)), torch.unflatten(scores, -1, self.shape)
 
@@ -73,5 +75,5 @@ def at_least_float32(values: Tensor) -> Tensor:
 
 
 def by_head(values: Tensor, heads: int) -> Tensor:
-    """Maps (…, channels, rows, columns) to (…, heads, channels / heads, rows, columns)."""
+    """Return maps (…, channels, rows, columns) as (…, heads, channels / heads, rows, columns)."""
     return torch.unflatten(values, -3, (heads, values.shape[-3] // heads))

@@ -1,8 +1,7 @@
-"""Multi-scale deformable attention over volumes: each query reads few learnt places of every level.
+"""Multi-scale deformable attention over volumes: each query reads a few learnt places of every level.
 
-**Conventions.** Levels are (X, Y, Z) volumes, flattened in C order and put one after another. Places are fractions of a
-volume, and their last axis is z, y, x, as `grid_sample` has it; offsets are in voxels of the level read. What lies
-outside a volume is 0.
+**Conventions.** Levels are (X, Y, Z) volumes, flattened in C order and concatenated. Places are fractions of a volume,
+with last axis z, y, x, as in `grid_sample`; offsets are in voxels of the level. Volumes are 0 outside.
 
 Source: Zhu et al., Deformable DETR, ICLR 2021, equation 3, in three dimensions: zhangyp15/OccFormer,
 necks/multi_scale_deform_attn_3d.py.
@@ -20,7 +19,7 @@ from baselines.lattice import Shape
 
 @dataclass(frozen=True)
 class DeformableSettings3D:
-    """Of `channels`, each of `heads` reads `points` places in each of `levels` volumes."""
+    """Settings: each of `heads`, of `channels` in all, reads `points` places in each of `levels` volumes."""
 
     channels: int = 192
     heads: int = 8
@@ -29,7 +28,7 @@ class DeformableSettings3D:
 
 
 class DeformableAttention3D(nn.Module):
-    """What queries (B, Q, C) read at `places` (Q, 3) of `values` (B, ΣXYZ, C): (B, Q, C), nothing added."""
+    """The readings of queries (B, Q, C) at `places` (Q, 3) of `values` (B, ΣXYZ, C): (B, Q, C), without a residual."""
 
     def __init__(self, settings: DeformableSettings3D) -> None:
         super().__init__()
@@ -42,7 +41,7 @@ class DeformableAttention3D(nn.Module):
         self.reset_parameters()
 
     def reset_parameters(self) -> None:
-        """Offsets begin as rays from the query, a direction for each head, one voxel further with each point."""
+        """Initialise offsets as rays from the query, a direction per head, one voxel further with each point."""
         for layer in (self.offsets, self.weights, self.values, self.project):
             nn.init.zeros_(layer.bias)
         for layer in (self.values, self.project):
@@ -61,13 +60,13 @@ class DeformableAttention3D(nn.Module):
         size = places.new_tensor(shapes).flip(1)
         at = places[:, None, None, None] + at_least_single(offsets) / size[:, None]
         weights = at_least_single(weights).reshape(b, q, s.heads, s.levels, s.points)
-        sampled = sample_volumes(at_least_single(read), shapes, at, weights)  # autocast leaves these single
+        sampled = sample_volumes(at_least_single(read), shapes, at, weights)  # autocast keeps these in single precision
         projected: Tensor = self.project(sampled.to(queries.dtype))
         return projected
 
 
 def sample_volumes(values: Tensor, shapes: tuple[Shape, ...], places: Tensor, weights: Tensor) -> Tensor:
-    """Weighted sums of trilinear readings.
+    """Return weighted sums of trilinear readings.
 
     `values` (B, ΣXYZ, H, C), `places` (B, Q, H, L, P, 3), `weights` (B, Q, H, L, P) → (B, Q, H·C).
     """
@@ -83,7 +82,7 @@ def sample_volumes(values: Tensor, shapes: tuple[Shape, ...], places: Tensor, we
 
 
 def voxel_places(shapes: tuple[Shape, ...], device: torch.device | None = None) -> Tensor:
-    """Where the voxels of all levels lie (ΣXYZ, 3): fractions z, y, x of their volume, float32."""
+    """Return the places of the voxels of all levels (ΣXYZ, 3): fractions z, y, x of their volume, float32."""
     places = []
     for shape in shapes:
         axes = [(torch.arange(n, device=device, dtype=torch.float32) + 0.5) / n for n in shape]
@@ -93,7 +92,7 @@ def voxel_places(shapes: tuple[Shape, ...], device: torch.device | None = None) 
 
 
 def initial_offsets(settings: DeformableSettings3D) -> Tensor:
-    """(H, L, P, 3) voxels: the p-th point of a head lies p + 1 voxels along the head's direction."""
+    """Return offsets (H, L, P, 3) in voxels: the p-th point of a head is p + 1 voxels along the head's direction."""
     angle = torch.arange(settings.heads, dtype=torch.float32) * (tau / settings.heads)
     rays = torch.stack((angle.cos(), angle.sin(), (angle.sin() + angle.cos()) / 2.0), dim=-1)
     rays = rays / rays.abs().amax(dim=-1, keepdim=True)
@@ -102,5 +101,5 @@ def initial_offsets(settings: DeformableSettings3D) -> Tensor:
 
 
 def at_least_single(numbers: Tensor) -> Tensor:
-    """In float32, or as they are where they are more precise."""
+    """Return the numbers in float32, or unchanged if they are more precise."""
     return numbers.to(torch.promote_types(numbers.dtype, torch.float32))

@@ -1,10 +1,10 @@
-"""Deformable convolution, 3 × 3: each tap looks at its place plus an offset that a plain convolution predicts.
+"""Deformable convolution, 3 × 3: each tap reads at its place plus an offset that a plain convolution predicts.
 
 out(p) = Σ_k w_k · m_k(p) · x(stride·p + k + Δ_k(p)), x bilinear between pixels and 0 beyond the edge.
 
-**Conventions.** Taps run over rows, then columns; `conv_offset` answers (Δv, Δu) of each of the nine, then the nine
-logits of m = sigmoid: the order of mmcv, so that its checkpoints fit. Offsets begin at 0, so m begins at ½.
-Source: Zhu et al., Deformable ConvNets v2 (CVPR 2019); Dai et al. (ICCV 2017) where `is_modulated` is false (m = 1);
+**Conventions.** Taps run over rows, then columns; `conv_offset` returns (Δv, Δu) of each of the nine, then the nine
+logits of m = sigmoid: the order of mmcv, so that its checkpoints fit. Initial offsets are 0, so m is ½. Source: Zhu et
+al., Deformable ConvNets v2 (CVPR 2019); Dai et al. (ICCV 2017) if `is_modulated` is false (m = 1);
 mmcv/ops/modulated_deform_conv.py.
 """
 
@@ -16,9 +16,10 @@ TAPS = 9
 
 
 def sampled_taps(images: Tensor, offsets: Tensor, stride: int) -> Tensor:
-    """Values (N, C, 9, H', W') of images (N, C, H, W) at the taps moved by `offsets` (N, 9, 2, H', W'), v before u.
+    """Return values (N, C, 9, H', W') of images (N, C, H, W) at the taps moved by `offsets` (N, 9, 2, H', W'), v before
+    u.
 
-    At least float32: half a precision of an offset is a pixel of a wide picture.
+    Computed in at least float32, because half precision of an offset is a pixel of a wide image.
     """
     dtype = torch.promote_types(images.dtype, torch.float32)
     places = offsets.to(dtype) + tap_places(offsets, stride).to(dtype)
@@ -31,7 +32,7 @@ def sampled_taps(images: Tensor, offsets: Tensor, stride: int) -> Tensor:
 
 
 def tap_places(offsets: Tensor, stride: int) -> Tensor:
-    """Pixels (9, 2, H', W') that the taps of an undeformed convolution with padding 1 look at, v before u."""
+    """Return the pixels (9, 2, H', W') of the taps of an undeformed convolution with padding 1, v before u."""
     height, width = offsets.shape[3:]
     step = torch.arange(-1, 2, device=offsets.device)
     taps = torch.stack(torch.meshgrid(step, step, indexing="ij")).reshape(2, TAPS).T
@@ -41,7 +42,7 @@ def tap_places(offsets: Tensor, stride: int) -> Tensor:
 
 
 class DeformableConv2d(nn.Module):
-    """Images (N, C, H, W) to (N, C', ⌈H / stride⌉, ⌈W / stride⌉); without bias, as where a normalisation follows."""
+    """Images (N, C, H, W) to (N, C', ⌈H / stride⌉, ⌈W / stride⌉); without bias, because a normalisation follows."""
 
     def __init__(
         self, channels_in: int, channels_out: int, *, stride: int = 1, groups: int = 1, is_modulated: bool = True

@@ -1,4 +1,4 @@
-"""BEVDepth's depth network: how far each cell of a feature map sees, and what, given the camera that took it.
+"""BEVDepth's depth network: depth and context of each cell of a feature map, given its camera.
 
 Source: Li et al., BEVDepth (AAAI 2023); OccFormer's `image2bev/ViewTransformerLSSBEVDepth.py`, the same in
 OpenOccupancy, with its first-generation deformable convolution in 4 groups and its numbers of parameters.
@@ -14,7 +14,7 @@ from baselines.batch import Batch
 from baselines.layers.deformable_convolution import DeformableConv2d
 
 CAMERA_NUMBERS = 27
-KILOPIXELS = 1e-3  # of a pixel
+KILOPIXELS = 1e-3  # pixels to kilopixels
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,11 @@ class DepthNetworkConfig:
 
 
 def camera_vectors(batch: Batch) -> Tensor:
-    """The 27 numbers (B, N, 27) of each camera: of intrinsics 4, pictures' augmentation 6, the grid's 5, extrinsics 12.
+    """Return the 27 numbers (B, N, 27) of each camera: intrinsics 4, images' augmentation 6, the grid's 5, extrinsics
+    12.
 
-    Lengths in pictures are in thousands of pixels. Officially they are in pixels: of a rig whose focal lengths are all
-    the same, running means are then never close enough to them for the norm's ε. Raises `ValueError` without cameras.
+    Lengths in images are in thousands of pixels. The official code uses pixels; with equal focal lengths of all
+    cameras, running means are then never close enough for the norm's ε. Raises `ValueError` without cameras.
     """
     if batch.cameras is None:
         raise ValueError("this batch has no cameras")
@@ -52,7 +53,7 @@ def camera_vectors(batch: Batch) -> Tensor:
 
 
 class DepthNetwork(nn.Module):
-    """Features (M, C, h, w) of M pictures and their cameras' vectors (M, 27) to logits of depth and to context.
+    """Features (M, C, h, w) of M images and their cameras' vectors (M, 27) to logits of depth and to context.
 
     Logits (M, `depth_bins`, h, w), context (M, `context_channels`, h, w).
     """
@@ -83,7 +84,7 @@ class DepthNetwork(nn.Module):
 
 
 class CameraExcitation(nn.Module):
-    """Scales each channel by a gate that follows from the camera's vector."""
+    """A scale of each channel by a gate from the camera's vector."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()

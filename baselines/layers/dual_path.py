@@ -1,7 +1,7 @@
-"""OccFormer's 3D encoder: volumes seen slice by slice and from above by the same window attention.
+"""OccFormer's 3D encoder: window attention shared by the slices of a volume and its view from above.
 
-**Conventions.** Volumes are (B, C, X, Y, Z). A block's local path is every horizontal slice by itself, its global path
-the mean over z, which alone goes on through dilated convolutions; a gate of each voxel says how much of it is added.
+**Conventions.** Volumes are (B, C, X, Y, Z). A block's local path processes every horizontal slice; its global path the
+mean over z, followed by dilated convolutions. A gate of each voxel weights the global path.
 
 Source: Zhang et al., OccFormer, ICCV 2023, section 3.2; zhangyp15/OccFormer, backbones/{occnet,dualpath_block}.py and
 backbones/modules/aspp.py.
@@ -23,7 +23,7 @@ DILATIONS = (6, 12, 18)
 
 @dataclass(frozen=True)
 class DualPathSettings:
-    """`channels` and `blocks` of each stage; all but the first halve the resolution. `inputs`: channels given."""
+    """`channels` and `blocks` of each stage; all but the first halve the resolution. `inputs`: input channels."""
 
     inputs: int = 128
     channels: tuple[int, ...] = (128, 256, 512, 1024)
@@ -35,7 +35,7 @@ class DualPathSettings:
 
 @dataclass(frozen=True)
 class BlockPlan:
-    """What one block makes of what; `stride` along all axes."""
+    """The channels of one block; `stride` along all axes."""
 
     inputs: int
     outputs: int
@@ -131,7 +131,7 @@ class DilatedContext(nn.Module):
 
 
 def planned(settings: DualPathSettings) -> list[list[BlockPlan]]:
-    """The blocks of every stage; of all blocks in a row, every second one shifts its windows."""
+    """Return the blocks of every stage; counted over all stages, every second block shifts its windows."""
     stages, inputs, index = [], settings.inputs, 0
     for stage, (channels, count) in enumerate(zip(settings.channels, settings.blocks, strict=True)):
         blocks = []
@@ -144,7 +144,7 @@ def planned(settings: DualPathSettings) -> list[list[BlockPlan]]:
 
 
 def dilated_convolution(channels: int, dilation: int) -> nn.Sequential:
-    """A 3 × 3 convolution of that dilation, 1 × 1 where it is 0, normalised, and rectified."""
+    """Return a 3 × 3 convolution of this dilation (1 × 1 for 0), normalised, and rectified."""
     convolution = (
         nn.Conv2d(channels, channels, 3, padding=dilation, dilation=dilation, bias=False)
         if dilation
@@ -154,10 +154,10 @@ def dilated_convolution(channels: int, dilation: int) -> nn.Sequential:
 
 
 def group_norm(channels: int) -> nn.GroupNorm:
-    """Normalisation in 32 groups; in fewer where they do not divide the channels."""
+    """Return a normalisation in 32 groups, or fewer if they do not divide the channels."""
     return nn.GroupNorm(gcd(NORM_GROUPS, channels), channels)
 
 
 def pyramid_norm(channels: int) -> nn.GroupNorm:
-    """The same, but two channels to a group where 32 groups would leave each a single one (official)."""
+    """Return a group norm with at least two channels per group (official)."""
     return group_norm(channels) if channels > NORM_GROUPS else nn.GroupNorm(channels // 2, channels)

@@ -1,9 +1,9 @@
-"""EfficientViT's block: attention over a whole map at linear cost, then an inverted residual for what is local.
+"""EfficientViT's block: attention over a whole map at linear cost, then an inverted residual for local detail.
 
 ReLU attention, `out = ReLU(q) (ReLU(k)ᵀ v) / (ReLU(q) Σ ReLU(k))`, sums over keys once for all queries. Tokens of
-several neighbourhoods come from small depthwise convolutions of queries, keys and values.
-Source: Cai et al., EfficientViT: Multi-Scale Linear Attention for High-Resolution Dense Prediction, ICCV 2023,
-section 3; mit-han-lab/efficientvit, efficientvit/models/nn/ops.py (layers and widths).
+several neighbourhoods come from small depthwise convolutions of queries, keys and values. Source: Cai et al.,
+EfficientViT: Multi-Scale Linear Attention for High-Resolution Dense Prediction, ICCV 2023, section 3;
+mit-han-lab/efficientvit, efficientvit/models/nn/ops.py (layers and widths).
 """
 
 import torch
@@ -15,12 +15,12 @@ EPSILON = 1e-15
 
 
 def relu_attention(queries: Tensor, keys: Tensor, values: Tensor) -> Tensor:
-    """Normalised linear attention (…, d, L) of queries, keys and values (…, d, L) over all L tokens, in float32."""
+    """Return normalised linear attention (…, d, L) of queries, keys and values (…, d, L) over L tokens, in float32."""
     with torch.autocast(queries.device.type, enabled=False):
         queries, keys, values = queries.float().relu(), keys.float().relu(), values.float()
         summary = values @ keys.transpose(-1, -2)
         weight = keys.sum(dim=-1, keepdim=True).transpose(-1, -2) @ queries
-        # Not `+ EPSILON`: what optimises exported graphs takes that for 0, and divides 0 by 0.
+        # Not `+ EPSILON`: optimisers of exported graphs replace it by 0 and divide 0 by 0.
         return summary @ queries / weight.clamp(min=EPSILON)
 
 
@@ -75,7 +75,7 @@ class InvertedResidual(nn.Module):
 
 
 class EfficientViTBlock(nn.Module):
-    """Context over the whole map (B, C, H, W), then local detail, each added to what came in."""
+    """Context over the whole map (B, C, H, W), then local detail, each added to its input."""
 
     def __init__(self, channels: int, head_channels: int) -> None:
         super().__init__()
@@ -88,10 +88,9 @@ class EfficientViTBlock(nn.Module):
         return mixed
 
 
-# Global and local features made one: a map of the whole scene, attended and atrous, weighed into a volume.
-#
-# Source: Ming et al., OccFusion, IEEE T-IV 2024, and InverseMatrixVT3D, IROS 2024 (global-local attention fusion); the
-# atrous pyramid: Chen et al., DeepLabv3, 2017.
+# Fusion of global and local features: a map of the whole scene, attended and atrous, weighted into a volume. Source:
+# Ming et al., OccFusion, IEEE T-IV 2024, and InverseMatrixVT3D, IROS 2024 (global-local attention fusion); the atrous
+# pyramid: Chen et al., DeepLabv3, 2017.
 
 
 class MapContext(nn.Module):
@@ -108,7 +107,7 @@ class MapContext(nn.Module):
             )
             for rate in rates
         )
-        # No norm on the mean: one number a channel has no variance when a batch is one frame.
+        # No norm on the mean: one number per channel has no variance in a batch of one frame.
         self.mean = nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Conv2d(channels, channels, 1), nn.ReLU(inplace=True))
         self.project = unit2d(channels * (2 + len(rates)), channels, 1)
 

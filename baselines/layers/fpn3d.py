@@ -1,4 +1,4 @@
-"""Feature pyramid over volumes: what coarse ones know is added to finer ones, all with the same channels.
+"""Feature pyramid over volumes: coarse levels are added to finer ones, all with the same channels.
 
 Source: OpenOccupancy's `occ_plugin/occupancy/necks/fpn3d.py`, `FPN3D`.
 """
@@ -32,11 +32,11 @@ class FPN3d(nn.Module):
 
 
 def normed_convolution3d(channels_in: int, channels_out: int, size: int) -> nn.Sequential:
-    """A convolution that keeps the shape, batch norm, ReLU."""
+    """Return a convolution that keeps the shape, batch norm, ReLU."""
     convolution = nn.Conv3d(channels_in, channels_out, size, padding=size // 2, bias=False)
     return nn.Sequential(convolution, nn.BatchNorm3d(channels_out), nn.ReLU())
 
 
 def resized(volume: Tensor, like: Tensor) -> Tensor:
-    """Trilinear, cell for cell: corners are the corners of the outermost cells."""
+    """Return the volume resized trilinearly, cell for cell: corners are the corners of the outermost cells."""
     return functional.interpolate(volume, size=like.shape[2:], mode="trilinear", align_corners=False)

@@ -1,7 +1,7 @@
-"""GridMask: while training, squares of a random lattice are blanked in all pictures alike.
+"""GridMask: in training, squares of a random lattice are blanked in all images alike.
 
 Source: Chen et al., GridMask Data Augmentation, arXiv 2001.04086; TPVFormer's `use_grid_mask` with its values: half of
-each period blank along rows and along columns, so a quarter of the picture, without rotation.
+each period blank along rows and along columns, so a quarter of the image, without rotation.
 """
 
 import torch
@@ -12,7 +12,7 @@ SHORTEST_PERIOD_PX = 2
 
 
 class GridMask(nn.Module):
-    """Pictures (…, H, W) to pictures; as they are with probability 1 − `probability`, and when not training."""
+    """Images (…, H, W) to images; unchanged with probability 1 − `probability`, and outside training."""
 
     def __init__(self, probability: float) -> None:
         super().__init__()
@@ -28,6 +28,6 @@ class GridMask(nn.Module):
 
 
 def is_kept(pixels: int, period_px: int) -> Tensor:
-    """Of a row of pixels (pixels,), from a random start, the first `KEPT_RATIO` of every period."""
+    """Return the kept pixels of a row (pixels,): from a random start, the first `KEPT_RATIO` of every period."""
     start = torch.randint(period_px, ())
     return (torch.arange(pixels) + start) % period_px < round(KEPT_RATIO * period_px)

@@ -1,4 +1,4 @@
-"""Features of pictures at the pixels that see given points."""
+"""Features of images at the pixels that see given points."""
 
 import torch
 from torch import Tensor
@@ -10,9 +10,10 @@ NEAREST_M = 1e-3  # a point nearer to the camera's plane, or behind it, is not s
 
 
 def image_samples(features: Tensor, points_grid: Tensor, batch: Batch, frame: int) -> Tensor:
-    """Bilinear samples (N, C) of a frame's features (K, C, H', W') at points (N, 3), summed over cameras that see them.
+    """Return bilinear samples (N, C) of a frame's features (K, C, H', W') at points (N, 3), summed over cameras that
+    see them.
 
-    0 where none does. The features cover the whole pictures, whatever their stride.
+    0 for points outside all images. The features cover the whole images, whatever their stride.
     """
     places, is_seen = places_in_images(points_grid, batch, frame)
     samples = functional.grid_sample(features.float(), places[:, None], mode="bilinear", align_corners=False)
@@ -20,9 +21,10 @@ def image_samples(features: Tensor, points_grid: Tensor, batch: Batch, frame: in
 
 
 def places_in_images(points_grid: Tensor, batch: Batch, frame: int) -> tuple[Tensor, Tensor]:
-    """Where K cameras see points (N, 3): (K, N, 2), −1 … 1 from edge to edge of the picture, and whether (K, N).
+    """Return the image positions (K, N, 2) of points (N, 3), −1 … 1 from edge to edge, and whether K cameras see them
+    (K, N).
 
-    Places of points that are not seen are 0. Raises `ValueError` without cameras.
+    Positions of invisible points are 0. Raises `ValueError` without cameras.
     """
     if batch.cameras is None:
         raise ValueError("this batch has no cameras")

@@ -1,10 +1,9 @@
-"""Lift, splat: features of pictures, spread along their rays by a distribution over depth, summed in voxels.
+"""Lift, splat: features of images, spread along their rays by a distribution over depth, summed in voxels.
 
-**Conventions.** Depth is along the camera's z. Bin i is about `min + i · step`: it ends half a step to either side. A
-cell of a feature map stands for `stride` × `stride` pixels, and its ray passes through the middle of them (officially
-through `linspace(0, size − 1)`, which is up to half a cell aside). All in float32 or more.
-Source: Philion and Fidler, Lift, Splat, Shoot (ECCV 2020); `image2bev/ViewTransformerLSSVoxel.py` of OpenOccupancy and
-of OccFormer.
+**Conventions.** Depth is along the camera's z. Bin i is centred at `min + i · step` and ends half a step to either
+side. A cell of a feature map covers `stride` × `stride` pixels, and its ray passes through their middle (officially
+through `linspace(0, size − 1)`, up to half a cell aside). All in float32 or more. Source: Philion and Fidler, Lift,
+Splat, Shoot (ECCV 2020); `image2bev/ViewTransformerLSSVoxel.py` of OpenOccupancy and of OccFormer.
 """
 
 from dataclasses import dataclass
@@ -30,11 +29,11 @@ class Frustum:
         return round((self.max_m - self.min_m) / self.step_m)
 
     def depths_m(self, like: Tensor) -> Tensor:
-        """Middles of the bins (D,), in the type and on the device of `like`."""
+        """Return the middles of the bins (D,), in the type and on the device of `like`."""
         return self.min_m + self.step_m * torch.arange(self.bins, dtype=like.dtype, device=like.device)
 
     def points(self, image_from_camera: Tensor, grid_from_camera: Tensor, shape: tuple[int, int]) -> Tensor:
-        """Where the bins of a map of h × w cells are: (B, N, D, h, w, 3) m, in the grid frame.
+        """Return the positions of the bins of a map of h × w cells: (B, N, D, h, w, 3) m, in the grid frame.
 
         `image_from_camera` (B, N, 3, 3) is affine on pixels after the intrinsics, `grid_from_camera` (B, N, 4, 4).
         """
@@ -50,7 +49,7 @@ class Frustum:
         return rays * depths + grid_from_camera[:, :, None, None, None, :3, 3]
 
     def points_of(self, batch: Batch, shape: tuple[int, int]) -> Tensor:
-        """The same of a batch's cameras, out of autocast. Raises `ValueError` without cameras."""
+        """Return the positions for a batch's cameras, out of autocast. Raises `ValueError` without cameras."""
         if batch.cameras is None:
             raise ValueError("this batch has no cameras")
         with torch.autocast(batch.device.type, enabled=False):
@@ -58,10 +57,10 @@ class Frustum:
 
 
 def splat(depth: Tensor, context: Tensor, points: Tensor, lattice: VoxelLattice) -> Tensor:
-    """Volume (B, C, X, Y, Z): in each voxel, the sum of depth · context over the points that lie in it.
+    """Return the volume (B, C, X, Y, Z): in each voxel, the sum of depth · context over its points.
 
     `depth` (B, N, D, h, w) are probabilities over D, `context` (B, N, C, h, w), `points` (B, N, D, h, w, 3) m in the
-    lattice's frame. Points outside of the lattice count nowhere.
+    lattice's frame. Points outside of the lattice are ignored.
     """
     count, cameras, _, height, width = depth.shape
     channels, (x, y, z) = context.shape[2], lattice.shape
@@ -78,7 +77,7 @@ def splat(depth: Tensor, context: Tensor, points: Tensor, lattice: VoxelLattice)
 
 
 def lift(depth_logits: Tensor, context: Tensor, points: Tensor, lattice: VoxelLattice) -> tuple[Tensor, Tensor]:
-    """The volume of `splat`, and the probabilities that logits (B, N, D, h, w) became; both out of autocast."""
+    """Return the volume of `splat`, and the probabilities of the logits (B, N, D, h, w); both out of autocast."""
     with torch.autocast(depth_logits.device.type, enabled=False):
         depth = depth_logits.to(points.dtype).softmax(dim=2)
         return splat(depth, context.to(points.dtype), points, lattice), depth

@@ -1,7 +1,7 @@
-"""Mask2Former's transformer decoder: queries that become masks with a class, each looking where its mask is.
+"""Mask2Former's transformer decoder: queries that become masks with a class, each attending inside its mask.
 
 **Conventions.** Q queries, N voxels. A query attends to one memory after another, the coarsest first, and there only to
-voxels that its mask so far covers anywhere, or to all where it covers none. Masks are logits on the finest level.
+voxels that its current mask covers, or to all if it covers none. Masks are logits on the finest level.
 
 Source: Cheng et al., Mask2Former, CVPR 2022, section 3.2; for volumes, with the mask max-pooled so that rare classes
 keep theirs: zhangyp15/OccFormer, mask2former/mask2former_occ.py (`Mask2FormerOccHead`, SemanticKITTI's).
@@ -19,7 +19,7 @@ from baselines.layers.pixel_decoder3d import Levels, shape_of, sine_positions
 
 @dataclass(frozen=True)
 class QuerySettings:
-    """`classes` without the one that says "no object"; `hidden` within the feed-forward networks."""
+    """`classes` without the class "no object"; `hidden` within the feed-forward networks."""
 
     classes: int = 4
     queries: int = 100
@@ -40,14 +40,14 @@ class MaskPrediction:
 
 @dataclass(frozen=True, eq=False)
 class MemoryTokens:
-    """What is attended to: `tokens` (B, N, C), whose positions `keys` have added."""
+    """The attended tokens: `tokens` (B, N, C), and `keys`, which are tokens with positions added."""
 
     tokens: Tensor
     keys: Tensor
 
 
 class MaskDecoder(nn.Module):
-    """Features of masks (B, C, X, Y, Z) and memories → what the queries say at first, and after each layer."""
+    """Features of masks (B, C, X, Y, Z) and memories → the queries' predictions at first, and after each layer."""
 
     def __init__(self, settings: QuerySettings) -> None:
         super().__init__()
@@ -104,7 +104,9 @@ class MaskDecoderLayer(nn.Module):
                 nn.init.xavier_normal_(parameter)
 
     def forward(self, queries: Tensor, query_position: Tensor, memory: MemoryTokens, hidden: Tensor) -> Tensor:
-        """`queries` (B, Q, C), their positions (Q, C), and `hidden` (B · heads, Q, N), what they do not look at."""
+        """Return the updated queries; `queries` (B, Q, C), their positions (Q, C), and `hidden` (B · heads, Q, N),
+        masked tokens.
+        """
         asked = queries + query_position
         seen, _ = self.across(asked, memory.keys, memory.tokens, attn_mask=hidden, need_weights=False)
         queries = self.norms[0](queries + seen)
@@ -116,6 +118,6 @@ class MaskDecoderLayer(nn.Module):
 
 
 def hidden_voxels(masks: Tensor, shape: Shape) -> Tensor:
-    """Voxels of a coarser volume (B, Q, N) in which a mask is nowhere more likely than not; none where that is all."""
+    """Return the voxels of a coarser volume (B, Q, N) outside each mask (probability ≤ ½); none if that is all."""
     hidden = adaptive_max_pool3d(masks.detach().float(), shape).flatten(2) < 0.0
     return hidden & ~hidden.all(dim=2, keepdim=True)

@@ -1,7 +1,7 @@
-"""Mask2Former's pixel decoder in three dimensions: makes one width of all levels and lets them exchange what they know.
+"""Mask2Former's pixel decoder in three dimensions: brings all levels to one width and exchanges features between them.
 
-**Conventions.** Levels are (B, C, X, Y, Z), the finest first, each half as fine as the one before. The finest takes no
-part in attention: it is added to the next one resampled, and its result is what masks are products with.
+**Conventions.** Levels are (B, C, X, Y, Z), the finest first, each half as fine as the one before. The finest level
+takes no part in attention: it is added to the resampled next level, and masks are products with the result.
 
 Source: Cheng et al., Mask2Former, CVPR 2022, section 3.2.1; Zhang et al., OccFormer, ICCV 2023, section 3.3;
 zhangyp15/OccFormer, necks/multiscale_deformattn_3d.py.
@@ -115,10 +115,8 @@ def shape_of(volume: Tensor) -> Shape:
     return x, y, z
 
 
-# Positions of a volume's voxels as sines and cosines.
-#
-# Source: Carion et al., DETR, ECCV 2020, in three dimensions: zhangyp15/OccFormer, mask2former/positional_encodings
-# (`SinePositionalEncoding3D`, normalised).
+# Positions of a volume's voxels as sines and cosines. Source: Carion et al., DETR, ECCV 2020, in three dimensions:
+# zhangyp15/OccFormer, mask2former/positional_encodings (`SinePositionalEncoding3D`, normalised).
 
 
 TEMPERATURE = 10_000.0
@@ -126,9 +124,10 @@ EPSILON = 1e-6
 
 
 def sine_positions(shape: Shape, channels: int, device: torch.device | None = None) -> Tensor:
-    """(X·Y·Z, channels) float32: a third of the channels for each axis, whose length is one period of the slowest wave.
+    """Return (X·Y·Z, channels) float32: a third of the channels for each axis, whose length is one period of the
+    slowest wave.
 
-    `channels` is a multiple of 6: sine and cosine by turns.
+    `channels` is a multiple of 6: sine and cosine alternate.
     """
     each = channels // 3
     exponent = 2.0 * torch.div(torch.arange(each, device=device), 2, rounding_mode="floor") / each

@@ -15,7 +15,7 @@ from torch.nn import functional
 
 @dataclass(frozen=True)
 class FPNConfig:
-    """Widths of the maps that come, finest first, and of those that go.
+    """Widths of the input maps, finest first, and of the output maps.
 
     `extra_levels` more maps, each half as large, are convolved from the coarsest map: of the backbone ("input"), or of
     the pyramid ("output"); "pool" takes every other pixel instead.
@@ -67,9 +67,9 @@ class FPN(nn.Module):
 
 
 class SecondFPN(nn.Module):
-    """Maps (N, C_i, H_i, W_i), each scaled up by `upsample_strides[i]` (down where below 1), concatenated.
+    """Maps (N, C_i, H_i, W_i), each scaled up by `upsample_strides[i]` (down if below 1), concatenated.
 
-    All must come out at one size, so a picture's height and width must be multiples of the coarsest stride.
+    All must come out at one size, so an image's height and width must be multiples of the coarsest stride.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class SecondFPN(nn.Module):
 
 
 def rescaling(channels_in: int, channels_out: int, stride: float) -> nn.Module:
-    """Transposed convolution that scales up by `stride`, or a convolution that scales down by 1 / `stride`."""
+    """Return a transposed convolution that scales up by `stride`, or a convolution that scales down by 1 / `stride`."""
     if stride >= 1:
         return nn.ConvTranspose2d(channels_in, channels_out, int(stride), int(stride), bias=False)
     step = round(1 / stride)

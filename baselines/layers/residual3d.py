@@ -12,7 +12,7 @@ from torch.utils.checkpoint import checkpoint
 
 
 class ResidualBlock3d(nn.Module):
-    """Two 3 × 3 × 3 convolutions beside the identity, or beside a 1 × 1 × 1 one where the shape changes."""
+    """Two 3 × 3 × 3 convolutions beside the identity, or beside a 1 × 1 × 1 convolution if the shape changes."""
 
     def __init__(self, channels_in: int, channels_out: int, stride: int) -> None:
         super().__init__()

@@ -1,7 +1,7 @@
-"""ResNet of bottleneck blocks: pictures to four maps. Its keys are torchvision's, so that its checkpoints load.
+"""ResNet of bottleneck blocks: images to four maps. Its keys are torchvision's, so that its checkpoints load.
 
 **Conventions.** Maps have strides 4, 8, 16, 32. A deformable stage has `DeformableConv2d` for the 3 × 3 convolution of
-each block, as mmdet's R101-DCN (stages 3 and 4). Source: He et al. (CVPR 2016); torchvision/models/resnet.py;
+each block, like mmdet's R101-DCN (stages 3 and 4). Source: He et al. (CVPR 2016); torchvision/models/resnet.py;
 mmdet/models/backbones/resnet.py for `style`, `frozen_stages`, `norm_eval`.
 """
 
@@ -23,8 +23,8 @@ EXPANSION = 4
 class ResNetConfig:
     """`depth` 50 or 101 as published; 26 and 14 have fewer of the same blocks, for trials on a CPU.
 
-    `style` says which convolution of a block has the stride: "pytorch" the 3 × 3, "caffe" the 1 × 1 before it.
-    `frozen_stages` −1 trains all; 0 holds the stem, n the stem and the first n stages. With `norm_eval`, batch
+    `style` selects the strided convolution of a block: "pytorch" the 3 × 3, "caffe" the 1 × 1 before it.
+    `frozen_stages` −1 trains all; 0 freezes the stem, n the stem and the first n stages. With `norm_eval`, batch
     normalisation uses its stored statistics in training too.
     """
 
@@ -37,13 +37,13 @@ class ResNetConfig:
     checkpoint_gradients: bool = False
 
     def channels(self) -> tuple[int, int, int, int]:
-        """Of the four maps."""
+        """Return the channels of the four maps."""
         first = self.width * EXPANSION
         return first, 2 * first, 4 * first, 8 * first
 
 
 class Bottleneck(nn.Module):
-    """1 × 1, 3 × 3, 1 × 1 convolutions beside a shortcut, which is convolved where shape changes."""
+    """1 × 1, 3 × 3, 1 × 1 convolutions beside a shortcut, which is convolved if the shape changes."""
 
     def __init__(self, channels_in: int, width: int, stride: int, *, is_deformable: bool, style: str) -> None:
         super().__init__()
@@ -72,7 +72,7 @@ class Bottleneck(nn.Module):
 
 
 class ResNet(nn.Module):
-    """Pictures (N, 3, H, W) to four maps of `config.channels()` channels."""
+    """Images (N, 3, H, W) to four maps of `config.channels()` channels."""
 
     def __init__(self, config: ResNetConfig) -> None:
         super().__init__()
@@ -105,9 +105,9 @@ class ResNet(nn.Module):
         return self
 
     def load_pretrained(self, state: Mapping[str, Tensor]) -> None:
-        """Takes the weights of a torchvision (or mmdet) state dict; offsets of deformable stages may be missing there.
+        """Load the weights of a torchvision (or mmdet) state dict; offsets of deformable stages may be missing there.
 
-        A classifier in it is left. Raises `ValueError` where another key is missing or of another shape.
+        A classifier in it is ignored. Raises `ValueError` if another key is missing or has another shape.
         """
         own = self.state_dict()
         taken = {key: value for key, value in state.items() if key in own and value.shape == own[key].shape}

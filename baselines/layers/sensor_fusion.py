@@ -1,4 +1,4 @@
-"""Fusion of two sensors' features of one place, by channel: squeeze and excitation. `visible_fusion.py` gates by voxel.
+"""Fusion of two sensors' features by channel: squeeze and excitation. `visible_fusion.py` gates by voxel.
 
 Source: Ming et al., OccFusion, IEEE T-IV 2024 (dynamic fusion 3D and 2D); Hu et al., Squeeze-and-Excitation Networks,
 CVPR 2018.
@@ -9,19 +9,19 @@ from torch import Tensor, nn
 
 
 def unit3d(inputs: int, outputs: int, kernel: int) -> nn.Sequential:
-    """Convolution that keeps the shape, batch norm, ReLU."""
+    """Return a convolution that keeps the shape, batch norm, ReLU."""
     convolution = nn.Conv3d(inputs, outputs, kernel, padding=kernel // 2, bias=False)
     return nn.Sequential(convolution, nn.BatchNorm3d(outputs), nn.ReLU(inplace=True))
 
 
 def unit2d(inputs: int, outputs: int, kernel: int) -> nn.Sequential:
-    """Convolution that keeps the shape, batch norm, ReLU."""
+    """Return a convolution that keeps the shape, batch norm, ReLU."""
     convolution = nn.Conv2d(inputs, outputs, kernel, padding=kernel // 2, bias=False)
     return nn.Sequential(convolution, nn.BatchNorm2d(outputs), nn.ReLU(inplace=True))
 
 
 class ChannelExcitation(nn.Module):
-    """Each channel weighed by what all channels are on average over the whole extent (B, C, …)."""
+    """Each channel weighted by the mean of all channels over the whole extent (B, C, …)."""
 
     def __init__(self, channels: int, reduction: int = 16) -> None:
         super().__init__()

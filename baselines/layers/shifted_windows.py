@@ -1,10 +1,10 @@
 """Shifted-window attention over 2D maps: one block of a Swin transformer.
 
-**Conventions.** Maps are (N, C, H, W), in here (N, H, W, C). A map is padded with zeros at its ends to whole windows,
-and the padding takes part as any cell does.
+**Conventions.** Maps are (N, C, H, W), internally (N, H, W, C). A map is padded with zeros at its ends to whole
+windows, and the padding takes part like any cell.
 
-Source: Liu et al., Swin Transformer, ICCV 2021, sections 3.1 and 3.2; as OccFormer uses it, with a feed-forward network
-no wider than its input (zhangyp15/OccFormer, backbones/modules/window_attention.py).
+Source: Liu et al., Swin Transformer, ICCV 2021, sections 3.1 and 3.2; as in OccFormer, with a feed-forward network no
+wider than its input (zhangyp15/OccFormer, backbones/modules/window_attention.py).
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from torch.nn import functional
 
 @dataclass(frozen=True)
 class WindowSettings:
-    """Windows of `window` × `window` cells; every head attends in `head_channels`; a branch is dropped by chance."""
+    """Windows of `window` × `window` cells; every head attends in `head_channels`; a branch is dropped at random."""
 
     window: int = 7
     head_channels: int = 32
@@ -70,7 +70,9 @@ class WindowAttention(nn.Module):
         self.register_buffer("pairs", relative_positions(window), persistent=False)
 
     def forward(self, windows: Tensor, is_apart: Tensor | None) -> Tensor:
-        """(N, W, S, C) → the same; `is_apart` (W, S, S), which cells of a window do not see each other."""
+        """Return (N, W, S, C); `is_apart` (W, S, S) marks pairs of cells of a window that must not attend to each
+        other.
+        """
         n, count, cells, _ = windows.shape
         q, k, v = self.qkv(windows).reshape(n, count, cells, 3, self.heads, -1).permute(3, 0, 1, 4, 2, 5)
         bias = self.bias[self.pairs].permute(2, 0, 1)
@@ -82,14 +84,14 @@ class WindowAttention(nn.Module):
 
 
 def windows_of(cells: Tensor, window: int) -> Tensor:
-    """(N, H, W, C) in windows (N, H·W / window², window², C), row by row."""
+    """Return (N, H, W, C) in windows (N, H·W / window², window², C), row by row."""
     n, height, width, channels = cells.shape
     tiles = cells.reshape(n, height // window, window, width // window, window, channels)
     return tiles.transpose(2, 3).reshape(n, -1, window * window, channels)
 
 
 def maps_of(windows: Tensor, size: tuple[int, int]) -> Tensor:
-    """The inverse of `windows_of` for a map of `size` (H, W)."""
+    """Return the inverse of `windows_of` for a map of `size` (H, W)."""
     n, _, cells, channels = windows.shape
     height, width, window = *size, round(cells**0.5)
     tiles = windows.reshape(n, height // window, width // window, window, window, channels)
@@ -97,7 +99,7 @@ def maps_of(windows: Tensor, size: tuple[int, int]) -> Tensor:
 
 
 def relative_positions(window: int) -> Tensor:
-    """Which row of the bias a pair of cells has, (window², window²): (2·window − 1)·Δrow + Δcolumn, the least 0."""
+    """Return the row of the bias for a pair of cells, (window², window²): (2·window − 1)·Δrow + Δcolumn, at least 0."""
     place = torch.arange(window * window)
     rows, columns = place // window, place % window
     row = rows[:, None] - rows[None, :] + window - 1
@@ -106,7 +108,7 @@ def relative_positions(window: int) -> Tensor:
 
 
 def parted_by_the_roll(size: tuple[int, int], window: int, shift: int) -> Tensor:
-    """Which cells of a window were not neighbours before the map was rolled by `shift`: (W, window², window²)."""
+    """Return which cells of a window were not adjacent before the map was rolled by `shift`: (W, window², window²)."""
     place = [torch.arange(n) for n in size]
     rows, columns = (
         (p >= n - window).long() + (p >= n - shift).long() for p, n in zip(place, size, strict=True)
@@ -116,7 +118,7 @@ def parted_by_the_roll(size: tuple[int, int], window: int, shift: int) -> Tensor
 
 
 def stochastic_depth(branch: Tensor, probability: float) -> Tensor:
-    """The branch, of each of the N samples all or nothing, its expectation kept (Huang et al., ECCV 2016)."""
+    """Return the branch, kept or dropped per sample (N) with its expectation preserved (Huang et al., ECCV 2016)."""
     if probability == 0.0:
         return branch
     keep = branch.new_empty([len(branch)] + [1] * (branch.ndim - 1)).bernoulli_(1.0 - probability)

@@ -1,9 +1,9 @@
-"""Convolutions (3 × 3 × 3) that compute at occupied voxels only: gather, multiply by the offset's matrix, add up.
+"""Convolutions (3 × 3 × 3) at occupied voxels only: gather, multiply by the offset's matrix, add.
 
-**Conventions.** A `Rulebook` says for each of the 27 offsets, in the order of a dense kernel, which input voxel adds to
-which output voxel. Weights are (27, C_in, C_out); `dense_weight` shows them as `conv3d` takes them. Sources: Graham et
-al., 3D semantic segmentation with submanifold sparse convolutional networks, CVPR 2018; spconv's `SubMConv3d` and
-`SparseConv3d`.
+**Conventions.** For each of the 27 offsets, in the order of a dense kernel, a `Rulebook` lists which input voxel adds
+to which output voxel. Weights are (27, C_in, C_out); `dense_weight` returns them in the layout of `conv3d`. Sources:
+Graham et al., 3D semantic segmentation with submanifold sparse convolutional networks, CVPR 2018; spconv's `SubMConv3d`
+and `SparseConv3d`.
 """
 
 from dataclasses import dataclass, replace
@@ -16,10 +16,8 @@ from torch.nn import functional
 from baselines.batch import Points
 from baselines.lattice import Shape, VoxelLattice
 
-# Features of the occupied voxels only, in the order of their keys.
-#
-# **Conventions.** A voxel's key is `((frame · X + x) · Y + y) · Z + z`, int64; keys are ascending and each occurs
-# once.
+# Features of the occupied voxels only, in the order of their keys. A voxel's key is `((frame · X + x) · Y + y) · Z +
+# z`, int64; keys are ascending and unique.
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,11 +33,11 @@ class SparseVoxels:
         return replace(self, features=features)
 
     def indices(self) -> Tensor:
-        """(V, 4) int64: frame, x, y, z."""
+        """Return (V, 4) int64: frame, x, y, z."""
         return indices_of(self.keys, self.shape)
 
     def dense(self) -> Tensor:
-        """(B, C, X, Y, Z), 0 where no voxel is."""
+        """Return (B, C, X, Y, Z), 0 at empty voxels."""
         x, y, z = self.shape
         volume = self.features.new_zeros(self.frames * x * y * z, self.features.shape[1])
         volume = volume.index_copy(0, self.keys, self.features)
@@ -47,21 +45,21 @@ class SparseVoxels:
 
 
 def keys_of(indices: Tensor, shape: Shape) -> Tensor:
-    """Keys (V,) of indices (V, 4)."""
+    """Return the keys (V,) of indices (V, 4)."""
     x, y, z = shape
     return ((indices[:, 0] * x + indices[:, 1]) * y + indices[:, 2]) * z + indices[:, 3]
 
 
 def indices_of(keys: Tensor, shape: Shape) -> Tensor:
-    """Indices (V, 4) of keys (V,)."""
+    """Return the indices (V, 4) of keys (V,)."""
     x, y, z = shape
     return torch.stack([keys // (x * y * z), keys // (y * z) % x, keys // z % y, keys % z], dim=1)
 
 
 def means_of_points(points: Points, features: Tensor, lattice: VoxelLattice, frames: int) -> SparseVoxels:
-    """The mean of `features` (P, C) of all points in a voxel; points outside the lattice are left out.
+    """Return the mean of `features` (P, C) of all points in a voxel; points outside the lattice are left out.
 
-    OpenOccupancy's `HardSimpleVFE` means the first ten of a voxel, of at most 120,000 voxels.
+    OpenOccupancy's `HardSimpleVFE` averages the first ten points of a voxel, of at most 120,000 voxels.
     """
     place, is_inside = lattice.indices_of(points.features[:, :3])
     keys = keys_of(torch.cat([points.frame[:, None], place], dim=1)[is_inside], lattice.shape)
@@ -77,7 +75,7 @@ CENTRE = 13
 
 @dataclass(frozen=True, eq=False)
 class Rulebook:
-    """For each offset the positions of inputs and outputs (n,) int64 that it joins; the outputs' keys and lattice."""
+    """The input and output positions (n,) int64 of each offset, and the outputs' keys and lattice."""
 
     pairs: tuple[tuple[Tensor, Tensor], ...]
     keys: Tensor
@@ -85,7 +83,7 @@ class Rulebook:
 
 
 def submanifold_rules(voxels: SparseVoxels) -> Rulebook:
-    """Outputs are where inputs are: output p takes input p + offset, of offsets −1, 0, 1 along each axis."""
+    """Return rules with outputs at the inputs: output p takes input p + offset, of offsets −1, 0, 1 along each axis."""
     indices = voxels.indices()
     everyone = torch.arange(len(indices), device=indices.device)
     pairs: list[tuple[Tensor, Tensor]] = []
@@ -99,7 +97,7 @@ def submanifold_rules(voxels: SparseVoxels) -> Rulebook:
 
 
 def strided_rules(voxels: SparseVoxels) -> Rulebook:
-    """Stride 2, padding 1: output p takes inputs 2 p − 1 + k, k in 0 … 2, and is wherever it takes one."""
+    """Return rules of stride 2, padding 1: output p takes inputs 2 p − 1 + k, k in 0 … 2, and exists if any does."""
     shape = halved(voxels.shape)
     indices = voxels.indices()
     everyone = torch.arange(len(indices), device=indices.device)
@@ -115,7 +113,7 @@ def strided_rules(voxels: SparseVoxels) -> Rulebook:
 
 
 class SparseConvolution3d(nn.Module):
-    """A convolution along a rulebook: without a bias, unless asked for."""
+    """A convolution along a rulebook, by default without a bias."""
 
     def __init__(self, channels_in: int, channels_out: int, bias: bool = False) -> None:
         super().__init__()
@@ -124,7 +122,7 @@ class SparseConvolution3d(nn.Module):
         nn.init.normal_(self.weight, std=sqrt(2 / (OFFSETS * channels_in)))
 
     def forward(self, voxels: SparseVoxels, rules: Rulebook) -> SparseVoxels:
-        """Sums are taken in float32 at least, also where autocast multiplies in bfloat16."""
+        """Return the convolved voxels; sums are at least float32, even if autocast multiplies in bfloat16."""
         wide = torch.promote_types(voxels.features.dtype, torch.float32)
         sums = voxels.features.new_zeros(len(rules.keys), self.weight.shape[2], dtype=wide)
         for (inputs, outputs), matrix in zip(rules.pairs, self.weight, strict=True):
@@ -134,39 +132,38 @@ class SparseConvolution3d(nn.Module):
         return SparseVoxels(sums, rules.keys, rules.shape, voxels.frames)
 
     def dense_weight(self) -> Tensor:
-        """(C_out, C_in, 3, 3, 3)."""
+        """Return the weights as (C_out, C_in, 3, 3, 3)."""
         return self.weight.permute(2, 1, 0).reshape(-1, self.weight.shape[1], 3, 3, 3)
 
 
 def kernel_offsets(device: torch.device) -> Tensor:
-    """(27, 3) int64 of 0 … 2, the last axis fastest."""
+    """Return (27, 3) int64 of 0 … 2, the last axis fastest."""
     return indices_of(torch.arange(OFFSETS, device=device), (3, 3, 3))[:, 1:]
 
 
 def positions_of(wanted: Tensor, keys: Tensor) -> tuple[Tensor, Tensor]:
-    """Where `wanted` stand in ascending `keys`, and which of them do; the others' position is any valid one."""
+    """Return the positions of `wanted` in ascending `keys`, and which exist; other positions are any valid index."""
     place = torch.searchsorted(keys, wanted).clamp(max=max(len(keys) - 1, 0))
     return place, keys[place] == wanted if len(keys) else torch.zeros_like(wanted, dtype=torch.bool)
 
 
 def is_inside(indices: Tensor, shape: Shape) -> Tensor:
-    """Which indices (V, 4) lie in a lattice of `shape`."""
+    """Return which indices (V, 4) are in a lattice of `shape`."""
     place = indices[:, 1:]
     return ((place >= 0) & (place < place.new_tensor(shape))).all(dim=1)
 
 
 def halved(shape: Shape) -> Shape:
-    """The shape after a stride of 2, rounded up."""
+    """Return the shape after a stride of 2, rounded up."""
     x, y, z = ((n + 1) // 2 for n in shape)
     return x, y, z
 
 
-# Sparse encoder of LiDAR: from means of points in voxels to a dense volume 4 or 8 times coarser.
-#
-# Source: OpenOccupancy's `occ_plugin/occupancy/voxel_encoder/sparse_lidar_enc.py`, `SparseLiDAREnc8x` and `4x`. It
-# puts `GroupNorm(16, 16)` behind the first convolution, on rows of 16 numbers: each is a group by itself, so all
-# become the bias and the encoder sees where voxels are and nothing of their points. Here both norms that are written
-# so are batch norms, like all others of it, with as many parameters.
+# Sparse encoder of LiDAR: from means of points in voxels to a dense volume 4 or 8 times coarser. Source:
+# OpenOccupancy's `occ_plugin/occupancy/voxel_encoder/sparse_lidar_enc.py`, `SparseLiDAREnc8x` and `4x`. The official
+# code has `GroupNorm(16, 16)` after the first convolution, on rows of 16 numbers: each number is a group, so all become
+# the bias and the encoder sees only which voxels are occupied. Here both such norms are batch norms, like all others,
+# with as many parameters.
 
 
 STAGES = 3
@@ -186,7 +183,7 @@ class NormedSparseConvolution(nn.Module):
 
 
 class SparseResidualBlock(nn.Module):
-    """Two convolutions around which features are added."""
+    """Two convolutions with a residual connection."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -200,7 +197,7 @@ class SparseResidualBlock(nn.Module):
 
 
 class SparseStage(nn.Module):
-    """A strided convolution where channels grow, and two residual blocks."""
+    """A strided convolution if channels grow, and two residual blocks."""
 
     def __init__(self, channels_in: int, channels_out: int) -> None:
         super().__init__()
@@ -208,7 +205,7 @@ class SparseStage(nn.Module):
         self.blocks = nn.ModuleList(SparseResidualBlock(channels_out) for _ in range(2))
 
     def forward(self, voxels: SparseVoxels, rules: Rulebook) -> tuple[SparseVoxels, Rulebook]:
-        """The stage's voxels, and the rules of submanifold convolutions on them."""
+        """Return the stage's voxels, and the rules of submanifold convolutions on them."""
         if self.down is not None:
             voxels = self.down(voxels, strided_rules(voxels))
             rules = submanifold_rules(voxels)
@@ -220,7 +217,8 @@ class SparseStage(nn.Module):
 class SparseEncoder(nn.Module):
     """Three stages: 16 channels at first, doubled by each stage that halves the lattice (all 3, or the last 2).
 
-    `ratio` is 8 or 4; another raises `ValueError`. Of 4 features, 16 and 80 channels 2,893,472 parameters with 8.
+    `ratio` is 8 or 4; another value raises `ValueError`. With ratio 8, 4 features, 16 and 80 channels it has 2,893,472
+    parameters.
     """
 
     def __init__(self, features: int, channels: int, channels_out: int, ratio: int) -> None:
@@ -234,7 +232,7 @@ class SparseEncoder(nn.Module):
         self.last = NormedSparseConvolution(widths[-1], channels_out, bias=True)
 
     def forward(self, voxels: SparseVoxels) -> Tensor:
-        """(B, channels_out, X / ratio, Y / ratio, Z / ratio), 0 where no voxel is."""
+        """Return (B, channels_out, X / ratio, Y / ratio, Z / ratio), 0 at empty voxels."""
         rules = submanifold_rules(voxels)
         voxels = self.first(voxels, rules)
         for stage in self.stages:

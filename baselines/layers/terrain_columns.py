@@ -1,9 +1,9 @@
-"""Points as columns that follow the terrain: a map of the ground that they touched, and what they hit above it.
+"""Points as columns that follow the terrain: a map of the ground below them, and the hits above it.
 
-**Conventions.** The *reference* of a column is a smooth estimate of the ground's height, of the lowest points near it.
-An *aligned* height k of K lies k + ½ voxels above the column's *base*, a whole number of voxels of the lattice's z axis
-(below 0 or beyond the lattice where the terrain is). Neighbouring columns of one slope are so much alike, whatever
-their heights. Maps are (B, channels, X, Y). All in float32 outside autocast; nothing here is learned.
+**Conventions.** The *reference* of a column is a smooth estimate of the ground's height from the lowest points near it.
+An *aligned* height k of K is k + ½ voxels above the column's *base*, a whole number of voxels of the lattice's z axis
+(below 0 or beyond the lattice if the terrain is). So neighbouring columns of one slope are similar, whatever their
+heights. Maps are (B, channels, X, Y). All in float32 outside autocast; nothing here is learned.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from torch.nn import functional
 from baselines.batch import Points
 from baselines.lattice import VoxelLattice
 
-BLOCK = 4  # columns a side of which the lowest point is taken for ground
+BLOCK = 4  # side of a block, in columns, whose lowest point counts as ground
 FULL_VOXEL = 3.0  # log(1 + points) of a voxel that counts as well hit
 
 
@@ -58,9 +58,9 @@ def column_hits(points: Points, lattice: VoxelLattice) -> ColumnHits:
 
 
 def reference_of(hits: ColumnHits, frames: int, lattice: VoxelLattice) -> Tensor:
-    """Heights (B, 1, X, Y) in metres: the lowest point of each block of columns, filled in between and smoothed.
+    """Return heights (B, 1, X, Y) in metres: the lowest point of each block of columns, interpolated and smoothed.
 
-    0 where a frame has no points. Raises `ValueError` where `BLOCK` does not divide the lattice.
+    0 for a frame without points. Raises `ValueError` if `BLOCK` does not divide the lattice.
     """
     x, y, _ = lattice.shape
     if x % BLOCK or y % BLOCK:
@@ -76,7 +76,7 @@ def reference_of(hits: ColumnHits, frames: int, lattice: VoxelLattice) -> Tensor
 
 
 def filled(values: Tensor, weights: Tensor) -> Tensor:
-    """Values (B, 1, h, w) where their weight (0 … 1) is 1; where it is less, of the means of ever larger blocks."""
+    """Return values (B, 1, h, w) at weight (0 … 1) 1; at lower weights, mixed with the means of ever larger blocks."""
     height, width = values.shape[2:]
     if height % 2 or width % 2:
         mean = (values * weights).sum(dim=(2, 3), keepdim=True) / weights.sum(dim=(2, 3), keepdim=True).clamp(min=1e-6)
@@ -84,7 +84,7 @@ def filled(values: Tensor, weights: Tensor) -> Tensor:
     else:
         weight = functional.avg_pool2d(weights, 2)
         mean = functional.avg_pool2d(values * weights, 2) / weight.clamp(min=1e-6)
-        known = filled(mean, (4 * weight).clamp(max=1))  # one of four is enough to know a block
+        known = filled(mean, (4 * weight).clamp(max=1))  # one of four cells suffices for a block
         coarse = functional.interpolate(known, scale_factor=2.0, mode="bilinear")
     return weights * values + (1 - weights) * coarse
 
@@ -93,7 +93,7 @@ EVIDENCE = 3
 
 
 def evidence_of(hits: ColumnHits, terrain: TerrainColumns, alignment: ColumnAlignment, newest_s: float) -> Tensor:
-    """Maps (B, 3 K, X, Y) of aligned heights: how well hit, hit in the last `newest_s`, mean place within the voxel.
+    """Return maps (B, 3 K, X, Y) of aligned heights: hits, hits in the last `newest_s`, mean position within the voxel.
 
     The first is `log(1 + points) / 3`, the second 0 or 1, the third −½ … ½. `features` end with the age.
     """
@@ -116,8 +116,10 @@ STATISTICS = 11
 
 
 def statistics_of(hits: ColumnHits, terrain: TerrainColumns, lattice: VoxelLattice) -> Tensor:
-    """Maps (B, 11, X, Y): hit or not, log count, lowest, highest, mean and deviation in m above the reference, mean
-    intensity; the reference in m and within its voxel, and its slope along x and y (m / m).
+    """Return maps (B, 11, X, Y) of column statistics.
+
+    They are: hit or not, log count, lowest, highest, mean and deviation in m above the reference, mean intensity; the
+    reference in m and within its voxel, and its slope along x and y (m / m).
     """
     reference = terrain.reference_m.reshape(-1)
     above = hits.features[:, 2] - reference[hits.column]
@@ -135,7 +137,7 @@ def statistics_of(hits: ColumnHits, terrain: TerrainColumns, lattice: VoxelLatti
 
 
 def _unflattened(maps: Tensor, terrain: TerrainColumns) -> Tensor:
-    """Maps (S, B · X · Y) as (B, S, X, Y)."""
+    """Return maps (S, B · X · Y) as (B, S, X, Y)."""
     return maps.reshape(len(maps), *terrain.base.shape).movedim(0, 1)
 
 
@@ -149,9 +151,9 @@ def _shape_of(terrain: TerrainColumns, lattice: VoxelLattice) -> tuple[Tensor, .
 
 
 def surface_of(hits: ColumnHits, terrain: TerrainColumns, otherwise_above_m: float) -> Tensor:
-    """Heights (B, 2, X, Y) in metres, grid frame: of the lowest and the highest point of each column.
+    """Return heights (B, 2, X, Y) in metres, grid frame, of the lowest and the highest point of each column.
 
-    Where it has none, the reference and `otherwise_above_m` above it.
+    Columns without points have the reference and `otherwise_above_m` above it.
     """
     reference = terrain.reference_m.reshape(-1)
     lowest = reference.scatter_reduce(0, hits.column, hits.features[:, 2], "amin", include_self=False)
@@ -164,7 +166,9 @@ RADAR_STATISTICS = 5
 
 
 def radar_maps(hits: ColumnHits, terrain: TerrainColumns) -> Tensor:
-    """Maps (B, 5, X, Y) of `RADAR_FEATURES`: log count, and means of height above the reference, strength, velocity."""
+    """Return maps (B, 5, X, Y) of `RADAR_FEATURES`: log count, and means of height above the reference, strength,
+    velocity.
+    """
     reference = terrain.reference_m.reshape(-1)
     above = hits.features[:, 2] - reference[hits.column]
     terms = torch.stack([torch.ones_like(above), above, *hits.features[:, 3:6].T])

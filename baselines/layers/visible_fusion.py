@@ -1,4 +1,4 @@
-"""OpenOccupancy's fusion of two volumes: per voxel, a gate says how much of either is taken.
+"""OpenOccupancy's fusion of two volumes: a gate per voxel mixes both.
 
 Source: Wang et al., OpenOccupancy (ICCV 2023), "adaptive fusion"; `occupancy/fuser/visfuse.py`.
 """

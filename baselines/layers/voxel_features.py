@@ -1,4 +1,4 @@
-"""Voxel feature encoding: what the points in a voxel say together, learned (VoxelNet).
+"""Voxel feature encoding: a learned feature of the points in a voxel (VoxelNet).
 
 **Conventions.** A point's numbers are its own, its offset from the mean of its voxel's points and from its voxel's
 centre, in voxels. Points outside the lattice are left out. Empty voxels are 0. Computed in float32 outside autocast.
@@ -18,7 +18,7 @@ OFFSETS = 6  # from the voxel's mean and from its centre
 
 
 class PointNorm(nn.BatchNorm1d):
-    """Batch norm over points; fewer than two have no variance of their own, and take the running one."""
+    """Batch norm over points; fewer than two have no variance and use the running variance."""
 
     def forward(self, input: Tensor) -> Tensor:
         if len(input) > 1:
@@ -29,13 +29,13 @@ class PointNorm(nn.BatchNorm1d):
 
 
 def voxel_maxima(values: Tensor, voxel: Tensor, voxels: int) -> Tensor:
-    """Maximum (V, C) over the rows of `values` (P, C) with that `voxel` (P,); every voxel has a point."""
+    """Return the maximum (V, C) over the rows of `values` (P, C) with that `voxel` (P,); every voxel has a point."""
     into = values.new_zeros(voxels, values.shape[1])
     return into.scatter_reduce(0, voxel[:, None].expand_as(values), values, "amax", include_self=False)
 
 
 def voxel_means(values: Tensor, voxel: Tensor, voxels: int) -> Tensor:
-    """Mean (V, C) over the rows of `values` (P, C) with that `voxel` (P,)."""
+    """Return the mean (V, C) over the rows of `values` (P, C) with that `voxel` (P,)."""
     counts = values.new_zeros(voxels).index_add(0, voxel, values.new_ones(len(voxel)))
     return values.new_zeros(voxels, values.shape[1]).index_add(0, voxel, values) / counts[:, None].clamp(min=1)
 
@@ -43,7 +43,7 @@ def voxel_means(values: Tensor, voxel: Tensor, voxels: int) -> Tensor:
 class VoxelFeatureEncoder(nn.Module):
     """Points to a dense volume (B, widths[-1], X, Y, Z) of `lattice`.
 
-    Each layer but the last hands a point its own features beside its voxel's maximum; the last keeps the maximum.
+    Each layer but the last returns a point's own features with its voxel's maximum; the last only the maximum.
     """
 
     def __init__(self, point_features: int, widths: tuple[int, ...], lattice: VoxelLattice) -> None:
@@ -87,7 +87,7 @@ class VoxelFeatureEncoder(nn.Module):
 class PointVolumes(nn.Module):
     """VoxelNet's encoder and convolutions: points to volumes at scales, each half as fine as the one before.
 
-    `channels` are those of the volumes, finest first; `lattice` is the finest one's.
+    `channels` are the volumes' channels, finest first; `lattice` is the finest volume's.
     """
 
     def __init__(

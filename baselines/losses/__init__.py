@@ -1,1 +1,1 @@
-"""Losses of voxels, images' depths and masks, each as its paper has it."""
+"""Losses of voxels, images' depths and masks, each as in its paper."""

@@ -1,7 +1,7 @@
-"""What a distribution over depth is trained towards: the nearest LiDAR return in a feature cell.
+"""Targets of a distribution over depth: the nearest LiDAR return in a feature cell.
 
-**Conventions.** Probabilities (B, N, D, h, w) over the bins of a `Frustum`, depth of pictures (B, N, H, W) in metres,
-0 where nothing returned. The mean over cells whose depth lies in the range of the middles of the bins; 0 if none does.
+**Conventions.** Probabilities (B, N, D, h, w) over the bins of a `Frustum`, depth of images (B, N, H, W) in metres, 0
+without a return. Losses are means over cells with a depth in the range of the bins' middles; 0 without such cells.
 Source: Li et al., BEVDepth (AAAI 2023); OpenOccupancy's `image2bev/ViewTransformerLSSVoxel.py`.
 """
 
@@ -15,7 +15,7 @@ DEVIATION_M = 0.5  # of the target about the depth: `constant_std` of OpenOccupa
 
 
 def nearest_depth(depth_m: Tensor, stride: int) -> Tensor:
-    """The least depth (B, N, H / stride, W / stride) of each cell's pixels, 0 where none has any."""
+    """Return the least depth (B, N, H / stride, W / stride) of each cell's pixels, 0 if none has a depth."""
     count, cameras, height, width = depth_m.shape
     cells = depth_m.reshape(count, cameras, height // stride, stride, width // stride, stride)
     least = torch.where(cells > 0, cells, torch.inf).amin(dim=(3, 5))
@@ -23,10 +23,10 @@ def nearest_depth(depth_m: Tensor, stride: int) -> Tensor:
 
 
 def depth_divergence(probabilities: Tensor, depth_m: Tensor, frustum: Frustum) -> Tensor:
-    """Kullback-Leibler divergence from a normal distribution about the depth, integrated over each bin.
+    """Return the Kullback-Leibler divergence from a normal distribution about the depth, integrated over each bin.
 
-    Officially the normal distribution is in steps and the bins' edges are in metres, so that steps of 0.5 m put the
-    target at twice the depth; here both are in metres.
+    In the official code the normal distribution is in steps and the bins' edges are in metres, so that steps of 0.5 m
+    put the target at twice the depth; here both are in metres.
     """
     with torch.autocast(probabilities.device.type, enabled=False):
         depth, is_known = targets(depth_m, frustum)
@@ -39,9 +39,9 @@ def depth_divergence(probabilities: Tensor, depth_m: Tensor, frustum: Frustum) -
 
 
 def depth_cross_entropy(probabilities: Tensor, depth_m: Tensor, frustum: Frustum) -> Tensor:
-    """Binary cross entropy of all bins against the one nearest to the depth, summed over bins.
+    """Return the binary cross entropy of all bins against the bin nearest to the depth, summed over bins.
 
-    Officially a depth belongs to the bin one before the nearest; here to the nearest.
+    In the official code the target is the bin before the nearest.
     """
     with torch.autocast(probabilities.device.type, enabled=False):
         depth, is_known = targets(depth_m, frustum)
@@ -52,12 +52,12 @@ def depth_cross_entropy(probabilities: Tensor, depth_m: Tensor, frustum: Frustum
 
 
 def targets(depth_m: Tensor, frustum: Frustum) -> tuple[Tensor, Tensor]:
-    """Depth (B, N, h, w), float32, and where it is in the bins' range."""
+    """Return the depth (B, N, h, w), float32, and whether it is in the bins' range."""
     depth = nearest_depth(depth_m.float(), frustum.stride)
     return depth, (depth >= frustum.min_m) & (depth <= frustum.max_m - frustum.step_m)
 
 
 def averaged(terms: Tensor, is_known: Tensor) -> Tensor:
-    """The sum over bins of terms (B, N, D, h, w), averaged over known cells."""
+    """Return the sum over bins of terms (B, N, D, h, w), averaged over known cells."""
     sums = torch.where(is_known, terms.sum(dim=2), 0.0)
     return sums.sum() / is_known.sum().clamp(min=1)

@@ -1,7 +1,7 @@
-"""Loss of masks with classes: each class of a frame is given to one query, which answers for its class and its voxels.
+"""Loss of masks with classes: each class of a frame is assigned to one query, which predicts its class and its voxels.
 
 **Conventions.** Q queries, C classes, G classes present in a frame, the "no object" class last. Everything is float32.
-A frame without a labelled voxel asks only that no query claims one.
+In a frame without a labelled voxel the target of all queries is "no object".
 
 Source: Cheng et al., MaskFormer, NeurIPS 2021, section 3.2, and Mask2Former, CVPR 2022, section 3.3; weights and class
 balance of zhangyp15/OccFormer, mask2former/mask2former_occ.py and configs/occformer_kitti/occformer_kitti.py.
@@ -19,22 +19,23 @@ from torch.nn import functional
 from baselines.lattice import Shape
 from baselines.layers.masked_attention import MaskPrediction
 
-# Voxels that losses of masks are taken at: few of a lattice's, rare classes and undecided places more often.
-#
-# **Conventions.** Voxels are flat indices into labels (X, Y, Z), C order. A mask may be coarser than the labels and is
-# read trilinearly. All chance is torch's, on the device of the labels: the same seed draws the same voxels.
-#
-# Source: Kirillov et al., PointRend, CVPR 2020, section 3.1; Zhang et al., OccFormer, ICCV 2023, section 3.3
-# (class-guided sampling); zhangyp15/OccFormer, mask2former/base/mmdet_utils.py.
+# Sampled voxels of mask losses: few of a lattice's, with rare classes and undecided places more often. Voxels are flat
+# indices into labels (X, Y, Z), C order. A mask may be coarser than the labels and is read trilinearly. All randomness
+# is torch's, on the device of the labels: the same seed draws the same voxels. Source: Kirillov et al., PointRend, CVPR
+# 2020, section 3.1; Zhang et al., OccFormer, ICCV 2023, section 3.3 (class-guided sampling); zhangyp15/OccFormer,
+# mask2former/base/mmdet_utils.py.
 
 
 @dataclass(frozen=True)
 class PointSettings:
-    """`points` voxels for a mask: the least decided `uncertain_ratio` of them out of `oversampling` times as many drawn
-    by class, the others drawn uniformly. A class is drawn in proportion to its rarity to the power `rarity_exponent`.
+    """`points` voxels for a mask, of which `uncertain_ratio` are the least decided and the others uniform draws.
+
+    The least decided are chosen from `oversampling` times as many drawn by class. A class is drawn in proportion to its
+    rarity to the power `rarity_exponent`.
 
     `align_corners`: centres of the corner voxels of mask and labels coincide, as in the official training and
-    inference, so that a mask is stretched by half a voxel of the labels at its borders; else the volumes' corners do.
+    inference, so that a mask is stretched by half a voxel of the labels at its borders; otherwise the volumes' corners
+    do.
     """
 
     points: int = 4 * 12_544
@@ -55,9 +56,10 @@ class FrameMasks:
 
 
 def frame_masks(labels: Tensor, rarity: Tensor) -> FrameMasks:
-    """The classes of `labels` (X, Y, Z), each with all its voxels; `rarity` (C,) says how much each class is drawn.
+    """Return the classes of `labels` (X, Y, Z), each with all its voxels; `rarity` (C,) is the sampling weight of each
+    class.
 
-    What is none of the C classes, as `IGNORED`, is drawn nowhere.
+    Other values, such as `IGNORED`, are never drawn.
     """
     x, y, z = labels.shape
     flat = labels.flatten()
@@ -68,13 +70,15 @@ def frame_masks(labels: Tensor, rarity: Tensor) -> FrameMasks:
 
 
 def drawn_voxels(weights: Tensor, masks: int, count: int) -> Tensor:
-    """(masks, n): for each mask n different voxels by `weights` (V,); all that weigh anything where they are fewer."""
+    """Return (masks, n): for each mask n different voxels by `weights` (V,); all voxels of positive weight if they are
+    fewer.
+    """
     available = int(torch.count_nonzero(weights))
     return torch.multinomial(weights.expand(masks, -1), min(count, available), replacement=False)
 
 
 def contested_voxels(masks: Tensor, frame: FrameMasks, settings: PointSettings) -> Tensor:
-    """(G, n): the voxels at which the loss of each mask (G, x, y, z) is taken."""
+    """Return (G, n): the sampled voxels of the loss of each mask (G, x, y, z)."""
     uncertain = int(settings.uncertain_ratio * settings.points)
     candidates = drawn_voxels(frame.rarity, len(masks), int(settings.oversampling * settings.points))
     logits = read_masks(masks[:, None], candidates, frame.shape, settings.align_corners)[:, 0]
@@ -84,7 +88,7 @@ def contested_voxels(masks: Tensor, frame: FrameMasks, settings: PointSettings) 
 
 
 def read_masks(masks: Tensor, voxels: Tensor, shape: Shape, align_corners: bool) -> Tensor:
-    """Masks (M, C, x, y, z) at voxels (M, P) of a lattice of `shape`: (M, C, P)."""
+    """Return masks (M, C, x, y, z) at voxels (M, P) of a lattice of `shape`: (M, C, P)."""
     x, y, z = torch.unravel_index(voxels, shape)
     place = torch.stack((z, y, x), dim=-1).to(masks.dtype)
     size = place.new_tensor(shape).flip(0)
@@ -109,16 +113,16 @@ class MaskLossSettings:
             raise ValueError(f"weights are of classes with more than one voxel each, not {self.class_counts}")
 
     def class_weights(self) -> list[float]:
-        """(C + 1): 1 / ln(voxels), the first class's 1, and the weight of no object."""
+        """Return (C + 1) weights: 1 / ln(voxels), the first class's 1, and the weight of no object."""
         return [log(self.class_counts[0]) / log(voxels) for voxels in self.class_counts] + [self.no_object_weight]
 
     def rarity(self) -> list[float]:
-        """(C): how much a voxel of each class is drawn, the commonest class's 1."""
+        """Return (C) sampling weights of a voxel of each class, the commonest class's 1."""
         return [(max(self.class_counts) / voxels) ** self.points.rarity_exponent for voxels in self.class_counts]
 
 
 def mask_losses(predictions: Sequence[MaskPrediction], labels: Tensor, settings: MaskLossSettings) -> dict[str, Tensor]:
-    """The terms `class`, `mask` and `dice`, weighted, each the sum over all predictions; `labels` (B, X, Y, Z)."""
+    """Return the terms `class`, `mask` and `dice`, weighted, summed over all predictions; `labels` (B, X, Y, Z)."""
     rarity = torch.tensor(settings.rarity(), device=labels.device)
     frames = [frame_masks(frame, rarity) for frame in labels]
     with torch.autocast(labels.device.type, enabled=False):
@@ -127,7 +131,7 @@ def mask_losses(predictions: Sequence[MaskPrediction], labels: Tensor, settings:
 
 
 def losses_of(prediction: MaskPrediction, frames: Sequence[FrameMasks], settings: MaskLossSettings) -> Tensor:
-    """The three terms of one prediction, (3,)."""
+    """Return the three terms of one prediction, (3,)."""
     weights = torch.tensor(settings.class_weights(), device=prediction.classes.device)
     assigned = torch.full(prediction.classes.shape[:2], len(settings.class_counts), device=weights.device)
     found = []
@@ -143,9 +147,9 @@ def losses_of(prediction: MaskPrediction, frames: Sequence[FrameMasks], settings
 
 
 def losses_of_masks(masks: Tensor, frame: FrameMasks, settings: PointSettings) -> Tensor:
-    """Cross entropy and dice (2, G) of logits (G, x, y, z), each against the class of its row."""
+    """Return cross entropy and dice (2, G) of logits (G, x, y, z), each against the class of its row."""
     if len(masks) == 0:
-        return masks.sum(dim=(1, 2, 3)).expand(2, -1)  # none, but a function of the masks
+        return masks.sum(dim=(1, 2, 3)).expand(2, -1)  # empty, but still a function of the masks
     with torch.no_grad():
         voxels = contested_voxels(masks, frame, settings)
         targets = frame.masks.gather(1, voxels).float()
@@ -158,7 +162,7 @@ def losses_of_masks(masks: Tensor, frame: FrameMasks, settings: PointSettings) -
 
 @torch.no_grad()
 def matched_queries(classes: Tensor, masks: Tensor, frame: FrameMasks, settings: MaskLossSettings) -> Tensor:
-    """Which query (G,) each class present is given to, at the least cost of all; `classes` (Q, C + 1) and `masks`."""
+    """Return the query (G,) of each class present, with the least total cost; `classes` (Q, C + 1) and `masks`."""
     if len(frame.classes) == 0:
         return frame.classes
     points = settings.points
@@ -172,7 +176,7 @@ def matched_queries(classes: Tensor, masks: Tensor, frame: FrameMasks, settings:
 def matching_cost(
     classes: Tensor, logits: Tensor, present: Tensor, targets: Tensor, settings: MaskLossSettings
 ) -> Tensor:
-    """(Q, G): what each query would cost for each class present; `logits` (Q, P), `targets` (G, P)."""
+    """Return (Q, G): the cost of each query for each class present; `logits` (Q, P), `targets` (G, P)."""
     unlikely = -classes.softmax(dim=1)[:, present]
     inside = functional.softplus(-logits) @ targets.T + functional.softplus(logits) @ (1.0 - targets).T
     covered = logits.sigmoid()
@@ -185,5 +189,5 @@ def matching_cost(
 
 
 def dice_loss(shared: Tensor, either: Tensor) -> Tensor:
-    """1 − (2·|A ∩ B| + 1) / (|A| + |B| + 1)."""
+    """Return 1 − (2·|A ∩ B| + 1) / (|A| + |B| + 1)."""
     return 1.0 - (2.0 * shared + 1.0) / (either + 1.0)

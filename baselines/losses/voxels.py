@@ -1,9 +1,9 @@
 """Losses over voxels: weighted cross entropy, scene-class affinity (semantic and geometric) and Lovász-softmax.
 
-**Conventions.** `logits` (B, C, ...) and `labels` (B, ...) with `IGNORED` where nothing is counted: voxels of a
-lattice, or single ones, (N, C) and (N,). All compute in float32 at least. Where no label is counted a loss is 0, with a
-gradient of zeros. Sources: Cao and de Charette, MonoScene, CVPR 2022, section 3.3; Berman et al., The Lovász-Softmax
-loss, CVPR 2018; as in OpenOccupancy's `occ_plugin/utils/semkitti.py`.
+**Conventions.** `logits` (B, C, ...) and `labels` (B, ...) with `IGNORED` for uncounted voxels: voxels of a lattice, or
+single ones, (N, C) and (N,). All compute in float32 at least. Without a counted label a loss is 0, with a gradient of
+zeros. Sources: Cao and de Charette, MonoScene, CVPR 2022, section 3.3; Berman et al., The Lovász-Softmax loss, CVPR
+2018; as in OpenOccupancy's `occ_plugin/utils/semkitti.py`.
 """
 
 import torch
@@ -18,7 +18,7 @@ GEOMETRIC_EPSILON = 1e-5  # official
 
 
 def cross_entropy(logits: Tensor, labels: Tensor, class_weights: Tensor | None = None) -> Tensor:
-    """Mean of −w log p over the counted voxels, divided by the mean weight; `class_weights` (C,)."""
+    """Return the mean of −w log p over the counted voxels, divided by the mean weight; `class_weights` (C,)."""
     if not bool((labels != IGNORED).any()):
         return logits.sum() * 0.0
     scores = logits if logits.dtype == torch.float64 else logits.float()
@@ -27,7 +27,7 @@ def cross_entropy(logits: Tensor, labels: Tensor, class_weights: Tensor | None =
 
 
 def semantic_scale(logits: Tensor, labels: Tensor) -> Tensor:
-    """Mean over classes that occur of −log precision − log recall − log specificity, softly counted."""
+    """Return the mean over occurring classes of −log precision − log recall − log specificity, softly counted."""
     scores, classes = counted(logits, labels)
     if len(classes) == 0:
         return logits.sum() * 0.0
@@ -42,7 +42,7 @@ def semantic_scale(logits: Tensor, labels: Tensor) -> Tensor:
 
 
 def geometric_scale(logits: Tensor, labels: Tensor) -> Tensor:
-    """The same three terms of occupied against free, summed."""
+    """Return the sum of the same three terms of occupied against free."""
     scores, classes = counted(logits, labels)
     if len(classes) == 0:
         return logits.sum() * 0.0
@@ -56,7 +56,7 @@ def geometric_scale(logits: Tensor, labels: Tensor) -> Tensor:
 
 
 def lovasz_softmax(logits: Tensor, labels: Tensor) -> Tensor:
-    """Mean over classes that occur of the Lovász extension of 1 − IoU at the errors |truth − p|."""
+    """Return the mean over occurring classes of the Lovász extension of 1 − IoU at the errors |truth − p|."""
     scores, classes = counted(logits, labels)
     if len(classes) == 0:
         return logits.sum() * 0.0
@@ -66,7 +66,7 @@ def lovasz_softmax(logits: Tensor, labels: Tensor) -> Tensor:
 
 
 def lovasz_extension(probabilities: Tensor, is_class: Tensor) -> Tensor:
-    """The extension of one class's Jaccard loss: errors, largest first, times what each adds to the loss."""
+    """Return the extension of one class's Jaccard loss: errors, largest first, times their increments of the loss."""
     truth = is_class.to(probabilities)
     errors, order = (truth - probabilities).abs().sort(descending=True)
     truth = truth[order]
@@ -76,24 +76,23 @@ def lovasz_extension(probabilities: Tensor, is_class: Tensor) -> Tensor:
 
 
 def counted(logits: Tensor, labels: Tensor) -> tuple[Tensor, Tensor]:
-    """Logits (M, C), at least float32, and labels (M,) int64 of the voxels that are not `IGNORED`."""
+    """Return logits (M, C), at least float32, and labels (M,) int64 of the voxels that are not `IGNORED`."""
     scores = logits if logits.dtype == torch.float64 else logits.float()
     is_counted = labels != IGNORED
     return scores.movedim(1, -1)[is_counted], labels[is_counted].long()
 
 
 def surprise(ratio: Tensor) -> Tensor:
-    """−log of a ratio in (0, 1]; flat below 1e-30. A ratio that rounding lifts above 1 counts as 1."""
+    """Return −log of a ratio in (0, 1]; flat below 1e-30. A ratio above 1 by rounding counts as 1."""
     return -ratio.clamp(SMALLEST_RATIO, 1.0).log()
 
 
-# Focal loss over voxels: cross entropy that weighs less what is already well classified.
-#
-# Source: Lin et al., Focal Loss for Dense Object Detection, ICCV 2017, equation 5, of a softmax over the classes.
+# Focal loss over voxels: cross entropy with lower weights of well-classified voxels. Source: Lin et al., Focal Loss for
+# Dense Object Detection, ICCV 2017, equation 5, of a softmax over the classes.
 
 
 def focal_loss(logits: Tensor, labels: Tensor, gamma: float = 2.0, alpha: float = 0.25) -> Tensor:
-    """Mean of `−α (1 − p)^γ log p` over the counted voxels, p that of the true class; 0 where none is counted.
+    """Return the mean of `−α (1 − p)^γ log p` over the counted voxels, p of the true class; 0 without counted voxels.
 
     `logits` (B, C, …) and `labels` (B, …) as in `voxels.py`.
     """
@@ -104,15 +103,15 @@ def focal_loss(logits: Tensor, labels: Tensor, gamma: float = 2.0, alpha: float 
     return alpha * ((1 - (-surprise).exp()) ** gamma * surprise).mean()
 
 
-# Labels of coarse cells, made of their voxels' labels.
+# Labels of coarse cells, computed from their voxels' labels.
 
 
 def coarse_labels(labels: Tensor, ratio: int, classes: int = 4) -> Tensor:
-    """Each cell's most frequent occupied class; free where all its voxels are, ignored where none says more.
+    """Return each cell's most frequent occupied class: free if all its voxels are, ignored if undecided.
 
-    Labels (B, X, Y, Z) uint8 to (B, X / ratio, Y / ratio, Z / ratio) uint8. The lower class wins where two are as
-    frequent. OpenOccupancy's `OccHead.loss_voxel`, but for a cell of which all occupied classes occur once: it is
-    ignored there, since each free voxel counts as a class of its own and the lowest is taken.
+    Labels (B, X, Y, Z) uint8 to (B, X / ratio, Y / ratio, Z / ratio) uint8. Of equally frequent classes the lower wins.
+    OpenOccupancy's `OccHead.loss_voxel`, except for a cell whose occupied classes all occur once: it is ignored there,
+    since each free voxel counts as a class of its own and the lowest is taken.
     """
     if ratio == 1:
         return labels
@@ -124,5 +123,5 @@ def coarse_labels(labels: Tensor, ratio: int, classes: int = 4) -> Tensor:
 
 
 def share(is_so: Tensor, ratio: int) -> Tensor:
-    """How many voxels (B, X, Y, Z) of each cell it is so of, float32."""
+    """Return the number of true voxels (B, X, Y, Z) of each cell, float32."""
     return torch.round(functional.avg_pool3d(is_so[:, None].float(), ratio)[:, 0] * ratio**3)

@@ -1,1 +1,1 @@
-"""The rows of Table II as modules; `occupancy_model.py` is what they have in common."""
+"""The rows of Table II as modules; `occupancy_model.py` is their common base."""

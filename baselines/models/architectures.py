@@ -1,4 +1,4 @@
-"""The architectures that there are: a configuration says which, and this is where it becomes a module."""
+"""The architectures: the construction of a module from its configuration."""
 
 from dataclasses import replace
 from typing import Any, assert_never
@@ -17,11 +17,11 @@ from baselines.models.tpvformer_config import TPVFormerConfig
 
 ModelConfig = OpenOccConfig | TPVFormerConfig | OccFormerConfig | OccFusionConfig | ColumnNetConfig
 ClassCounts = tuple[int, int, int, int]
-LEAST_COUNT = 100  # a class that hardly occurs weighs no more than one of so many voxels
+LEAST_COUNT = 100  # lower limit of voxels of a class, which caps the weight of rare classes
 
 
 def build_model(config: ModelConfig) -> OccupancyModel[Any]:
-    """The model of a configuration, its weights drawn by torch's generator."""
+    """Return the model of a configuration, with weights drawn by torch's generator."""
     match config:
         case OpenOccConfig():
             return OpenOcc(config)
@@ -38,9 +38,10 @@ def build_model(config: ModelConfig) -> OccupancyModel[Any]:
 
 
 def with_class_counts(config: ModelConfig, voxels: ClassCounts) -> ModelConfig:
-    """The configuration for a training split of so many voxels of free, T, P and N, where its losses weigh classes.
+    """Return the configuration for a training split with these voxels of free, T, P and N, if its losses weight
+    classes.
 
-    TPVFormer and OccFusion weigh them all alike, as published; ColumnNet by what its configuration says.
+    TPVFormer and OccFusion weight all classes alike, as published; ColumnNet by its configuration.
     """
     free, t, p, n = (max(count, LEAST_COUNT) for count in voxels)
     if isinstance(config, OpenOccConfig | OccFormerConfig):

@@ -1,11 +1,11 @@
-"""ColumnNet: a network of our own for traversability, in 2.5 dimensions, light enough for a robot.
+"""ColumnNet: our own traversability network in 2.5 dimensions, light enough for a robot.
 
-Off the road nearly all that matters is a height map with things on it. Points become columns that follow the terrain
-(`layers/terrain_columns.py`); a 2D U-Net reads them, and each column answers the classes of all its heights at once, at
-full resolution. What depends on the number of points ends there: `TraversabilityNet` is plain, of static shapes.
+Off-road scenes are mostly a height map with objects on it. Points become columns that follow the terrain
+(`layers/terrain_columns.py`); a 2D U-Net reads them, and each column predicts the classes of all its heights at once,
+at full resolution. Only these steps depend on the number of points; `TraversabilityNet` is plain, of static shapes.
 
-A second output is how sure it is: the logarithm of a temperature of each voxel, learned from the cross entropy alone
-and without touching the classes (Ding et al., Local Temperature Scaling for Probability Calibration, ICCV 2021).
+A second output is the uncertainty: the logarithm of a temperature of each voxel, learned from the cross entropy alone
+and without changing the classes (Ding et al., Local Temperature Scaling for Probability Calibration, ICCV 2021).
 """
 
 from math import log
@@ -36,30 +36,33 @@ from baselines.models.column_net_config import ColumnNetConfig
 from baselines.models.occfusion import points_of
 from baselines.models.occupancy_model import CLASSES, OccupancyModel, likeliest
 
-EASY = 0.02  # free voxels called occupied with less are left out of what sorts or sums, which they change by little
-PRIOR = 0.01  # of a voxel to be occupied, before anything is learned (Lin et al., ICCV 2017, section 4.1)
-WARMEST = 3.0  # |log temperature| stays below
+EASY = 0.02  # free voxels with a lower occupied probability are left out of sorts and sums, with little effect
+PRIOR = 0.01  # initial probability of an occupied voxel (Lin et al., ICCV 2017, section 4.1)
+WARMEST = 3.0  # upper limit of |log temperature|
 
 
 class ColumnOutputs(NamedTuple):
-    """`logits` (B, 4, X, Y, Z), and `log_temperature` (B, 1, X, Y, Z) of what divides them for probabilities."""
+    """`logits` (B, 4, X, Y, Z), and `log_temperature` (B, 1, X, Y, Z), the divisor of the logits for probabilities."""
 
     logits: Tensor
     log_temperature: Tensor
 
     def calibrated(self) -> Tensor:
-        """Logits (B, 4, X, Y, Z) float32, whose softmax is a probability; the largest is the same."""
+        """Return logits (B, 4, X, Y, Z) float32 whose softmax is a probability; the largest is the same."""
         return self.logits.float() / self.log_temperature.float().exp()
 
     def uncertainty(self) -> Tensor:
-        """Entropy (B, X, Y, Z) of each voxel's probabilities, over that of four equal ones: 0 … 1."""
+        """Return the entropy (B, X, Y, Z) of each voxel's probabilities over the entropy of four equal ones: 0 … 1."""
         logarithms = self.calibrated().log_softmax(dim=1)
         return -(logarithms.exp() * logarithms).sum(dim=1) / log(CLASSES)
 
 
 class ColumnGeometry(NamedTuple):
-    """What points alone say of columns: `maps` (B, C, X, Y), `base` (B, X, Y) int64 of their aligned heights, and
-    `surface_m` (B, 2, X, Y), grid frame, the heights where cameras look."""
+    """Unlearned features of columns.
+
+    `maps` (B, C, X, Y), `base` (B, X, Y) int64 of their aligned heights, and `surface_m` (B, 2, X, Y), grid frame, the
+    heights for camera lookups.
+    """
 
     maps: Tensor
     base: Tensor
@@ -69,8 +72,8 @@ class ColumnGeometry(NamedTuple):
 class TraversabilityNet(nn.Module):
     """Maps of aligned columns (B, C, X, Y) and their bases (B, X, Y) to classes and temperatures of the lattice.
 
-    The first 3 K maps are what was hit at each of the `heights`: a column's answer sees its own directly, beside what
-    the U-Net says of its surroundings.
+    The first 3 K maps are the hits at each of the `heights`: a column's output layer sees its own maps directly, beside
+    the U-Net's features of its surroundings.
     """
 
     def __init__(self, config: ColumnNetConfig, channels: int) -> None:
@@ -95,7 +98,9 @@ class TraversabilityNet(nn.Module):
         return voxels[:, :CLASSES], voxels[:, CLASSES:]
 
     def _voxels(self, aligned: Tensor, base: Tensor) -> Tensor:
-        """(B, C, K, X, Y) of aligned heights as (B, C, X, Y, Z); beyond them, the lowest or highest goes on."""
+        """Return (B, C, K, X, Y) of aligned heights as (B, C, X, Y, Z); the lowest and highest values continue beyond
+        them.
+        """
         z = torch.arange(self.lattice_heights, device=base.device)[None, :, None, None]
         height = (z - base[:, None]).clamp(0, self.heights - 1)
         index = height[:, None].expand(-1, aligned.shape[1], -1, -1, -1)
@@ -120,18 +125,18 @@ class ColumnNet(OccupancyModel[ColumnOutputs]):
         return ColumnOutputs(logits, log_temperature)
 
     def columns(self, batch: Batch) -> tuple[Tensor, Tensor]:
-        """What `TraversabilityNet` is given: maps (B, C, X, Y) and bases (B, X, Y)."""
+        """Return the inputs of `TraversabilityNet`: maps (B, C, X, Y) and bases (B, X, Y)."""
         maps, base, surface_m = self.geometry(batch)
         if self.cameras is not None:
             maps = torch.cat([maps, self._camera_maps(self.cameras, batch, surface_m)], dim=1)
         return maps, base
 
     def geometry_channels(self) -> int:
-        """Of the maps of `geometry`."""
+        """The channels of the maps of `geometry`."""
         return EVIDENCE * self.config.heights + STATISTICS + self.has_radar * RADAR_STATISTICS
 
     def geometry(self, batch: Batch) -> ColumnGeometry:
-        """All of it that is not learned."""
+        """Return all unlearned inputs."""
         with torch.autocast(batch.device.type, enabled=False):
             hits, terrain = self._columns_hit(batch)
             evidence = evidence_of(hits, terrain, self.alignment, self.config.newest_s)
@@ -160,10 +165,10 @@ class ColumnNet(OccupancyModel[ColumnOutputs]):
         return outputs.calibrated()
 
     def classes(self, outputs: ColumnOutputs, batch: Batch) -> Tensor:
-        return likeliest(outputs.logits)  # no temperature changes which is the largest
+        return likeliest(outputs.logits)  # temperatures do not change which logit is the largest
 
     def _columns_hit(self, batch: Batch) -> tuple[ColumnHits, TerrainColumns]:
-        """Points of the LiDAR and the terrain under them; without a LiDAR the radar's, or none, over a plane."""
+        """Return points of the LiDAR and the terrain under them; without a LiDAR the radar's, or none, over a plane."""
         if self.has_lidar:
             hits = column_hits(points_of(batch, "lidar"), self.lattice)
             return hits, self.alignment.terrain(reference_of(hits, len(batch), self.lattice))
@@ -181,7 +186,7 @@ class ColumnNet(OccupancyModel[ColumnOutputs]):
 
 
 def hard_voxels(logits: Tensor, labels: Tensor) -> tuple[Tensor, Tensor]:
-    """Logits (M, C) and labels (M,) of the counted voxels that are occupied, or not quite surely called free."""
+    """Return logits (M, C) and labels (M,) of the counted voxels that are occupied, or not surely predicted free."""
     is_doubtful = logits.detach()[:, FREE + 1 :].amax(dim=1) - logits.detach()[:, FREE] > log(EASY / (CLASSES - 1))
     is_hard = (labels != IGNORED) & ((labels != FREE) | is_doubtful)
     return logits.movedim(1, -1)[is_hard], labels[is_hard]

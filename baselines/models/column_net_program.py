@@ -1,10 +1,10 @@
-"""ColumnNet as a program of static shapes: all that was learned, and nothing of geometry. What is exported.
+"""ColumnNet as a program of static shapes for export: all learned layers, without geometry.
 
-    points → maps, base (`ColumnNet.geometry`)      calibration → cells (`column_cells`)
-    maps, base, images, cells → logits, log_temperature
+        points → maps, base (`ColumnNet.geometry`)      calibration → cells (`column_cells`)
+        maps, base, images, cells → logits, log_temperature
 
-**Conventions.** One frame at a time. `cells` (N, 2, X, Y) int64 are the cells of camera n's features that the two
-surfaces of each column fall in, row · width + column, −1 where it does not see them.
+**Conventions.** One frame at a time. `cells` (N, 2, X, Y) int64 are the cells of camera n's features at the two
+surfaces of each column, row · width + column, −1 for invisible surfaces.
 """
 
 import torch
@@ -17,7 +17,7 @@ from baselines.models.column_net import ColumnNet
 
 
 class ColumnNetProgram(nn.Module):
-    """What a robot runs after it has sorted points into columns."""
+    """The robot's program after points are sorted into columns."""
 
     def __init__(self, model: ColumnNet) -> None:
         super().__init__()
@@ -27,7 +27,7 @@ class ColumnNetProgram(nn.Module):
     def forward(
         self, maps: Tensor, base: Tensor, images: Tensor | None = None, cells: Tensor | None = None
     ) -> tuple[Tensor, Tensor]:
-        """`logits` (1, 4, X, Y, Z) and `log_temperature` (1, 1, X, Y, Z) of maps (1, C, X, Y), base (1, X, Y)."""
+        """Return `logits` (1, 4, X, Y, Z) and `log_temperature` (1, 1, X, Y, Z); `maps` (1, C, X, Y), `base` (1, X, Y)."""
         if self.encoder is not None and images is not None and cells is not None:
             maps = torch.cat([maps, looked_up(self.encoder(images), cells)], dim=1)
         logits, log_temperature = self.net(maps, base)
@@ -35,7 +35,9 @@ class ColumnNetProgram(nn.Module):
 
 
 def looked_up(features: Tensor, cells: Tensor) -> Tensor:
-    """Features (N, C, h, w) at `cells` (N, A, X, Y) as maps (1, A · C, X, Y): the mean over the cameras that see."""
+    """Return features (N, C, h, w) at `cells` (N, A, X, Y) as maps (1, A · C, X, Y): the mean over the cameras that
+    see.
+    """
     rows, index = features.flatten(2).transpose(1, 2), cells.flatten(1)
     is_seen = (index >= 0).to(rows.dtype)
     seen = [own[at.clamp(min=0)] * weight[:, None] for own, at, weight in zip(rows, index, is_seen, strict=True)]
@@ -44,7 +46,7 @@ def looked_up(features: Tensor, cells: Tensor) -> Tensor:
 
 
 def column_cells(model: ColumnNet, batch: Batch, surface_m: Tensor) -> Tensor:
-    """`cells` of a batch of one frame. Raises `ValueError` where the model or the batch has no cameras."""
+    """Return `cells` of a batch of one frame. Raises `ValueError` if the model or the batch has no cameras."""
     if model.cameras is None or batch.cameras is None:
         raise ValueError("cells are of cameras, and there are none")
     images = batch.cameras.images
@@ -59,7 +61,7 @@ def column_cells(model: ColumnNet, batch: Batch, surface_m: Tensor) -> Tensor:
 
 
 def program_inputs(model: ColumnNet, cameras: int, image: tuple[int, int]) -> dict[str, Tensor]:
-    """Inputs of the program by name, all 0, for so many cameras with images of (height, width)."""
+    """Return zero inputs of the program by name, for `cameras` cameras with images of (height, width)."""
     x, y, _ = model.lattice.shape
     maps, base = torch.zeros(1, model.geometry_channels(), x, y), torch.zeros(1, x, y, dtype=torch.int64)
     inputs = {"maps": maps, "base": base}
@@ -70,7 +72,7 @@ def program_inputs(model: ColumnNet, cameras: int, image: tuple[int, int]) -> di
 
 
 def inputs_of(model: ColumnNet, batch: Batch) -> dict[str, Tensor]:
-    """The same of a batch of one frame."""
+    """Return the inputs of a batch of one frame by name."""
     geometry = model.geometry(batch)
     inputs = {"maps": geometry.maps, "base": geometry.base}
     if model.cameras is not None and batch.cameras is not None:

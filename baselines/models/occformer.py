@@ -1,11 +1,11 @@
-"""OccFormer: pictures lifted to a volume, dual-path transformer blocks, and queries that become masks with a class.
+"""OccFormer: images lifted to a volume, dual-path transformer blocks, and queries that become masks with a class.
 
-**Conventions.** Volumes and masks are on the lattice `coarse_ratio` times as coarse as the model's, as officially. A
-prediction's masks are resampled trilinearly to the lattice before they become probabilities; losses read the masks
-trilinearly at voxels of the lattice, so that no label is ever made coarser.
+**Conventions.** Volumes and masks are on the lattice `coarse_ratio` times as coarse as the model's, as in the official
+code. A prediction's masks are resampled trilinearly to the lattice before they become probabilities; losses read the
+masks trilinearly at voxels of the lattice, so that labels are never made coarser.
 
 Source: Zhang et al., OccFormer, ICCV 2023; zhangyp15/OccFormer, occformer/detectors/occupancyformer.py. The head is
-SemanticKITTI's (mask2former_occ.py), since that of nuScenes learns from points labelled in LiDAR sweeps.
+SemanticKITTI's (mask2former_occ.py), since the nuScenes head learns from points labelled in LiDAR sweeps.
 """
 
 from dataclasses import dataclass
@@ -30,24 +30,24 @@ from baselines.models.occformer_config import SCALES, OccFormerConfig
 from baselines.models.occupancy_model import OccupancyModel
 
 COARSEST_STRIDE = 32  # of the backbone's maps, in pixels
-QUERIES_AT_ONCE = 20  # whose masks are resampled together: 8 MB each on the benchmark's grid
+QUERIES_AT_ONCE = 20  # queries whose masks are resampled together: 8 MB each on the benchmark's grid
 
 
 @dataclass(frozen=True, eq=False)
 class OccFormerOutputs:
-    """What the queries say at first and after each layer; probabilities (B, N, D, h, w) of the pictures' depth."""
+    """The queries' predictions at first and after each layer; probabilities (B, N, D, h, w) of the images' depth."""
 
     predictions: tuple[MaskPrediction, ...]
     depth: Tensor
 
 
 class OccFormer(OccupancyModel[OccFormerOutputs]):
-    """Cameras to masks. A picture's height and width are multiples of 32.
+    """Cameras to masks. An image's height and width are multiples of 32.
 
-    At full size 167,770,683 parameters, as the official modules have at 4 classes (167.8 M): backbone 44,304,894, neck
+    At full size 167,770,683 parameters, like the official modules at 4 classes (167.8 M): backbone 44,304,894, neck
     1,967,104, depth network 27,842,360, encoder 81,429,184, pixel decoder 4,073,280, mask decoder 8,153,861. With
-    ResNet-50 146,973,821 (147.0 M). The official frustum, voxel sizes and the like are parameters that nothing trains,
-    and are none here.
+    ResNet-50 146,973,821 (147.0 M). The official frustum, voxel sizes and the like are untrained parameters there, and
+    no parameters here.
     """
 
     modality = "C"
@@ -72,7 +72,7 @@ class OccFormer(OccupancyModel[OccFormerOutputs]):
         return OccFormerOutputs(self.mask_decoder(features, memories), depth)
 
     def lifted(self, batch: Batch) -> tuple[Tensor, Tensor]:
-        """The volume that pictures are lifted to, on the coarse lattice, and the probabilities of depth."""
+        """Return the volume lifted from the images, on the coarse lattice, and the probabilities of depth."""
         if batch.cameras is None:
             raise ValueError("OccFormer needs cameras, and this batch has none")
         images = batch.cameras.images
@@ -90,7 +90,7 @@ class OccFormer(OccupancyModel[OccFormerOutputs]):
         return lift(*seen)
 
     def losses(self, outputs: OccFormerOutputs, batch: Batch) -> dict[str, Tensor]:
-        """`class`, `mask` and `dice` of all predictions, and `depth` where pictures come with it."""
+        """Return `class`, `mask` and `dice` of all predictions, and `depth` if the batch has image depths."""
         if batch.labels is None:
             raise ValueError("losses need labels, and this batch has none")
         terms = mask_losses(outputs.predictions, batch.labels, self.config.mask_loss())
@@ -100,12 +100,12 @@ class OccFormer(OccupancyModel[OccFormerOutputs]):
         return terms
 
     def logits(self, outputs: OccFormerOutputs, batch: Batch) -> Tensor:
-        """Logarithms of the shares that the masks of the last queries give each class."""
+        """Return the logarithms of the class shares from the masks of the last queries."""
         return class_logits(outputs.predictions[-1], self.lattice.shape, self.config.align_corners)
 
 
 def class_logits(prediction: MaskPrediction, shape: Shape, align_corners: bool) -> Tensor:
-    """(B, C, X, Y, Z) float32: ln Σ over queries of P(class) · P(mask), the masks resampled to `shape`."""
+    """Return (B, C, X, Y, Z) float32: ln Σ over queries of P(class) · P(mask), the masks resampled to `shape`."""
     with torch.autocast(prediction.masks.device.type, enabled=False):
         speaking = prediction.classes.float().softmax(dim=2)[:, :, :-1]
         scores = speaking.new_zeros(len(speaking), speaking.shape[2], *shape)

@@ -1,7 +1,7 @@
-"""What OccFormer is made of; the defaults are the official ones on the benchmark's grid.
+"""The configuration of OccFormer; the defaults are the official ones on the benchmark's grid.
 
 Source: zhangyp15/OccFormer, projects/configs/occformer_nusc/occformer_nusc_r101_896x1600.py, whose grid has the shape
-of ours; of its head, occformer_kitti/occformer_kitti.py, whose grid has our voxels too.
+of ours; for its head, occformer_kitti/occformer_kitti.py, whose grid has our voxels too.
 """
 
 from dataclasses import dataclass, field
@@ -19,19 +19,19 @@ from baselines.layers.shifted_windows import WindowSettings
 from baselines.losses.masks import MaskLossSettings, PointSettings
 from baselines.models.occupancy_model import CLASSES
 
-SCALES = (0.25, 0.5, 1.0, 2.0)  # of the backbone's four maps to a sixteenth of the picture
+SCALES = (0.25, 0.5, 1.0, 2.0)  # of the backbone's four maps to a sixteenth of the image
 STRIDE = 16
 
 
 @dataclass(frozen=True)
 class OccFormerConfig:
-    """`coarse_ratio`: how many voxels of the lattice a cell of all volumes and masks is long.
+    """`coarse_ratio`: the length of a cell of all volumes and masks in voxels of the lattice.
 
-    `backbone_…` are the fields of `ResNetConfig`: official with frozen statistics, stem and first stage, for weights
-    that were trained before; without such, −1 and False. `stage_channels` begin with what is lifted, and are multiples
+    `backbone_…` are the fields of `ResNetConfig`: officially with frozen statistics, stem and first stage, for
+    pretrained weights; without them, −1 and False. `stage_channels` start with the lifted channels, and are multiples
     of `head_channels`; `decoder_channels` is a multiple of 6 and of both numbers of heads. `class_counts` are the
-    labelled voxels of free, T, P and N in the training split, here those of ten frames of a simulated world.
-    `mask_points` is at how many voxels of the lattice a mask's loss is taken.
+    labelled voxels of free, T, P and N in the training split, here of ten frames of a simulated world. `mask_points` is
+    the number of sampled voxels of the lattice per mask loss.
     """
 
     architecture: Literal["occformer"] = "occformer"
@@ -122,7 +122,7 @@ class OccFormerConfig:
 
 
 def official_r50() -> OccFormerConfig:
-    """The official smaller one: ResNet-50, trained whole but for its stem, on pictures of 256 × 704 pixels."""
+    """Return the official smaller configuration: ResNet-50, trained except for its stem, on 256 × 704 pixels."""
     return OccFormerConfig(
         backbone_depth=50,
         backbone_deformable_stages=(False, False, False, False),

@@ -1,9 +1,9 @@
 """OccFusion: camera features projected on voxels, points encoded in them, fused at three scales, decoded at four.
 
-Written from the paper: its code has no licence. Backbone, pyramid and heads have the official numbers of parameters
-exactly. The paper does not give the widths of what lies between, and those are ours, so that C has 67.22 M (official
-67.04), C+R 91.87 M (92.57), C+L 127.99 M (126.46): the difference is in the volumes of points and their fusions.
-Source: Ming et al., OccFusion: Multi-Sensor Fusion Framework for 3D Semantic Occupancy Prediction, IEEE T-IV 2024.
+Written from the paper, because its code has no licence. Backbone, pyramid and heads have exactly the official numbers
+of parameters. The paper omits the widths between them; with ours C has 67.22 M (official 67.04), C+R 91.87 M (92.57),
+C+L 127.99 M (126.46). The difference is in the volumes of points and their fusions. Source: Ming et al., OccFusion:
+Multi-Sensor Fusion Framework for 3D Semantic Occupancy Prediction, IEEE T-IV 2024.
 """
 
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ from baselines.losses.voxels import coarse_labels, focal_loss, geometric_scale, 
 from baselines.models.occfusion_config import OccFusionConfig
 from baselines.models.occupancy_model import CLASSES, OccupancyModel
 
-SCALES = (2, 4, 8)  # how much coarser than the lattice the fused volumes are
+SCALES = (2, 4, 8)  # ratios of the fused volumes' cells to the lattice's voxels
 
 
 class CameraVolumes(nn.Module):
@@ -60,7 +60,7 @@ class CameraVolumes(nn.Module):
 
 
 class PointFusion(nn.Module):
-    """One scale's camera features with those of points: volumes by `volumes`, maps by channel excitation."""
+    """One scale's camera features fused with point features: volumes by `volumes`, maps by channel excitation."""
 
     def __init__(self, channels: int, volumes: nn.Module) -> None:
         super().__init__()
@@ -101,7 +101,7 @@ class OccupancyDecoder(nn.Module):
 
 
 class OccFusion(OccupancyModel[list[Tensor]]):
-    """Outputs are logits (B, 4, X, Y, Z) of the lattice and of those 2, 4 and 8 times coarser."""
+    """Outputs are logits (B, 4, X, Y, Z) of the lattice and of lattices 2, 4 and 8 times coarser."""
 
     def __init__(self, config: OccFusionConfig) -> None:
         super().__init__()
@@ -163,7 +163,7 @@ class OccFusion(OccupancyModel[list[Tensor]]):
 
 
 def points_of(batch: Batch, name: str) -> Points:
-    """The batch's `lidar` or `radar`. Raises `ValueError` where it has none."""
+    """Return the batch's `lidar` or `radar`. Raises `ValueError` if it is absent."""
     points = batch.lidar if name == "lidar" else batch.radar
     if points is None:
         raise ValueError(f"this model needs {name}, and this batch has none")
@@ -171,7 +171,7 @@ def points_of(batch: Batch, name: str) -> Points:
 
 
 def voxel_classifier(width: int) -> nn.Sequential:
-    """Two hidden layers of a voxel's own features, then the classes."""
+    """Return two hidden layers of a voxel's own features, then the classes."""
     return nn.Sequential(
         nn.Conv3d(width, width, 1),
         nn.ReLU(inplace=True),

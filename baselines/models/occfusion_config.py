@@ -10,9 +10,9 @@ from baselines.lattice import VoxelLattice
 class OccFusionConfig:
     """`level_channels` are of the lattice and of the three lattices 2, 4 and 8 times as coarse.
 
-    The three coarser ones take the image's maps of strides 8, 16 and 32. `point_widths` are the voxel encoder's.
-    The backbone's stem and first stage are held and its norms keep their statistics, as published; that wants
-    pretrained weights, and without them `frozen_stages` is -1 and `norm_eval` false.
+    The three coarser ones take the image's maps of strides 8, 16 and 32. `point_widths` are the voxel encoder's. The
+    backbone's stem and first stage are frozen and its norms keep their statistics, as published; this requires
+    pretrained weights. Without them `frozen_stages` is -1 and `norm_eval` false.
     """
 
     architecture: Literal["occfusion"] = "occfusion"
@@ -26,7 +26,7 @@ class OccFusionConfig:
     pyramid_channels: int = 512
     level_channels: tuple[int, int, int, int] = (32, 64, 128, 256)
     point_widths: tuple[int, ...] = (16, 32)
-    head_channels: int = 32  # of an attention's head
+    head_channels: int = 32  # per attention head
     atrous_rates: tuple[int, ...] = (6, 12, 18)
     level_weights: tuple[float, float, float, float] = (1.0, 0.5, 0.25, 0.125)
     focal_gamma: float = 2.0

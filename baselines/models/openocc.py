@@ -1,8 +1,8 @@
 """OpenOccupancy's baselines and CoNet: cameras, LiDAR or both to a coarse volume, and with the cascade to a fine one.
 
-Source: Wang et al., OpenOccupancy, ICCV 2023; official code `occ_plugin/occupancy/detectors/occnet.py`. What differs is
-said where it does: norms (`layers/sparse_encoder.py`), places of children (`openocc_cascade.py`), cells with single
-occupied voxels (`losses/coarse_labels.py`).
+Source: Wang et al., OpenOccupancy, ICCV 2023; official code `occ_plugin/occupancy/detectors/occnet.py`. Differences are
+stated in their modules: norms (`layers/sparse_encoder.py`), places of children (`openocc_cascade.py`), cells with
+single occupied voxels (`losses/coarse_labels.py`).
 """
 
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ from baselines.models.openocc_head import SoftWeightedHead
 
 @dataclass(frozen=True, eq=False)
 class OpenOccOutputs:
-    """Logits (B, 4, x, y, z) of coarse cells; voxels that were refined; depth as the cameras' encoder gives it."""
+    """Logits (B, 4, x, y, z) of coarse cells; refined voxels; depth from the cameras' encoder."""
 
     coarse: Tensor
     fine: FineVoxels | None = None
@@ -43,7 +43,7 @@ class OpenOcc(OccupancyModel[OpenOccOutputs]):
     """One of the six rows. With coarse ratio 4 they have the official numbers of parameters for four classes.
 
     C, L, M-OpenOcc: 97.3, 65.6, 123.4 M; C, L, M-CoNet: 116.1, 65.6, 123.5 M. At the default ratio 2 the sparse encoder
-    is the official one of 4 ×, which has fewer channels: 2.1 M parameters less where there is LiDAR.
+    is the official one of 4 ×, which has fewer channels: rows with LiDAR have 2.1 M parameters less.
     """
 
     def __init__(self, config: OpenOccConfig) -> None:
@@ -71,7 +71,7 @@ class OpenOcc(OccupancyModel[OpenOccOutputs]):
         return OpenOccOutputs(coarse.logits, fine, seen.depth_probabilities)
 
     def fused(self, seen: Tensor | None, measured: Tensor | None) -> Tensor:
-        """The one volume of what cameras saw and LiDAR measured."""
+        """Return the fused volume of cameras and LiDAR."""
         if self.fusion is not None:
             return self.fusion(seen, measured)  # type: ignore[no-any-return]
         volume = measured if seen is None else seen
@@ -80,7 +80,7 @@ class OpenOcc(OccupancyModel[OpenOccOutputs]):
         return volume
 
     def losses(self, outputs: OpenOccOutputs, batch: Batch) -> dict[str, Tensor]:
-        """Four terms of coarse cells, four of refined voxels, and depth's where pictures come with it.
+        """Return four terms of coarse cells, four of refined voxels, and depth's if the batch has image depths.
 
         A term has its own value; its gradient is divided by that if the row's `normalises_losses`.
         """
@@ -98,13 +98,15 @@ class OpenOcc(OccupancyModel[OpenOccOutputs]):
             return {name: by_own_value(term) if self.config.normalises_losses else term for name, term in terms.items()}
 
     def supervised(self, coarse: Tensor, labels: Tensor) -> tuple[Tensor, Tensor]:
-        """Logits and labels, both of coarse cells or, if the row `supervises_voxels`, both of voxels."""
+        """Return logits and labels, both of coarse cells or, if the row `supervises_voxels`, both of voxels."""
         if self.config.supervises_voxels:
             return self.interpolated(coarse), labels
         return coarse, coarse_labels(labels, self.config.coarse_ratio)
 
     def logits(self, outputs: OpenOccOutputs, batch: Batch) -> Tensor:
-        """Trilinear in the coarse logits; with the cascade, refined voxels their own, others their cell's: free."""
+        """Return the trilinear coarse logits; with the cascade, refined voxels have their own, other voxels their
+        cell's: free.
+        """
         if outputs.fine is None:
             return self.interpolated(outputs.coarse)
         logits = functional.interpolate(outputs.coarse.float(), size=self.lattice.shape, mode="nearest")
@@ -113,7 +115,7 @@ class OpenOcc(OccupancyModel[OpenOccOutputs]):
         return logits
 
     def interpolated(self, coarse: Tensor) -> Tensor:
-        """Coarse logits, trilinear on the lattice, float32."""
+        """Return coarse logits, trilinear on the lattice, float32."""
         return functional.interpolate(coarse.float(), size=self.lattice.shape, mode="trilinear", align_corners=False)
 
 
@@ -127,17 +129,16 @@ def voxel_terms(name: str, logits: Tensor, labels: Tensor, class_weights: Tensor
 
 
 def by_own_value(term: Tensor) -> Tensor:
-    """The term, its gradient divided by its value: as if its logarithm were minimised.
+    """Return the term with its gradient divided by its value, like the gradient of its logarithm.
 
-    OpenOccupancy's `loss_norm` minimises term / value, of the same gradient, but always 1 in a log.
+    OpenOccupancy's `loss_norm` minimises term / value, with the same gradient, but a value of always 1 in logs.
     """
     value = term.detach()
     return value + (term - value) / (value + 1e-9)
 
 
-# LiDAR branch of OpenOccupancy: sweeps to a dense volume on the coarse lattice.
-#
-# Source: `occ_plugin/occupancy/detectors/occnet.py`, `OccNet.extract_pts_feat`, with the configs' 0.1 m voxels.
+# LiDAR branch of OpenOccupancy: sweeps to a dense volume on the coarse lattice. Source:
+# `occ_plugin/occupancy/detectors/occnet.py`, `OccNet.extract_pts_feat`, with the configs' 0.1 m voxels.
 
 
 COLUMNS = tuple(POINT_FEATURES.index(name) for name in ("x", "y", "z", "age_s"))
@@ -153,7 +154,7 @@ class LidarVoxelEncoder(nn.Module):
         self.encoder = SparseEncoder(len(COLUMNS), config.sparse_channels, config.volume_channels, ratio)
 
     def forward(self, batch: Batch) -> Tensor:
-        """(B, volume_channels, x, y, z). Raises `ValueError` without LiDAR."""
+        """Return (B, volume_channels, x, y, z). Raises `ValueError` without LiDAR."""
         if batch.lidar is None:
             raise ValueError("this batch has no LiDAR")
         with torch.autocast(batch.device.type, enabled=False):
@@ -164,7 +165,7 @@ class LidarVoxelEncoder(nn.Module):
 
 
 def lattice_of_points(config: OpenOccConfig) -> VoxelLattice:
-    """The same volume in voxels of `lidar_voxel_m`. Raises `ValueError` where a coarse cell holds no whole number."""
+    """Return the same volume in voxels of `lidar_voxel_m`. Raises `ValueError` if they do not divide a coarse cell."""
     coarse, size = config.coarse_lattice, config.lidar_voxel_m
     ratios = [round(length / size) for length in coarse.voxel_m]
     if any(abs(length - size * n) > 1e-6 * length for length, n in zip(coarse.voxel_m, ratios, strict=True)):
@@ -173,21 +174,20 @@ def lattice_of_points(config: OpenOccConfig) -> VoxelLattice:
     return VoxelLattice(coarse.min_m, (size, size, size), (x, y, z))
 
 
-# Camera branch of OpenOccupancy: pictures to a dense volume on the coarse lattice.
-#
-# Source: `occ_plugin/occupancy/detectors/occnet.py`, `OccNet.extract_img_feat`; the configs' ResNet-50, SECONDFPN and
-# `ViewTransformerLiftSplatShootVoxel`. What differs is said in `layers/lifting.py` and `losses/depth.py`.
+# Camera branch of OpenOccupancy: images to a dense volume on the coarse lattice. Source:
+# `occ_plugin/occupancy/detectors/occnet.py`, `OccNet.extract_img_feat`; the configs' ResNet-50, SECONDFPN and
+# `ViewTransformerLiftSplatShootVoxel`. Differences are stated in `layers/lifting.py` and `losses/depth.py`.
 
 
-UPSAMPLE_STRIDES = (0.25, 0.5, 1, 2)  # of maps at strides 4, 8, 16, 32, so that all come to 16
+UPSAMPLE_STRIDES = (0.25, 0.5, 1, 2)  # brings maps at strides 4, 8, 16, 32 all to 16
 COARSEST_STRIDE = 32
 
 
 @dataclass(frozen=True, eq=False)
 class CameraVolume:
-    """Voxels (B, C, x, y, z), features of pictures (B, N, C', h, w), probabilities of their depth (B, N, D, h, w).
+    """Voxels (B, C, x, y, z), features of images (B, N, C', h, w), probabilities of their depth (B, N, D, h, w).
 
-    All None of a row without cameras.
+    All None in a row without cameras.
     """
 
     voxels: Tensor | None = None
@@ -196,7 +196,7 @@ class CameraVolume:
 
 
 class CameraVoxelEncoder(nn.Module):
-    """ResNet, neck, depth network, then each feature along its ray into the coarse lattice, weighed by depth."""
+    """ResNet, neck, depth network, then each feature along its ray into the coarse lattice, weighted by depth."""
 
     def __init__(self, config: OpenOccConfig) -> None:
         super().__init__()
@@ -216,7 +216,9 @@ class CameraVoxelEncoder(nn.Module):
         )
 
     def forward(self, batch: Batch) -> CameraVolume:
-        """Raises `ValueError` without cameras, or with pictures whose sides are not multiples of 32 pixels."""
+        """Return the camera volume. Raises `ValueError` without cameras, or if image sides are not multiples of 32
+        pixels.
+        """
         features = self.image_features(batch)
         depth, context = self.depth(features.flatten(0, 1), camera_vectors(batch).flatten(0, 1))
         size = features.shape[:2]
@@ -229,7 +231,7 @@ class CameraVoxelEncoder(nn.Module):
         return CameraVolume(voxels, features, probabilities)
 
     def image_features(self, batch: Batch) -> Tensor:
-        """(B, N, C', H / 16, W / 16)."""
+        """Return (B, N, C', H / 16, W / 16)."""
         if batch.cameras is None:
             raise ValueError("this batch has no cameras")
         images = batch.cameras.images

@@ -2,7 +2,7 @@
 
 Source: Wang et al., OpenOccupancy, section 4.3; `OccHead.forward`, `utils/coordinate_transform.py`. There child i of n
 is sampled and projected at i / (n − 1) of the grid's extent, up to half a voxel aside; here at its centre, (i + ½) / n.
-There at most 100,000 cells by chance are refined when predicting; here all are.
+There at most 100,000 random cells are refined when predicting; here all are.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from baselines.models.occupancy_model import CLASSES
 from baselines.models.openocc_config import OpenOccConfig
 from baselines.models.openocc_head import CoarseVolume
 
-CHUNK = 2**17  # children classified at once
+CHUNK = 2**17  # number of children classified at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class FineVoxels:
 
 @dataclass(frozen=True, eq=False)
 class FrameEvidence:
-    """What children of one frame are classified by: its volume (C, x, y, z), and its pictures' (K, C', H', W')."""
+    """The inputs for children of one frame: its volume (C, x, y, z), and its images' (K, C', H', W')."""
 
     volume: Tensor
     images: Tensor | None
@@ -40,7 +40,7 @@ class FrameEvidence:
 
 
 class Cascade(nn.Module):
-    """A perceptron on what the coarse volume, and pictures if there are any, hold at a child's centre."""
+    """A perceptron on the coarse volume, and images if there are any, at a child's centre."""
 
     def __init__(self, config: OpenOccConfig) -> None:
         super().__init__()
@@ -55,7 +55,9 @@ class Cascade(nn.Module):
         self.mlp = nn.Sequential(*normed_linear(known, width), nn.Linear(width, CLASSES))
 
     def forward(self, coarse: CoarseVolume, batch: Batch, image_features: Tensor | None) -> FineVoxels:
-        """`image_features` (B, K, C', H', W') of all pictures; in training at most `refined_cells` cells of a frame."""
+        """Return the refined voxels from `image_features` (B, K, C', H', W'); in training at most `refined_cells` cells
+        per frame.
+        """
         most = self.config.refined_cells if self.training else None
         images = None if image_features is None else self.squeezed(image_features)
         logits: list[Tensor] = []
@@ -69,12 +71,12 @@ class Cascade(nn.Module):
         return FineVoxels(torch.cat(logits), torch.cat(indices))
 
     def squeezed(self, image_features: Tensor) -> Tensor:
-        """The same pictures in fewer channels."""
+        """Return the features of the images with fewer channels."""
         squeezed: Tensor = self.squeeze(image_features.flatten(0, 1))
         return squeezed.view(*image_features.shape[:2], *squeezed.shape[1:])
 
     def samples(self, voxels: Tensor, evidence: FrameEvidence) -> Tensor:
-        """What is known (N, C) of the fine voxels (N, 3)."""
+        """Return the features (N, C) of the fine voxels (N, 3)."""
         known = volume_samples(evidence.volume, voxels, self.config.coarse_ratio)
         if evidence.images is None:
             return known
@@ -85,7 +87,7 @@ class Cascade(nn.Module):
 
 
 def occupied_cells(logits: Tensor, most: int | None) -> Tensor:
-    """Cells (N, 3) that logits (4, x, y, z) call occupied; `most` of them by chance where there are more."""
+    """Return cells (N, 3) that logits (4, x, y, z) predict occupied; a random `most` of them if there are more."""
     cells = (logits.argmax(dim=0) != FREE).nonzero()
     if most is None or len(cells) <= most:
         return cells
@@ -93,24 +95,24 @@ def occupied_cells(logits: Tensor, most: int | None) -> Tensor:
 
 
 def children(cells: Tensor, ratio: int) -> Tensor:
-    """The ratio³ fine voxels (N · ratio³, 3) of each of the cells (N, 3)."""
+    """Return the ratio³ fine voxels (N · ratio³, 3) of each of the cells (N, 3)."""
     steps = torch.arange(ratio, device=cells.device)
     inside = torch.cartesian_prod(steps, steps, steps).view(-1, 3)
     return (cells[:, None] * ratio + inside).flatten(0, 1)
 
 
 def volume_samples(volume: Tensor, voxels: Tensor, ratio: int) -> Tensor:
-    """Trilinear samples (N, C) of a coarse volume (C, x, y, z) at the centres of fine voxels (N, 3), float32.
+    """Return trilinear samples (N, C) of a coarse volume (C, x, y, z) at the centres of fine voxels (N, 3), float32.
 
     Beyond the centres of the outermost cells it is constant.
     """
     shape = voxels.new_tensor(volume.shape[1:]) * ratio
     places = (voxels + 0.5) / shape * 2 - 1
-    grid = places.flip(1)[None, :, None, None].float()  # grid_sample names the last axis first
+    grid = places.flip(1)[None, :, None, None].float()  # grid_sample takes the last axis first
     samples = functional.grid_sample(volume[None].float(), grid, padding_mode="border", align_corners=False)
     return samples[0, :, :, 0, 0].T
 
 
 def normed_linear(channels_in: int, channels_out: int) -> tuple[nn.Module, ...]:
-    """Linear, a norm over groups of four channels, ReLU."""
+    """Return linear, a norm over groups of four channels, ReLU."""
     return nn.Linear(channels_in, channels_out), nn.GroupNorm(channels_out // 4, channels_out), nn.ReLU()

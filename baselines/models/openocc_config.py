@@ -1,4 +1,4 @@
-"""What the six rows of OpenOccupancy are made of: C, L and M-OpenOcc, and with the cascade C, L and M-CoNet.
+"""The configurations of OpenOccupancy's six rows: C, L and M-OpenOcc, and with the cascade C, L and M-CoNet.
 
 Source: Wang et al., OpenOccupancy, ICCV 2023; the official `projects/configs/{baselines,Cascade-Occupancy-Network}`.
 """
@@ -11,19 +11,19 @@ from baselines.lattice import VoxelLattice
 Modality = Literal["C", "L", "C+L"]
 FourInts = tuple[int, int, int, int]
 
-# Voxels of free, T, P, N in ten frames of a simulated world; a training states its own.
+# Voxels of free, T, P, N in ten frames of a simulated world; training sets its own.
 TEN_FRAMES: FourInts = (20_510_000, 2_900, 120_000, 336_000)
 
 
 @dataclass(frozen=True)
 class OpenOccConfig:
-    """One row, on a lattice. Defaults are L-OpenOcc's; `official_row` gives each of the six.
+    """One row, on a lattice. Defaults are L-OpenOcc's; `official_row` returns each of the six.
 
-    `coarse_ratio` is 4 officially, of 512 × 512 × 40 voxels. On this grid that leaves 64 × 64 × 8 cells, from which not
-    even true labels bring back half of what is occupied; 2 leaves 128 × 128 × 16, about as many as officially.
+    `coarse_ratio` is 4 officially, for 512 × 512 × 40 voxels. On this grid it gives 64 × 64 × 8 cells, from which even
+    true labels recover less than half of the occupied voxels; 2 gives 128 × 128 × 16, about as many as officially.
 
     `supervises_voxels` compares coarse logits, interpolated, with the labels themselves; officially, and by default,
-    with labels made coarse. A row without the cascade can only then learn surfaces thinner than a cell.
+    with coarse labels. Only then can a row without the cascade learn surfaces thinner than a cell.
     """
 
     architecture: Literal["openocc"] = "openocc"
@@ -31,7 +31,7 @@ class OpenOccConfig:
     is_cascade: bool = False
     lattice: VoxelLattice = field(default_factory=VoxelLattice)
     coarse_ratio: int = 2
-    volume_channels: int = 80  # of the coarse volume that each modality gives
+    volume_channels: int = 80  # of each modality's coarse volume
 
     lidar_voxel_m: float = 0.1
     sparse_channels: int = 16  # at the first stage of the sparse encoder
@@ -39,7 +39,7 @@ class OpenOccConfig:
     image_shape: tuple[int, int] = (896, 1600)  # height, width
     resnet_depth: Literal[14, 26, 50, 101] = 50
     resnet_width: int = 64
-    frozen_stages: int = -1  # of the ResNet; officially 0, its stem, which then needs pretrained weights
+    frozen_stages: int = -1  # of the ResNet; officially 0 (its stem), which requires pretrained weights
     neck_channels: FourInts = (128, 128, 128, 128)
     depth_range_m: tuple[float, float] = (2.0, 58.0)
     depth_step_m: float = 0.5
@@ -49,12 +49,12 @@ class OpenOccConfig:
     residual_blocks: FourInts = (2, 2, 2, 2)
     pyramid_channels: int = 256
     fine_channels: int = 64  # of the cascade; a multiple of 4
-    refined_cells: int = 15_000  # at most, of a frame's occupied coarse cells while training; all when predicting
+    refined_cells: int = 15_000  # limit per frame of occupied coarse cells in training; all when predicting
 
-    class_counts: FourInts = TEN_FRAMES  # voxels of free, T, P, N: a class weighs 1 / log of its count
+    class_counts: FourInts = TEN_FRAMES  # voxels of free, T, P, N: the weight of a class is 1 / log of its count
     supervises_voxels: bool = False
-    normalises_losses: bool = True  # each by its own value, as officially: only directions of gradients are weighed
-    depth_loss_weight: float = 3.0  # of no effect where losses are normalised, as officially
+    normalises_losses: bool = True  # each by its own value, as officially: only directions of gradients are weighted
+    depth_loss_weight: float = 3.0  # without effect if losses are normalised, as officially
     checkpoint_gradients: bool = False
 
     @property
@@ -71,12 +71,12 @@ class OpenOccConfig:
 
     @property
     def image_channels(self) -> int:
-        """Of the features that the image neck gives, at a sixteenth of the image's size."""
+        """The channels of the image neck's features, at a sixteenth of the image's size."""
         return sum(self.neck_channels)
 
 
 def official_row(modality: Modality, is_cascade: bool) -> OpenOccConfig:
-    """The official sizes of a row: C-OpenOcc alone has a narrower 3D network, M-CoNet alone refines fewer cells."""
+    """Return a row's official sizes: only C-OpenOcc has a narrower 3D network, only M-CoNet refines fewer cells."""
     is_narrow = modality == "C" and not is_cascade
     return OpenOccConfig(
         modality=modality,

@@ -1,4 +1,4 @@
-"""OpenOccupancy's head: levels of a pyramid, mixed voxel by voxel by weights of their own, to classes of coarse cells.
+"""OpenOccupancy's head: levels of a pyramid, mixed per voxel with learned weights, to classes of coarse cells.
 
 Source: `occ_plugin/occupancy/dense_heads/occ_head.py`, `OccHead.forward_coarse_voxel` with `soft_weights`.
 """

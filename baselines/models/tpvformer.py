@@ -1,4 +1,4 @@
-"""TPVFormer, the camera row without depth: three planes of queries look at the pictures, voxels add the planes up.
+"""TPVFormer, the camera row without depth: three planes of queries attend to the images, voxels sum the planes.
 
 Source: Huang et al., Tri-Perspective View for Vision-Based 3D Semantic Occupancy Prediction, CVPR 2023;
 wzzheng/TPVFormer tpvformer10/tpvformer.py, config/tpv04_occupancy.py and train.py (its losses).
@@ -19,16 +19,16 @@ from baselines.losses.voxels import cross_entropy, lovasz_softmax
 from baselines.models.occupancy_model import OccupancyModel
 from baselines.models.tpvformer_config import TPVFormerConfig
 
-STRIDE = 32  # pictures are padded to multiples of it, as official
+STRIDE = 32  # images are padded to multiples of it (official)
 
 
 class TPVFormer(OccupancyModel[Tensor]):
     """Outputs are the logits (B, 4, X, Y, Z).
 
-    At full size 65,070,146 parameters, as the official modules have at 4 classes and planes of 128 × 128 × 16 (65.1 M):
+    At full size 65,070,146 parameters, like the official modules at 4 classes and planes of 128 × 128 × 16 (65.1 M):
     backbone 44,304,894, pyramid 3,278,592, queries 5,242,880, positions 32,768, embeddings of cameras and levels 2,560,
-    three encoder layers of 3,981,504, aggregator 263,940. With batch normalisation, stem and first stage held, as
-    official, 64,742,402 of them are trained.
+    three encoder layers of 3,981,504, aggregator 263,940. With batch normalisation, stem and first stage frozen, as
+    officially, 64,742,402 of them are trained.
     """
 
     modality = "C"
@@ -68,13 +68,13 @@ class TPVFormer(OccupancyModel[Tensor]):
 
 
 def pictures_of(batch: Batch) -> Tensor:
-    """(B, N, 3, H, W). Raises `ValueError` without cameras."""
+    """Return the images (B, N, 3, H, W). Raises `ValueError` without cameras."""
     if batch.cameras is None:
         raise ValueError("TPVFormer needs cameras, and this batch has none")
     return batch.cameras.images
 
 
 def padded(images: Tensor) -> Tensor:
-    """The same with zeros at the bottom and right, up to multiples of `STRIDE`."""
+    """Return the images with zeros at the bottom and right, up to multiples of `STRIDE`."""
     height, width = images.shape[-2:]
     return functional.pad(images, (0, -width % STRIDE, 0, -height % STRIDE))

@@ -1,8 +1,8 @@
-"""What TPVFormer is made of; the defaults are the official ones on the benchmark's grid.
+"""The configuration of TPVFormer; the defaults are the official ones on the benchmark's grid.
 
 Official: wzzheng/TPVFormer config/tpv04_occupancy.py, whose planes are 100 × 100 × 8 for another grid. The planes of
-kitti_ssc/configs/tpv10_lr_wd_layer.py, made for a grid of our shape and voxels, are half as fine as the grid: 128 × 128
-× 16, scaled up by 2. They are the default here, as is the rest of the former file.
+kitti_ssc/configs/tpv10_lr_wd_layer.py, for a grid of our shape and voxels, are half as fine as the grid: 128 × 128 ×
+16, scaled up by 2. They are the default here, like the rest of the former file.
 """
 
 from dataclasses import dataclass, field
@@ -15,18 +15,18 @@ from baselines.layers.tpv.aggregator import TPVAggregatorConfig
 from baselines.layers.tpv.attention import PlaneAttentionConfig
 from baselines.layers.tpv.encoder import TPVEncoderConfig
 
-LEVELS = 4  # of features that the pictures are looked at in
+LEVELS = 4  # levels of image features for the attention
 
 
 @dataclass(frozen=True)
 class TPVFormerConfig:
-    """`upscale`: how many voxels of the lattice a cell of a plane is long. `cameras`: how many a frame has, exactly.
+    """`upscale`: the length of a plane's cell in voxels of the lattice. `cameras`: the exact number per frame.
 
-    `anchors` of a cell of the top, front and side plane lie along the column that it stands for, and pictures are
-    looked at in `points` places around each; the top plane is in 2 · `self_points` around each of its own cells.
-    `grid_mask_probability`: how often a training step's pictures are partly blanked. Class weights are of the cross
-    entropy. `backbone_…` are the fields of `ResNetConfig`: official with frozen
-    statistics, stem and first stage, for weights that were trained before; without such, −1 and False.
+    `anchors` of a cell of the top, front and side plane lie along its column, and images are sampled at `points` places
+    around each; the top plane at 2 · `self_points` around each of its own cells. `grid_mask_probability`: the
+    probability of a training step with partly blanked images. Class weights apply to the cross entropy. `backbone_…`
+    are the fields of `ResNetConfig`: officially with frozen statistics, stem and first stage, for pretrained weights;
+    without them, −1 and False.
     """
 
     architecture: Literal["tpvformer"] = "tpvformer"
@@ -67,7 +67,7 @@ class TPVFormerConfig:
         )
 
     def neck(self) -> FPNConfig:
-        """Of the maps of strides 8, 16 and 32, and one of stride 64."""
+        """The neck of the maps of strides 8, 16 and 32, and one of stride 64."""
         return FPNConfig(self.backbone().channels()[1:], self.channels, extra_levels=LEVELS - 3)
 
     def encoder(self) -> TPVEncoderConfig:

@@ -1,1 +1,1 @@
-"""Layers of TPVFormer: three planes through a volume, what cameras see of their cells, and attention between them."""
+"""Layers of TPVFormer: three planes through a volume, camera features of their cells, and attention between them."""

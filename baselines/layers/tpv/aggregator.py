@@ -1,9 +1,9 @@
-"""Aggregator of TPVFormer: classes of voxels from the sum of what the three planes say of each.
+"""Aggregator of TPVFormer: classes of voxels from the sum of the three planes' features.
 
 Official: logits = classifier(output(softplus(hidden(top + front + side)))) of each voxel, after planes were scaled up.
-Three identities make the same of far fewer operations: a linear layer of a sum is the sum of its terms', it may be
-taken before the planes are scaled up (bilinear weights add to one), and two linear layers in a row are one.
-Source: Huang et al., CVPR 2023, equation 10; wzzheng/TPVFormer tpvformer10/tpv_aggregator.py.
+Three identities reduce the operations: a linear layer of a sum is the sum over its terms, it may be applied before the
+planes are scaled up (bilinear weights add to one), and two consecutive linear layers are one. Source: Huang et al.,
+CVPR 2023, equation 10; wzzheng/TPVFormer tpvformer10/tpv_aggregator.py.
 """
 
 from dataclasses import dataclass
@@ -18,12 +18,12 @@ from baselines.lattice import VoxelLattice
 from baselines.layers.deformable_attention import at_least_float32
 from baselines.layers.tpv.encoder import TriPlanes, plane_sizes
 
-SLAB = 8  # along x, so that what is held of voxels at once is 8 · 256 · 32 · 512 numbers at full size
+SLAB = 8  # along x; limits memory to 8 · 256 · 32 · 512 numbers at full size
 
 
 @dataclass(frozen=True)
 class TPVAggregatorConfig:
-    """`lattice` is the model's: planes come coarser and are scaled up to it."""
+    """`lattice` is the model's: planes are coarser and are scaled up to it."""
 
     lattice: VoxelLattice
     channels: int = 256
@@ -53,12 +53,12 @@ class TPVAggregator(nn.Module):
         return at_least_float32(torch.cat(slabs, dim=1).movedim(-1, 1))
 
     def _hidden(self, maps: Tensor, size: tuple[int, int]) -> Tensor:
-        """What a plane adds to the hidden layer, scaled up: (B, rows, columns, hidden channels)."""
+        """Return a plane's term of the hidden layer, scaled up: (B, rows, columns, hidden channels)."""
         added = functional.conv2d(maps, self.hidden.weight[:, :, None, None])
         return functional.interpolate(added, size=size, mode="bilinear").movedim(1, -1)
 
     def _last_two_layers(self) -> tuple[Tensor, Tensor]:
-        """Weight and bias of output and classifier as one linear layer."""
+        """Return weight and bias of output and classifier as one linear layer."""
         with torch.autocast(self.hidden.weight.device.type, enabled=False):
             weight = self.classifier.weight @ self.output.weight
             return weight, functional.linear(self.output.bias, self.classifier.weight, self.classifier.bias)
@@ -70,6 +70,6 @@ class TPVAggregator(nn.Module):
 
 
 def slab_logits(top: Tensor, front: Tensor, side: Tensor, last: tuple[Tensor, Tensor]) -> Tensor:
-    """(B, x, Y, Z, classes) of (B, x, Y, hidden), (B, Y, Z, hidden) and (B, x, Z, hidden)."""
+    """Return (B, x, Y, Z, classes) of (B, x, Y, hidden), (B, Y, Z, hidden) and (B, x, Z, hidden)."""
     hidden = top[:, :, :, None] + front[:, None] + side[:, :, None]
     return functional.linear(functional.softplus(hidden), *last)

@@ -1,7 +1,7 @@
-"""The two attentions of TPVFormer: of the top plane to itself, and of all planes to the pictures.
+"""The two attentions of TPVFormer: of the top plane to itself, and of all planes to the images.
 
 Source: Huang et al., CVPR 2023, section 3.3; wzzheng/TPVFormer tpvformer04/modules/cross_view_hybrid_attention.py and
-image_cross_attention.py. Two differences: which cells a camera sees is taken of each frame (there of the first of the
+image_cross_attention.py. Two differences: the visible cells are computed for each frame (there for the first of the
 batch), and nothing is padded to the camera that sees most.
 """
 
@@ -14,12 +14,12 @@ from torch import Tensor, nn
 from baselines.layers.deformable_attention import SamplingHead, at_least_float32, by_head, deformable_attention
 from baselines.layers.tpv.camera_sight import ColumnSights, Sight
 
-SETS = 2  # of points: BEVFormer looks into the map before and into this one, TPVFormer twice into this one
+SETS = 2  # sets of points: BEVFormer reads the previous and this map, TPVFormer twice this one
 
 
 @dataclass(frozen=True)
 class PlaneAttentionConfig:
-    """`anchors` is of a cell of the top, front and side plane, `points` how many places around each of them."""
+    """`anchors` per cell of the top, front and side plane, `points` places around each of them."""
 
     channels: int = 256
     heads: int = 8
@@ -42,7 +42,7 @@ class CrossViewHybridAttention(nn.Module):
         self.dropout = nn.Dropout(config.dropout)
 
     def forward(self, cells: Tensor, positions: Tensor, size: tuple[int, int]) -> Tensor:
-        """Cells (B, rows · columns, C) and their positions (rows · columns, C) to cells."""
+        """Return updated cells from cells (B, rows · columns, C) and their positions (rows · columns, C)."""
         values = self.values(cells).transpose(1, 2).unflatten(2, size)
         offsets, scores = self.sampling(torch.cat([cells, cells + positions], dim=-1))
         scale = torch.tensor((size[1], size[0]), device=cells.device)
@@ -56,9 +56,10 @@ class CrossViewHybridAttention(nn.Module):
 
 
 class ImageCrossAttention(nn.Module):
-    """Each cell looks around its anchors in the pictures of the cameras that see one; the mean over those cameras.
+    """Each cell attends around its anchors in the images of the cameras that see an anchor; the mean over these
+    cameras.
 
-    A cell that no camera sees gets the output layer's bias.
+    A cell outside all images gets the output layer's bias.
     """
 
     def __init__(self, config: PlaneAttentionConfig) -> None:
@@ -72,7 +73,9 @@ class ImageCrossAttention(nn.Module):
         self.dropout = nn.Dropout(config.dropout)
 
     def forward(self, cells: Tensor, features: Sequence[Tensor], sights: Sequence[ColumnSights]) -> Tensor:
-        """Cells (B, of all planes one after another, C), features of a level (B, N, C, rows, columns), to cells."""
+        """Return cells from cells (B, of all planes one after another, C) and features of a level (B, N, C, rows,
+        columns).
+        """
         values = [by_head(self.values(level.movedim(2, -1)).movedim(-1, 2), self.heads) for level in features]
         planes = torch.split(cells, [plane.cameras.shape[1] for plane in sights], dim=1)
         answers = [self._of_plane(*parts, values) for parts in zip(self.sampling, planes, sights, strict=True)]
@@ -80,7 +83,7 @@ class ImageCrossAttention(nn.Module):
         return cells + attended
 
     def _of_plane(self, sampling: nn.Module, cells: Tensor, plane: ColumnSights, values: Sequence[Tensor]) -> Tensor:
-        """The mean (B, Q, C) over the cameras that see a cell, float32 or wider; 0 where none does."""
+        """Return the mean (B, Q, C) over the cameras that see a cell, float32 or wider; 0 if none does."""
         frames = []
         for frame, cameras in enumerate(plane.sights):
             total = torch.zeros_like(at_least_float32(cells[frame]))
@@ -92,7 +95,7 @@ class ImageCrossAttention(nn.Module):
         return torch.stack(frames) / plane.cameras.clamp(min=1)[..., None]
 
     def _of_camera(self, sampled: tuple[Tensor, Tensor], sight: Sight, maps: Sequence[Tensor]) -> Tensor:
-        """What S cells get of one picture, (S, C)."""
+        """Return the attention of S cells to one image, (S, C)."""
         offsets, scores = sampled  # (S, heads, levels · anchors, points, 2)
         weights = torch.unflatten(scores.flatten(2).softmax(dim=-1), 2, (self.levels, -1))
         sizes = torch.tensor([(level.shape[-1], level.shape[-2]) for level in maps], device=offsets.device)
@@ -102,13 +105,13 @@ class ImageCrossAttention(nn.Module):
 
 
 def cell_centres(size: tuple[int, int], device: torch.device) -> Tensor:
-    """Centres (rows · columns, 2) of a map's cells as shares of it, column first."""
+    """Return the centres (rows · columns, 2) of a map's cells as fractions of it, column first."""
     rows, columns = ((torch.arange(n, device=device, dtype=torch.float32) + 0.5) / n for n in size)
     return torch.stack(torch.meshgrid(rows, columns, indexing="ij"), dim=-1).flip(-1).flatten(0, 1)
 
 
 def projection(channels: int) -> nn.Linear:
-    """A linear layer that begins as Deformable DETR's: Xavier, without bias."""
+    """Return a linear layer initialised like Deformable DETR's: Xavier, without bias."""
     layer = nn.Linear(channels, channels)
     nn.init.xavier_uniform_(layer.weight)
     nn.init.zeros_(layer.bias)

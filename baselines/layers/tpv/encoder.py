@@ -1,4 +1,4 @@
-"""Encoder of TPVFormer: learned queries of three planes, refined by attention to each other and to the pictures.
+"""Encoder of TPVFormer: learned queries of three planes, refined by attention to each other and to the images.
 
 Source: Huang et al., CVPR 2023, section 3.3; wzzheng/TPVFormer tpvformer04/tpv_head.py, modules/tpvformer_layer.py and
 config/tpv04_occupancy.py; the position encoding is mmdet's learned one.
@@ -16,16 +16,15 @@ from baselines.lattice import VoxelLattice
 from baselines.layers.tpv.attention import CrossViewHybridAttention, ImageCrossAttention, PlaneAttentionConfig
 from baselines.layers.tpv.camera_sight import CameraRig, ColumnSights, column_sights
 
-# Three planes through a volume, and the points of it that each cell of a plane stands for.
-#
-# **Conventions.** The planes are, in this order, top (x, y), front (y, z) and side (x, z): by the axes of their rows
-# and columns; a plane's cells run over its rows, then columns. A cell stands for the column of the volume across its
-# plane, and anchors are points spread along that column. Source: Huang et al., TPVFormer, CVPR 2023, section 3.2;
-# wzzheng/TPVFormer tpvformer04/modules/encoder.py, whose planes hw, zh and wz these are.
+# Three planes through a volume, and the points of it that each cell of a plane covers. The planes are, in this order,
+# top (x, y), front (y, z) and side (x, z): by the axes of their rows and columns; a plane's cells run over its rows,
+# then columns. A cell covers the column of the volume across its plane, and anchors are points spread along that
+# column. Source: Huang et al., TPVFormer, CVPR 2023, section 3.2; wzzheng/TPVFormer tpvformer04/modules/encoder.py,
+# whose planes hw, zh and wz these are.
 
 
 AXES = ((0, 1), (1, 2), (0, 2))  # rows and columns of the top, front and side plane
-MARGIN_M = 0.5  # between the outermost anchors and the volume's faces, as official
+MARGIN_M = 0.5  # between the outermost anchors and the volume's faces (official)
 
 
 class TriPlanes(NamedTuple):
@@ -37,12 +36,12 @@ class TriPlanes(NamedTuple):
 
 
 def plane_sizes(lattice: VoxelLattice) -> tuple[tuple[int, int], ...]:
-    """Rows and columns of the three."""
+    """Return rows and columns of the three planes."""
     return tuple((lattice.shape[rows], lattice.shape[columns]) for rows, columns in AXES)
 
 
 def anchor_points_m(lattice: VoxelLattice, plane: int, anchors: int) -> Tensor:
-    """Points (rows · columns, anchors, 3) in metres that the cells of a plane stand for."""
+    """Return the points (rows · columns, anchors, 3) in metres of the cells of a plane."""
     across = ({0, 1, 2} - set(AXES[plane])).pop()
     axes = [
         low + size * (torch.arange(n, dtype=torch.float32) + 0.5)
@@ -55,7 +54,7 @@ def anchor_points_m(lattice: VoxelLattice, plane: int, anchors: int) -> Tensor:
 
 
 def as_planes(cells: Tensor, lattice: VoxelLattice) -> TriPlanes:
-    """Cells (B, of the three planes one after another, channels) as maps."""
+    """Return cells (B, of the three planes one after another, channels) as maps."""
     sizes = plane_sizes(lattice)
     parts = torch.split(cells, [rows * columns for rows, columns in sizes], dim=1)
     top, front, side = (torch.unflatten(part.transpose(1, 2), 2, size) for part, size in zip(parts, sizes, strict=True))
@@ -64,7 +63,7 @@ def as_planes(cells: Tensor, lattice: VoxelLattice) -> TriPlanes:
 
 @dataclass(frozen=True)
 class TPVEncoderConfig:
-    """`lattice` is of the planes, so coarser than the model's; `cameras` is how many a frame has."""
+    """`lattice` is of the planes, so coarser than the model's; `cameras` is the number per frame."""
 
     lattice: VoxelLattice
     attention: PlaneAttentionConfig
@@ -75,7 +74,9 @@ class TPVEncoderConfig:
 
 
 class TPVEncoderLayer(nn.Module):
-    """The top plane to itself, all planes to the pictures, a multilayer perceptron; each added, then normalised."""
+    """Attention of the top plane to itself, of all planes to the images, a multilayer perceptron; each added, then
+    normalised.
+    """
 
     def __init__(self, config: TPVEncoderConfig) -> None:
         super().__init__()
@@ -98,7 +99,9 @@ class TPVEncoderLayer(nn.Module):
     def forward(
         self, cells: Tensor, positions: Tensor, features: Sequence[Tensor], sights: Sequence[ColumnSights]
     ) -> Tensor:
-        """Cells (B, of the three planes one after another, C) to cells; `positions` are of those of the top plane."""
+        """Return cells from cells (B, of the three planes one after another, C); `positions` are of the top plane's
+        cells.
+        """
         top, others = cells.tensor_split([len(positions)], dim=1)
         cells = self.norms[0](torch.cat([self.hybrid_attention(top, positions, self.size), others], dim=1))
         cells = self.norms[1](self.image_attention(cells, features, sights))
@@ -106,7 +109,7 @@ class TPVEncoderLayer(nn.Module):
 
 
 class LearnedPositions(nn.Module):
-    """Positions (rows · columns, C) of a map's cells: half of the channels say the column, half the row."""
+    """Positions (rows · columns, C) of a map's cells: half of the channels encode the column, half the row."""
 
     def __init__(self, size: tuple[int, int], channels: int) -> None:
         super().__init__()
@@ -122,9 +125,9 @@ class LearnedPositions(nn.Module):
 
 
 class TPVEncoder(nn.Module):
-    """Features of the pictures, one (B, N, C, rows, columns) a level, to three planes of `config.lattice`.
+    """Features of the images, one (B, N, C, rows, columns) per level, to three planes of `config.lattice`.
 
-    Raises `ValueError` where N is not `config.cameras`, since each camera has an embedding of its own.
+    Raises `ValueError` if N is not `config.cameras`, since each camera has its own embedding.
     """
 
     def __init__(self, config: TPVEncoderConfig) -> None:
@@ -141,7 +144,7 @@ class TPVEncoder(nn.Module):
             nn.init.xavier_uniform_(weight)
 
     def forward(self, features: Sequence[Tensor], rig: CameraRig, size_px: tuple[int, int]) -> TriPlanes:
-        """`size_px`: rows and columns of the pictures as padded."""
+        """Return the planes; `size_px`: rows and columns of the padded images."""
         batch, cameras = features[0].shape[:2]
         if cameras != self.config.cameras:
             raise ValueError(f"{cameras} cameras, where this model was made for {self.config.cameras}")
