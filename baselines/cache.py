@@ -98,12 +98,12 @@ def cached_frames(
     """
     folder.mkdir(parents=True, exist_ok=True)
     wanted = tuple(sources)
-    found = []
+    frames = []
     with ThreadPoolExecutor(workers) as pool:
         for done, cached in enumerate(pool.map(partial(_cached, inputs=inputs, folder=folder), wanted), start=1):
-            found.append(cached)
+            frames.append(cached)
             progress("read frames", done, len(wanted))
-    return tuple(found)
+    return tuple(frames)
 
 
 def data_hash(frames: Iterable[CachedFrame]) -> str:
@@ -123,11 +123,11 @@ def _cached(source: FrameSource, inputs: InputConfig, folder: Path) -> CachedFra
 
 def _described(path: Path, frame: ExportedFrame) -> CachedFrame:
     with safe_open(path, "numpy") as file:
-        said = file.metadata()
-    counted = [int(count) for count in json.loads(said["voxels"])]
+        metadata = file.metadata()
+    counted = [int(count) for count in json.loads(metadata["voxels"])]
     free, t, p, n = counted
-    unsure = int(said.get("unsure", "0"))
-    return CachedFrame(path, frame.token, frame.sequence, frame.stamp_us, (free, t, p, n), said["sha256"], unsure)
+    unsure = int(metadata.get("unsure", "0"))
+    return CachedFrame(path, frame.token, frame.sequence, frame.stamp_us, (free, t, p, n), metadata["sha256"], unsure)
 
 
 def write_record(path: Path, record: FrameRecord) -> None:

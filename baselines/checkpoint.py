@@ -69,9 +69,9 @@ def read_checkpoint(folder: Path, model: nn.Module, optimizer: torch.optim.Optim
     _load_model(folder, model, {name[6:]: value for name, value in tensors.items() if name.startswith("model.")})
     for name, parameter in model.named_parameters():
         start = f"optimizer.{name}."
-        found = {key[len(start) :]: value for key, value in tensors.items() if key.startswith(start)}
-        if found:
-            moved = {key: value.to(parameter.device) if value.dim() else value for key, value in found.items()}
+        states = {key[len(start) :]: value for key, value in tensors.items() if key.startswith(start)}
+        if states:
+            moved = {key: value.to(parameter.device) if value.dim() else value for key, value in states.items()}
             optimizer.state[parameter] = moved
     torch.set_rng_state(tensors["rng.cpu"])
     if "rng.cuda" in tensors and torch.cuda.is_available():
@@ -99,8 +99,8 @@ def provenance_of(path: Path) -> WeightsProvenance:
         )
     try:
         with safe_open(path, "pt") as file:
-            said = json.loads((file.metadata() or {})[SAID])
-        return WeightsProvenance(**{**said, "position": Position(**said["position"])})
+            metadata = json.loads((file.metadata() or {})[SAID])
+        return WeightsProvenance(**{**metadata, "position": Position(**metadata["position"])})
     except (SafetensorError, KeyError, TypeError, ValueError) as error:
         raise Refused("bad_run", f"{path.parent}: {path.name} is not a file of a run") from error
 
@@ -139,7 +139,7 @@ def _load_model(folder: Path, model: nn.Module, tensors: Mapping[str, Tensor]) -
 
 
 def _write(path: Path, tensors: Mapping[str, Tensor], provenance: WeightsProvenance) -> None:
-    said: dict[str, Any] = asdict(provenance)
+    metadata: dict[str, Any] = asdict(provenance)
     whole = {name: value.detach().contiguous().clone() for name, value in tensors.items()}
     with atomic_file(path) as staging:
-        save_file(whole, staging, {SAID: json.dumps(said, sort_keys=True)})
+        save_file(whole, staging, {SAID: json.dumps(metadata, sort_keys=True)})

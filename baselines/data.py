@@ -95,12 +95,12 @@ class FrameDataset(Dataset[Batch]):
     def _earlier(self, index: int, most: int) -> Iterator[tuple[FrameRecord, float]]:
         """Yield the frame and earlier frames of its sequence, with their ages in seconds, newest first."""
         sequence, stamp_us = self.store.key(index)
-        for place in range(index, max(index - most, -1), -1):
-            name, then_us = self.store.key(place)
+        for position in range(index, max(index - most, -1), -1):
+            name, then_us = self.store.key(position)
             age_s = (stamp_us - then_us) / 1e6
             if name != sequence or age_s > self.request.inputs.earliest_s:
                 return
-            yield self._record(place), age_s
+            yield self._record(position), age_s
 
     def _lidar(self, index: int, mirrors: GridMirrors) -> Points:
         parts = [
@@ -131,19 +131,21 @@ class FrameDataset(Dataset[Batch]):
         changes = [draw_picture_change(self.request.augment, size_px, rng) for _ in record.pictures]
         if self.request.augment == NO_AUGMENTATION:
             changes = [np.eye(3) for _ in record.pictures]
-        images = [changed_picture(one.jpeg, change) for one, change in zip(record.pictures, changes, strict=True)]
+        images = [
+            changed_picture(picture.jpeg, change) for picture, change in zip(record.pictures, changes, strict=True)
+        ]
         depths = self._depths(record, changes) if self.request.inputs.with_depth and record.labels is not None else None
         return CameraViews(
             torch.from_numpy(np.stack(images))[None],
-            _stacked([one.intrinsics for one in record.pictures]),
+            _stacked([picture.intrinsics for picture in record.pictures]),
             _stacked(changes),
-            _stacked([one.ego_from_camera for one in record.pictures]),
+            _stacked([picture.ego_from_camera for picture in record.pictures]),
             None if depths is None else torch.from_numpy(depths)[None],
         )
 
     def _depths(self, record: FrameRecord, changes: Sequence[NDArray[np.float64]]) -> NDArray[np.float32]:
         views = zip(record.pictures, changes, strict=True)
-        matrices = [(change @ one.intrinsics, np.linalg.inv(one.ego_from_camera)) for one, change in views]
+        matrices = [(change @ picture.intrinsics, np.linalg.inv(picture.ego_from_camera)) for picture, change in views]
         return np.stack(
             [depth_picture(record.returns[:, :3], *pair, self.request.inputs.image_size_px) for pair in matrices]
         )

@@ -60,9 +60,9 @@ class VoxelLattice:
         Indices of points outside, NaN among them, are 0.
         """
         low, size = points_ego.new_tensor(self.min_m), points_ego.new_tensor(self.voxel_m)
-        place = torch.floor((points_ego - low) / size)
-        is_inside = ((place >= 0) & (place < place.new_tensor(self.shape))).all(dim=1)
-        return torch.where(is_inside[:, None], place, place.new_zeros(())).long(), is_inside
+        voxel = torch.floor((points_ego - low) / size)
+        is_inside = ((voxel >= 0) & (voxel < voxel.new_tensor(self.shape))).all(dim=1)
+        return torch.where(is_inside[:, None], voxel, voxel.new_zeros(())).long(), is_inside
 
     def is_whole(self, grid: LabelGrid) -> bool:
         """Return whether a prediction on the lattice covers all of the grid."""

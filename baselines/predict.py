@@ -147,8 +147,8 @@ class LoadedRun:
         return ((index, self.predictor.classes(dataset, index)) for index in indices)
 
     def written(self, output: Path, frames: int) -> WrittenPrediction:
-        said = (self.provenance.position.step, self.provenance.data_sha256)
-        return WrittenPrediction(str(output), frames, self.row.method, self.row.inputs.modality, *said)
+        origin = (self.provenance.position.step, self.provenance.data_sha256)
+        return WrittenPrediction(str(output), frames, self.row.method, self.row.inputs.modality, *origin)
 
 
 def loaded_run(run: Path, device: str) -> LoadedRun:

@@ -77,9 +77,9 @@ class RowConfig:
     grid: str | dict[str, Any] = PAPER.name
 
     def __post_init__(self) -> None:
-        said = getattr(self.model, "modality", self.inputs.modality)
-        if said != self.inputs.modality:
-            raise ValueError(f"inputs are of {self.inputs.modality}, the model of {said}")
+        modality = getattr(self.model, "modality", self.inputs.modality)
+        if modality != self.inputs.modality:
+            raise ValueError(f"inputs are of {self.inputs.modality}, the model of {modality}")
         shape = getattr(self.model, "image_shape", self.inputs.image_size_px)
         if self.inputs.sees("C") and shape != self.inputs.image_size_px:
             raise ValueError(f"pictures of {self.inputs.image_size_px} are given, the model is made for {shape}")
@@ -99,9 +99,9 @@ class RowConfig:
         return json.dumps(asdict(self), sort_keys=True)
 
 
-def _grid_of(said: object) -> LabelGrid:
+def _grid_of(grid: object) -> LabelGrid:
     try:
-        return named_grid(said) if isinstance(said, str) else grid_of(said)
+        return named_grid(grid) if isinstance(grid, str) else grid_of(grid)
     except Refused as error:
         raise ValueError(str(error)) from error
 
@@ -122,10 +122,10 @@ def read_row(name: str, changes: Mapping[str, Any] | None = None) -> RowConfig:
     if path.stat().st_size > MOST_CONFIG_BYTES:
         raise bad_row(name, f"the file is larger than {MOST_CONFIG_BYTES} bytes")
     try:
-        said = YAML(typ="safe").load(path.read_text("utf-8"))
+        mapping = YAML(typ="safe").load(path.read_text("utf-8"))
     except (YAMLError, UnicodeDecodeError) as error:
         raise bad_row(name, f"it is not YAML: {str(error).splitlines()[0]}") from error
-    row = row_of(name, said)
+    row = row_of(name, mapping)
     kept = {key: value for key, value in (changes or {}).items() if value is not None}
     return replace(row, training=replace(row.training, **kept))
 
@@ -137,38 +137,38 @@ def with_checkpointed_gradients(row: RowConfig) -> RowConfig:
     return replace(row, model=replace(row.model, checkpoint_gradients=True))
 
 
-def row_of(name: str, said: object) -> RowConfig:
+def row_of(name: str, mapping: object) -> RowConfig:
     """Return the row of a mapping. Raises `bad_row`."""
     try:
-        row = ROW.validate_python(_with_lattice(said))
+        row = ROW.validate_python(_with_lattice(mapping))
     except ValidationError as error:
         first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
+        field_path = ".".join(str(part) for part in first["loc"])
         why = first["msg"].removeprefix("Value error, ")  # pydantic's prefix of our own sentences
-        raise bad_row(name, f"{place}: {why}, found {str(first['input'])[:80]!r}") from error
-    unknown = next(_unknown_keys(said, row, ""), None)
+        raise bad_row(name, f"{field_path}: {why}, found {str(first['input'])[:80]!r}") from error
+    unknown = next(_unknown_keys(mapping, row, ""), None)
     if unknown is not None:
         raise bad_row(name, f"{unknown} is not a field")
     return row
 
 
-def _with_lattice(said: object) -> object:
+def _with_lattice(mapping: object) -> object:
     """Return the row's mapping; a grid without a lattice of the model gets the whole grid as lattice."""
-    if not isinstance(said, Mapping) or "grid" not in said or not isinstance(said.get("model"), Mapping):
-        return said
+    if not isinstance(mapping, Mapping) or "grid" not in mapping or not isinstance(mapping.get("model"), Mapping):
+        return mapping
     try:
-        lattice = asdict(VoxelLattice.of(_grid_of(said["grid"])))
+        lattice = asdict(VoxelLattice.of(_grid_of(mapping["grid"])))
     except ValueError:
-        return said  # reading the row refuses the grid later
-    return {**said, "model": {"lattice": lattice, **said["model"]}}
+        return mapping  # reading the row refuses the grid later
+    return {**mapping, "model": {"lattice": lattice, **mapping["model"]}}
 
 
-def _unknown_keys(said: object, value: object, path: str) -> Iterator[str]:
+def _unknown_keys(mapping: object, value: object, path: str) -> Iterator[str]:
     """Yield the keys of a mapping that its dataclass lacks."""
-    if not isinstance(said, Mapping) or not is_dataclass(value):
+    if not isinstance(mapping, Mapping) or not is_dataclass(value):
         return
-    known = {one.name for one in fields(value)}
-    for key, part in said.items():
+    known = {field_info.name for field_info in fields(value)}
+    for key, part in mapping.items():
         if key not in known:
             yield f"{path}{key}"
         else:

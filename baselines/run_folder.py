@@ -50,17 +50,17 @@ def say_row(folder: Path, row: RowConfig) -> None:
 def read_run_row(folder: Path) -> RowConfig:
     """Return the row of a run. Raises `bad_run`, `bad_row`."""
     try:
-        said = json.loads((folder / ROW_FILE).read_text("utf-8"))
+        record = json.loads((folder / ROW_FILE).read_text("utf-8"))
     except (OSError, ValueError) as error:
         raise Refused(
             "bad_run", f"{folder}: it is not a run of `stone model train`: {ROW_FILE} cannot be read"
         ) from error
-    return row_of(str(folder), said)
+    return row_of(str(folder), record)
 
 
-def differences(one: RowConfig, other: RowConfig) -> str:
+def differences(row: RowConfig, other: RowConfig) -> str:
     """Return the differences of two rows in words."""
-    a, b = _flat(json.loads(one.as_json())), _flat(json.loads(other.as_json()))
+    a, b = _flat(json.loads(row.as_json())), _flat(json.loads(other.as_json()))
     parts = [f"{key} {a.get(key)}, not {b.get(key)}" for key in sorted(a.keys() | b.keys()) if a.get(key) != b.get(key)]
     return "; ".join(parts[:3])
 
@@ -68,10 +68,10 @@ def differences(one: RowConfig, other: RowConfig) -> str:
 def _flat(value: object, path: str = "") -> dict[str, object]:
     if not isinstance(value, dict):
         return {path: value}
-    found = dict[str, object]()
+    leaves = dict[str, object]()
     for key, part in value.items():
-        found |= _flat(part, f"{path}.{key}" if path else str(key))
-    return found
+        leaves |= _flat(part, f"{path}.{key}" if path else str(key))
+    return leaves
 
 
 # The log of a run: a JSON line per report, and the same for TensorBoard. A resumed run deletes its log after its
@@ -105,7 +105,7 @@ class RunLog:
 
     def __init__(self, folder: Path, step: int) -> None:
         self._path = folder / LOG
-        kept = [line for said, line in self._lines() if said["step"] <= step]
+        kept = [line for record, line in self._lines() if record["step"] <= step]
         with atomic_file(self._path) as staging:
             staging.write_text("".join(f"{line}\n" for line in kept), "utf-8")
         self._file = self._path.open("a", encoding="utf-8")

@@ -41,13 +41,13 @@ def frames_at(paths: Sequence[Path]) -> tuple[ExportedFrame, ...]:
     If manifests are given, only their frames are returned. Raises `NotExportedError`, `bad_tar`, `DamagedExportError`,
     `bad_manifest`, a `DatasetFaultError`.
     """
-    found, named = dict[str, ExportedFrame](), [path for path in paths if path.suffix == MANIFEST]
-    asked = {token for path in named for token in read_manifest(path).tokens}
+    frames, named = dict[str, ExportedFrame](), [path for path in paths if path.suffix == MANIFEST]
+    tokens = {token for path in named for token in read_manifest(path).tokens}
     for path in paths:
         for frame in () if path in named else _frames_of(path):
-            if not named or frame.token in asked:
-                found.setdefault(frame.token, frame)
-    return tuple(sorted(found.values(), key=lambda frame: (frame.sequence, frame.stamp_us)))
+            if not named or frame.token in tokens:
+                frames.setdefault(frame.token, frame)
+    return tuple(sorted(frames.values(), key=lambda frame: (frame.sequence, frame.stamp_us)))
 
 
 def _frames_of(path: Path) -> Iterator[ExportedFrame]:

@@ -66,8 +66,8 @@ def _joined_views(views: Sequence[CameraViews]) -> CameraViews:
 def _joined_points(points: Sequence[Points]) -> Points | None:
     if not points:
         return None
-    frames = [torch.full_like(one.frame, place) for place, one in enumerate(points)]
-    return Points(torch.cat([one.features for one in points]), torch.cat(frames))
+    frames = [torch.full_like(item.frame, index) for index, item in enumerate(points)]
+    return Points(torch.cat([item.features for item in points]), torch.cat(frames))
 
 
 # The rate of a run and its remaining time, from the steps of the last minutes.
@@ -158,8 +158,10 @@ def train(plan: TrainingPlan, progress: Progress, reports: Reports) -> TrainedRu
                 f"{share.device!s} has too little memory for a step of {row.training.batch} frames: lower "
                 "--batch, use --checkpoint-gradients, or train a smaller row",
             ) from error
-    said = state.provenance
-    return TrainedRun(str(plan.run), said.position.step, said.frames, said.data_sha256, said.best_miou)
+    provenance = state.provenance
+    return TrainedRun(
+        str(plan.run), provenance.position.step, provenance.frames, provenance.data_sha256, provenance.best_miou
+    )
 
 
 def _frames(
@@ -174,9 +176,9 @@ def targets_of(frames: Sequence[CachedFrame], stride: int) -> tuple[int, ...]:
     seen, targets = dict[str, int](), []
     for index, frame in enumerate(frames):
         if any(frame.voxels):
-            place = seen.get(frame.sequence, 0)
-            seen[frame.sequence] = place + 1
-            if place % stride == 0:
+            count = seen.get(frame.sequence, 0)
+            seen[frame.sequence] = count + 1
+            if count % stride == 0:
                 targets.append(index)
     return tuple(targets)
 
@@ -331,9 +333,9 @@ def scores_on(
 
 
 def training_diverged(step: int, terms: dict[str, float], rate: float) -> Refused:
-    said = ", ".join(f"{name} {value:.3g}" for name, value in terms.items())
+    losses = ", ".join(f"{name} {value:.3g}" for name, value in terms.items())
     return Refused(
         "training_diverged",
-        f"step {step}: the losses are {said} at a learning rate of {rate:.2e}; lower learning_rate or "
+        f"step {step}: the losses are {losses} at a learning rate of {rate:.2e}; lower learning_rate or "
         "clip_norm, or train in float32 (--precision float32); the last checkpoint is intact",
     )

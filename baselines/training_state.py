@@ -45,7 +45,7 @@ class TrainingState:
 def begun_state(row: RowConfig, frames: Sequence[CachedFrame], share: ProcessShare) -> TrainingState:
     """Return the state before the first step: weights by the row's seed, classes weighted by the voxels of `frames`."""
     torch.manual_seed(row.training.seed)
-    free, t, p, n = (sum(frame.voxels[place] for frame in frames) for place in range(4))
+    free, t, p, n = (sum(frame.voxels[class_index] for frame in frames) for class_index in range(4))
     if row.training.counted == "all":
         unsure = sum(frame.unsure for frame in frames)
         free = sum(any(frame.voxels) for frame in frames) * row.label_grid.voxels - t - p - n - unsure

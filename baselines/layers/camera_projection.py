@@ -44,10 +44,10 @@ def seen_cells(
     depth_m = rays[:, 2]
     pixels = rays[:, :2] / depth_m[:, None].clamp(min=NEAREST_M)
     size = pixels.new_tensor([cells[1] / image[1], cells[0] / image[0]])
-    place = torch.floor((pixels + 0.5) * size)
-    is_seen = (depth_m > NEAREST_M) & ((place >= 0) & (place < place.new_tensor([cells[1], cells[0]]))).all(dim=1)
+    cell = torch.floor((pixels + 0.5) * size)
+    is_seen = (depth_m > NEAREST_M) & ((cell >= 0) & (cell < cell.new_tensor([cells[1], cells[0]]))).all(dim=1)
     seen = is_seen.nonzero()[:, 0]
-    column, row = place[seen].long().unbind(dim=1)
+    column, row = cell[seen].long().unbind(dim=1)
     return seen, row * cells[1] + column
 
 

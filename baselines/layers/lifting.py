@@ -66,8 +66,8 @@ def splat(depth: Tensor, context: Tensor, points: Tensor, lattice: VoxelLattice)
     channels, (x, y, z) = context.shape[2], lattice.shape
     index, is_inside = lattice.indices_of(points.reshape(-1, 3))
     seen = is_inside.nonzero().squeeze(1)
-    frame, place = seen // points[0, ..., 0].numel(), index[seen]
-    voxel = ((frame * x + place[:, 0]) * y + place[:, 1]) * z + place[:, 2]
+    frame, voxel_index = seen // points[0, ..., 0].numel(), index[seen]
+    voxel = ((frame * x + voxel_index[:, 0]) * y + voxel_index[:, 1]) * z + voxel_index[:, 2]
     cells = height * width
     cell = seen // (depth.shape[2] * cells) * cells + seen % cells
     rows = context.permute(0, 1, 3, 4, 2).reshape(count * cameras * cells, channels)

@@ -107,12 +107,12 @@ class MaskDecoderLayer(nn.Module):
         """Return the updated queries; `queries` (B, Q, C), their positions (Q, C), and `hidden` (B · heads, Q, N),
         masked tokens.
         """
-        asked = queries + query_position
-        seen, _ = self.across(asked, memory.keys, memory.tokens, attn_mask=hidden, need_weights=False)
+        positioned = queries + query_position
+        seen, _ = self.across(positioned, memory.keys, memory.tokens, attn_mask=hidden, need_weights=False)
         queries = self.norms[0](queries + seen)
-        asked = queries + query_position
-        told, _ = self.among(asked, asked, queries, need_weights=False)
-        queries = self.norms[1](queries + told)
+        positioned = queries + query_position
+        attended, _ = self.among(positioned, positioned, queries, need_weights=False)
+        queries = self.norms[1](queries + attended)
         answered: Tensor = self.norms[2](queries + self.feed_forward(queries))
         return answered
 

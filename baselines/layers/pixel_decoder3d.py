@@ -133,8 +133,8 @@ def sine_positions(shape: Shape, channels: int, device: torch.device | None = No
     exponent = 2.0 * torch.div(torch.arange(each, device=device), 2, rounding_mode="floor") / each
     axes = []
     for axis, length in enumerate(shape):
-        place = torch.arange(1, length + 1, device=device, dtype=torch.float32)
-        phase = (place / (length + EPSILON) * tau)[:, None] / TEMPERATURE**exponent
+        steps = torch.arange(1, length + 1, device=device, dtype=torch.float32)
+        phase = (steps / (length + EPSILON) * tau)[:, None] / TEMPERATURE**exponent
         waves = torch.stack((phase[:, 0::2].sin(), phase[:, 1::2].cos()), dim=2).flatten(1)
         axes.append(waves.reshape([length if a == axis else 1 for a in range(3)] + [each]).expand(*shape, each))
     return torch.cat(axes, dim=3).flatten(0, 2)

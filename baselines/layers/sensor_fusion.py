@@ -47,8 +47,8 @@ class DynamicFusion3d(nn.Module):
         )
         self.merge = unit3d(both, channels, 3)
 
-    def forward(self, one: Tensor, other: Tensor) -> Tensor:
-        both = torch.cat([one, other], dim=1)
+    def forward(self, first: Tensor, second: Tensor) -> Tensor:
+        both = torch.cat([first, second], dim=1)
         merged: Tensor = self.merge(torch.relu(both + self.residual(both)))
         return merged
 
@@ -60,6 +60,6 @@ class DynamicFusion2d(nn.Module):
         super().__init__()
         self.layers = nn.Sequential(ChannelExcitation(2 * channels), unit2d(2 * channels, channels, 1))
 
-    def forward(self, one: Tensor, other: Tensor) -> Tensor:
-        merged: Tensor = self.layers(torch.cat([one, other], dim=1))
+    def forward(self, first: Tensor, second: Tensor) -> Tensor:
+        merged: Tensor = self.layers(torch.cat([first, second], dim=1))
         return merged

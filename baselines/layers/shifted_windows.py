@@ -100,8 +100,8 @@ def maps_of(windows: Tensor, size: tuple[int, int]) -> Tensor:
 
 def relative_positions(window: int) -> Tensor:
     """Return the row of the bias for a pair of cells, (window², window²): (2·window − 1)·Δrow + Δcolumn, at least 0."""
-    place = torch.arange(window * window)
-    rows, columns = place // window, place % window
+    cell = torch.arange(window * window)
+    rows, columns = cell // window, cell % window
     row = rows[:, None] - rows[None, :] + window - 1
     column = columns[:, None] - columns[None, :] + window - 1
     return row * (2 * window - 1) + column
@@ -109,9 +109,9 @@ def relative_positions(window: int) -> Tensor:
 
 def parted_by_the_roll(size: tuple[int, int], window: int, shift: int) -> Tensor:
     """Return which cells of a window were not adjacent before the map was rolled by `shift`: (W, window², window²)."""
-    place = [torch.arange(n) for n in size]
+    positions = [torch.arange(n) for n in size]
     rows, columns = (
-        (p >= n - window).long() + (p >= n - shift).long() for p, n in zip(place, size, strict=True)
+        (p >= n - window).long() + (p >= n - shift).long() for p, n in zip(positions, size, strict=True)
     )  # 0: far from the end, 1: of its last window, 2: rolled over from the beginning
     region = windows_of((3 * rows[:, None] + columns)[None, :, :, None], window)[0, :, :, 0]
     return region[:, :, None] != region[:, None, :]

@@ -61,8 +61,8 @@ def means_of_points(points: Points, features: Tensor, lattice: VoxelLattice, fra
 
     OpenOccupancy's `HardSimpleVFE` averages the first ten points of a voxel, of at most 120,000 voxels.
     """
-    place, is_inside = lattice.indices_of(points.features[:, :3])
-    keys = keys_of(torch.cat([points.frame[:, None], place], dim=1)[is_inside], lattice.shape)
+    voxel_index, is_inside = lattice.indices_of(points.features[:, :3])
+    keys = keys_of(torch.cat([points.frame[:, None], voxel_index], dim=1)[is_inside], lattice.shape)
     unique, voxel = torch.unique(keys, return_inverse=True)
     sums = features.new_zeros(len(unique), features.shape[1]).index_add(0, voxel, features[is_inside])
     counts = torch.bincount(voxel, minlength=len(unique))
@@ -143,14 +143,14 @@ def kernel_offsets(device: torch.device) -> Tensor:
 
 def positions_of(wanted: Tensor, keys: Tensor) -> tuple[Tensor, Tensor]:
     """Return the positions of `wanted` in ascending `keys`, and which exist; other positions are any valid index."""
-    place = torch.searchsorted(keys, wanted).clamp(max=max(len(keys) - 1, 0))
-    return place, keys[place] == wanted if len(keys) else torch.zeros_like(wanted, dtype=torch.bool)
+    position = torch.searchsorted(keys, wanted).clamp(max=max(len(keys) - 1, 0))
+    return position, keys[position] == wanted if len(keys) else torch.zeros_like(wanted, dtype=torch.bool)
 
 
 def is_inside(indices: Tensor, shape: Shape) -> Tensor:
     """Return which indices (V, 4) are in a lattice of `shape`."""
-    place = indices[:, 1:]
-    return ((place >= 0) & (place < place.new_tensor(shape))).all(dim=1)
+    voxel = indices[:, 1:]
+    return ((voxel >= 0) & (voxel < voxel.new_tensor(shape))).all(dim=1)
 
 
 def halved(shape: Shape) -> Shape:

@@ -72,9 +72,9 @@ class VoxelFeatureEncoder(nn.Module):
 
     def _described(self, features: Tensor, indices: Tensor, voxel: Tensor, voxels: int) -> Tensor:
         low, size = features.new_tensor(self.lattice.min_m), features.new_tensor(self.lattice.voxel_m)
-        place = (features[:, :3] - low) / size
-        from_mean = place - voxel_means(place, voxel, voxels)[voxel]
-        from_centre = place - indices.to(place.dtype) - 0.5
+        position = (features[:, :3] - low) / size
+        from_mean = position - voxel_means(position, voxel, voxels)[voxel]
+        from_centre = position - indices.to(position.dtype) - 0.5
         return torch.cat([features, from_mean, from_centre], dim=1)
 
     def _encoded(self, values: Tensor, voxel: Tensor, voxels: int) -> Tensor:

@@ -90,9 +90,9 @@ def contested_voxels(masks: Tensor, frame: FrameMasks, settings: PointSettings) 
 def read_masks(masks: Tensor, voxels: Tensor, shape: Shape, align_corners: bool) -> Tensor:
     """Return masks (M, C, x, y, z) at voxels (M, P) of a lattice of `shape`: (M, C, P)."""
     x, y, z = torch.unravel_index(voxels, shape)
-    place = torch.stack((z, y, x), dim=-1).to(masks.dtype)
-    size = place.new_tensor(shape).flip(0)
-    grid = 2.0 * place / (size - 1.0).clamp_min(1.0) if align_corners else (2.0 * place + 1.0) / size
+    position = torch.stack((z, y, x), dim=-1).to(masks.dtype)
+    size = position.new_tensor(shape).flip(0)
+    grid = 2.0 * position / (size - 1.0).clamp_min(1.0) if align_corners else (2.0 * position + 1.0) / size
     grid = (grid - 1.0)[:, :, None, None]
     return functional.grid_sample(masks, grid, padding_mode="border", align_corners=align_corners)[:, :, :, 0, 0]
 
@@ -134,15 +134,15 @@ def losses_of(prediction: MaskPrediction, frames: Sequence[FrameMasks], settings
     """Return the three terms of one prediction, (3,)."""
     weights = torch.tensor(settings.class_weights(), device=prediction.classes.device)
     assigned = torch.full(prediction.classes.shape[:2], len(settings.class_counts), device=weights.device)
-    found = []
+    terms = []
     for number, frame in enumerate(frames):
         classes, masks = prediction.classes[number].float(), prediction.masks[number].float()
         queries = matched_queries(classes.detach(), masks.detach(), frame, settings)
         assigned[number, queries] = frame.classes
-        found.append(losses_of_masks(masks[queries], frame, settings.points))
+        terms.append(losses_of_masks(masks[queries], frame, settings.points))
     of_class = functional.cross_entropy(prediction.classes.float().flatten(0, 1), assigned.flatten(), weights)
     weight = weights[torch.cat([frame.classes for frame in frames])]
-    mask, dice = (torch.cat(found, dim=1) * weight).sum(dim=1) / weight.sum().clamp_min(torch.finfo(torch.float32).eps)
+    mask, dice = (torch.cat(terms, dim=1) * weight).sum(dim=1) / weight.sum().clamp_min(torch.finfo(torch.float32).eps)
     return torch.stack((settings.class_weight * of_class, settings.mask_weight * mask, settings.dice_weight * dice))
 
 

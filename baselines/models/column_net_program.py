@@ -27,7 +27,7 @@ class ColumnNetProgram(nn.Module):
     def forward(
         self, maps: Tensor, base: Tensor, images: Tensor | None = None, cells: Tensor | None = None
     ) -> tuple[Tensor, Tensor]:
-        """Return `logits` (1, 4, X, Y, Z) and `log_temperature` (1, 1, X, Y, Z); `maps` (1, C, X, Y), `base` (1, X, Y)."""
+        """Return logits (1, 4, X, Y, Z) and temperatures (1, 1, X, Y, Z) of `maps` (1, C, X, Y), `base` (1, X, Y)."""
         if self.encoder is not None and images is not None and cells is not None:
             maps = torch.cat([maps, looked_up(self.encoder(images), cells)], dim=1)
         logits, log_temperature = self.net(maps, base)
@@ -53,11 +53,11 @@ def column_cells(model: ColumnNet, batch: Batch, surface_m: Tensor) -> Tensor:
     ground = model.lattice.centres_m(surface_m.device)[:, :, 0, :2].expand(*surface_m.shape[1:], 2)
     points = torch.cat([ground, surface_m[0, ..., None]], dim=-1).flatten(0, 2)
     shape = images.shape[-2], images.shape[-1]
-    found = points.new_full((images.shape[1], len(points)), -1, dtype=torch.int64)
-    for own, matrix in zip(found, pixels_from_grid(batch.cameras, batch.grid_from_camera())[0].float(), strict=True):
+    cells = points.new_full((images.shape[1], len(points)), -1, dtype=torch.int64)
+    for own, matrix in zip(cells, pixels_from_grid(batch.cameras, batch.grid_from_camera())[0].float(), strict=True):
         seen, cell = seen_cells(points, matrix, shape, model.cameras.encoder.cells_of(shape))
         own[seen] = cell
-    return found.reshape(-1, *surface_m.shape[1:])
+    return cells.reshape(-1, *surface_m.shape[1:])
 
 
 def program_inputs(model: ColumnNet, cameras: int, image: tuple[int, int]) -> dict[str, Tensor]:
