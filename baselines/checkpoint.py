@@ -113,7 +113,7 @@ def load_backbone(model: nn.Module, path: Path) -> None:
     """
     backbone = next((part for part in model.modules() if isinstance(part, ResNet)), None)
     if backbone is None:
-        raise Refused("bad_run", f"{path.parent}: {path.name} is of an image backbone, and this row has none")
+        raise Refused("bad_run", f"{path.parent}: {path.name} contains an image backbone, but this row has none")
     try:
         tensors = load_file(path) if path.suffix == ".safetensors" else torch.load(path, weights_only=True)
         backbone.load_pretrained({name: value for name, value in tensors.items() if isinstance(value, Tensor)})
@@ -135,7 +135,7 @@ def _load_model(folder: Path, model: nn.Module, tensors: Mapping[str, Tensor]) -
         model.load_state_dict(dict(tensors))
     except RuntimeError as error:
         why = str(error).splitlines()[1].strip() if "\n" in str(error) else str(error)
-        raise Refused("bad_run", f"{folder}: its weights are of another model: {why[:200]}") from error
+        raise Refused("bad_run", f"{folder}: its weights belong to another model: {why[:200]}") from error
 
 
 def _write(path: Path, tensors: Mapping[str, Tensor], provenance: WeightsProvenance) -> None:

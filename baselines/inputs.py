@@ -39,4 +39,4 @@ def refuse_below_one(config: object, *names: str) -> None:
     """Raise `ValueError` if one of these fields is less than 1."""
     low = next((name for name in names if getattr(config, name) < 1), None)
     if low is not None:
-        raise ValueError(f"{low} is {getattr(config, low)}, the least is 1")
+        raise ValueError(f"{low} is {getattr(config, low)}, but must be at least 1")

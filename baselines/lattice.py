@@ -72,11 +72,11 @@ class VoxelLattice:
 
 
 def grid_part(lattice: VoxelLattice, grid: LabelGrid) -> tuple[slice, slice, slice]:
-    """Return the part of a label grid that the lattice covers. Raises `ValueError` if it is no part of it."""
+    """Return the part of a label grid that the lattice covers. Raises `ValueError` if the grid does not contain it."""
     corner = [round((low - of_grid) / grid.voxel_m) for low, of_grid in zip(lattice.min_m, grid.min_m, strict=True)]
     ends = [begin + count for begin, count in zip(corner, lattice.shape, strict=True)]
     fits = all(begin >= 0 and end <= side for begin, end, side in zip(corner, ends, grid.shape, strict=True))
     if not fits or any(abs(size - grid.voxel_m) > 1e-6 for size in lattice.voxel_m):
-        raise ValueError(f"a lattice of {lattice.shape} voxels at {lattice.min_m} is no part of the grid {grid}")
+        raise ValueError(f"a lattice of {lattice.shape} voxels at {lattice.min_m} is not part of the grid {grid}")
     x, y, z = (slice(begin, end) for begin, end in zip(corner, ends, strict=True))
     return x, y, z

@@ -55,9 +55,8 @@ def write_onnx(run: Path, output: Path) -> WrittenOnnx:
     if not isinstance(model, ColumnNet):
         raise Refused(
             "not_deployable",
-            f"{loaded.row.method} is of architecture {loaded.row.model.architecture}, whose shapes follow each "
-            "frame, and cannot be written as ONNX; of those that there are, this one can: "
-            f"{', '.join(['column_net'])}",
+            f"{loaded.row.method} has the architecture {loaded.row.model.architecture}, whose shapes depend on the "
+            f"frame, so it cannot be written as ONNX; only {', '.join(['column_net'])} can",
         )
     inputs = program_inputs(model, len(loaded.row.inputs.channels), loaded.row.inputs.image_size_px)
     with atomic_file(output) as staging:

@@ -132,7 +132,7 @@ class LoadedRun:
         if grid.geometry != self.row.label_grid.geometry:
             raise Refused(
                 "grids_differ",
-                f"the manifest asks for {grid}, and the run was trained at {self.row.label_grid}; train a row whose "
+                f"the manifest requires {grid}, but the run was trained at {self.row.label_grid}; train a row whose "
                 f"grid is {grid.name}",
             )
 

@@ -56,7 +56,7 @@ class TrainingConfig:
         if self.learning_rate < 0:
             raise ValueError(f"a learning_rate of {self.learning_rate} is negative")
         if not 0 <= self.least_confidence <= 1:
-            raise ValueError(f"a least_confidence of {self.least_confidence} is no probability from 0 to 1")
+            raise ValueError(f"a least_confidence of {self.least_confidence} is not a probability from 0 to 1")
 
 
 @dataclass(frozen=True)
@@ -79,10 +79,10 @@ class RowConfig:
     def __post_init__(self) -> None:
         modality = getattr(self.model, "modality", self.inputs.modality)
         if modality != self.inputs.modality:
-            raise ValueError(f"inputs are of {self.inputs.modality}, the model of {modality}")
+            raise ValueError(f"the modality of the inputs is {self.inputs.modality}, of the model {modality}")
         shape = getattr(self.model, "image_shape", self.inputs.image_size_px)
         if self.inputs.sees("C") and shape != self.inputs.image_size_px:
-            raise ValueError(f"pictures of {self.inputs.image_size_px} are given, the model is made for {shape}")
+            raise ValueError(f"image_size_px is {self.inputs.image_size_px}, but the model requires {shape}")
         grid_part(self.model.lattice, self.label_grid)
         low_m, high_m = self.label_grid.min_m, self.label_grid.max_m
         for axis, ratio in enumerate((self.augment.mirror_x_ratio, self.augment.mirror_y_ratio)):
@@ -118,7 +118,7 @@ def read_row(name: str, changes: Mapping[str, Any] | None = None) -> RowConfig:
     """Return the row of this name or YAML file, with `changes` of its training. Raises `bad_row`."""
     path = CONFIGS / f"{name}.yaml" if name in known_rows() else Path(name)
     if not path.is_file():
-        raise bad_row(name, "there is no such row", known_rows())
+        raise bad_row(name, "no row has this name", known_rows())
     if path.stat().st_size > MOST_CONFIG_BYTES:
         raise bad_row(name, f"the file is larger than {MOST_CONFIG_BYTES} bytes")
     try:
@@ -133,7 +133,7 @@ def read_row(name: str, changes: Mapping[str, Any] | None = None) -> RowConfig:
 def with_checkpointed_gradients(row: RowConfig) -> RowConfig:
     """Return the row with less memory for more time: the backward pass recomputes activations. Raises `bad_row`."""
     if isinstance(row.model, ColumnNetConfig):
-        raise bad_row(row.name, "it has no blocks large enough for --checkpoint-gradients to be of use")
+        raise bad_row(row.name, "its blocks are too small for --checkpoint-gradients to help")
     return replace(row, model=replace(row.model, checkpoint_gradients=True))
 
 
@@ -176,5 +176,5 @@ def _unknown_keys(mapping: object, value: object, path: str) -> Iterator[str]:
 
 
 def bad_row(name: str, why: str, known: Sequence[str] = ()) -> Refused:
-    hint = f"; the rows that are there: {', '.join(known)}, or a path of a YAML file" if known else ""
+    hint = f"; available rows: {', '.join(known)}, or a path of a YAML file" if known else ""
     return Refused("bad_row", f"row {name!r}: {why}{hint}")

@@ -31,7 +31,7 @@ def opened_run(folder: Path, row: RowConfig, resume: bool) -> tuple[RowConfig, b
             )
         return row, False
     if not resume:
-        raise Refused("run_exists", f"{folder} holds a run: continue it with --resume, or name another folder")
+        raise Refused("run_exists", f"{folder} contains a run: continue it with --resume, or give another folder")
     begun = read_run_row(folder)
     if begun.as_json() != row.as_json():
         raise Refused(

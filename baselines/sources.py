@@ -88,6 +88,6 @@ def nothing_to_train_on(exports: Sequence[Path]) -> Refused:
     named = ", ".join(str(path) for path in exports[:3])
     return Refused(
         "nothing_to_train_on",
-        f"{named} hold no frame with labels: expected are exports of `stone export --format nuscenes`, or inputs "
+        f"{named} contain no frame with labels: expected exports of `stone export --format nuscenes`, or inputs "
         "beside the tars of a dataset version (was an export of format inputs given alone?)",
     )

@@ -110,7 +110,7 @@ class MaskLossSettings:
 
     def __post_init__(self) -> None:
         if min(self.class_counts) <= 1:
-            raise ValueError(f"weights are of classes with more than one voxel each, not {self.class_counts}")
+            raise ValueError(f"each class must have more than one voxel for its weight, not {self.class_counts}")
 
     def class_weights(self) -> list[float]:
         """Return (C + 1) weights: 1 / ln(voxels), the first class's 1, and the weight of no object."""

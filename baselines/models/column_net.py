@@ -180,7 +180,7 @@ class ColumnNet(OccupancyModel[ColumnOutputs]):
 
     def _camera_maps(self, cameras: ColumnCameras, batch: Batch, surface_m: Tensor) -> Tensor:
         if batch.cameras is None:
-            raise ValueError("this model needs cameras, and this batch has none")
+            raise ValueError("this model requires cameras, but this batch has none")
         maps: Tensor = cameras(batch.cameras, batch.grid_from_camera(), surface_m)
         return maps
 

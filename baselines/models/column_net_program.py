@@ -48,7 +48,7 @@ def looked_up(features: Tensor, cells: Tensor) -> Tensor:
 def column_cells(model: ColumnNet, batch: Batch, surface_m: Tensor) -> Tensor:
     """Return `cells` of a batch of one frame. Raises `ValueError` if the model or the batch has no cameras."""
     if model.cameras is None or batch.cameras is None:
-        raise ValueError("cells are of cameras, and there are none")
+        raise ValueError("cells require cameras, but there are none")
     images = batch.cameras.images
     ground = model.lattice.centres_m(surface_m.device)[:, :, 0, :2].expand(*surface_m.shape[1:], 2)
     points = torch.cat([ground, surface_m[0, ..., None]], dim=-1).flatten(0, 2)

@@ -74,7 +74,7 @@ class OccFormer(OccupancyModel[OccFormerOutputs]):
     def lifted(self, batch: Batch) -> tuple[Tensor, Tensor]:
         """Return the volume lifted from the images, on the coarse lattice, and the probabilities of depth."""
         if batch.cameras is None:
-            raise ValueError("OccFormer needs cameras, and this batch has none")
+            raise ValueError("OccFormer requires cameras, but this batch has none")
         images = batch.cameras.images
         if any(side % COARSEST_STRIDE for side in images.shape[3:]):
             raise ValueError(
@@ -92,7 +92,7 @@ class OccFormer(OccupancyModel[OccFormerOutputs]):
     def losses(self, outputs: OccFormerOutputs, batch: Batch) -> dict[str, Tensor]:
         """Return `class`, `mask` and `dice` of all predictions, and `depth` if the batch has image depths."""
         if batch.labels is None:
-            raise ValueError("losses need labels, and this batch has none")
+            raise ValueError("losses require labels, but this batch has none")
         terms = mask_losses(outputs.predictions, batch.labels, self.config.mask_loss())
         if batch.cameras is not None and batch.cameras.depth_m is not None:
             depth = depth_cross_entropy(outputs.depth, batch.cameras.depth_m, self.frustum)

@@ -124,7 +124,7 @@ class OccFusion(OccupancyModel[list[Tensor]]):
 
     def forward(self, batch: Batch) -> list[Tensor]:
         if batch.cameras is None:
-            raise ValueError("OccFusion needs cameras, and this batch has none")
+            raise ValueError("OccFusion requires cameras, but this batch has none")
         scales: list[ProjectedFeatures] = self.cameras(batch.cameras, batch.grid_from_camera())
         for name in self.points:
             volumes = self.points[name](points_of(batch, name), len(batch))
@@ -166,7 +166,7 @@ def points_of(batch: Batch, name: str) -> Points:
     """Return the batch's `lidar` or `radar`. Raises `ValueError` if it is absent."""
     points = batch.lidar if name == "lidar" else batch.radar
     if points is None:
-        raise ValueError(f"this model needs {name}, and this batch has none")
+        raise ValueError(f"this model requires {name}, but this batch has none")
     return points
 
 

@@ -85,7 +85,7 @@ class OpenOcc(OccupancyModel[OpenOccOutputs]):
         A term has its own value; its gradient is divided by that if the row's `normalises_losses`.
         """
         if batch.labels is None:
-            raise ValueError("losses need labels, and this batch has none")
+            raise ValueError("losses require labels, but this batch has none")
         with torch.autocast(batch.device.type, enabled=False):
             terms = voxel_terms("coarse", *self.supervised(outputs.coarse, batch.labels), self.class_weights)
             if outputs.fine is not None:

@@ -55,7 +55,7 @@ class TPVFormer(OccupancyModel[Tensor]):
 
     def losses(self, outputs: Tensor, batch: Batch) -> dict[str, Tensor]:
         if batch.labels is None:
-            raise ValueError("losses need labels, which this batch has none of")
+            raise ValueError("losses require labels, but this batch has none")
         with torch.autocast(outputs.device.type, enabled=False):
             weights = outputs.new_tensor(self.config.class_weights)
             return {
@@ -70,7 +70,7 @@ class TPVFormer(OccupancyModel[Tensor]):
 def pictures_of(batch: Batch) -> Tensor:
     """Return the images (B, N, 3, H, W). Raises `ValueError` without cameras."""
     if batch.cameras is None:
-        raise ValueError("TPVFormer needs cameras, and this batch has none")
+        raise ValueError("TPVFormer requires cameras, but this batch has none")
     return batch.cameras.images
 
 

@@ -285,11 +285,11 @@ LIES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "an unknown key": (changed("epoch", to=3), "epoch is not a field"),
     "a misspelt key of training": (changed("training", "learning_rat", to=1), r"training\.learning_rat is not a field"),
     "a misspelt key of the model": (changed("model", "lattice", "shap", to=1), r"model\.lattice\.shap is not a field"),
-    "another modality": (changed("inputs", "modality", to="C"), "inputs are of C, the model of L"),
+    "another modality": (changed("inputs", "modality", to="C"), "the modality of the inputs is C, of the model L"),
     "a modality that is none": (changed("inputs", "modality", to="X"), "inputs.modality: .* found 'X'"),
     "pictures of another size": (lambda said: said.update(
         inputs={"modality": "C", "image_size_px": [32, 64]}, model={"architecture": "openocc", "modality": "C"}
-    ), r"pictures of \(32, 64\) are given, the model is made for \(896, 1600\)"),
+    ), r"image_size_px is \(32, 64\), but the model requires \(896, 1600\)"),
     "an architecture that is none": (changed("model", "architecture", to="resnet"), "model"),
     "a text for a number": (changed("training", "epochs", to="many"), r"training\.epochs: .* found 'many'"),
     "a precision that is none": (changed("training", "precision", to="float16"), r"training\.precision"),

@@ -328,7 +328,7 @@ def test_epochs_have_other_orders() -> None:
     ],
 )
 def test_a_lattice_that_is_no_part_of_the_grid_is_refused(lattice: VoxelLattice) -> None:
-    with pytest.raises(ValueError, match="is no part of the grid paper"):
+    with pytest.raises(ValueError, match="is not part of the grid paper"):
         grid_part(lattice, PAPER)
 
 

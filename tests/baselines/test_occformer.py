@@ -477,5 +477,5 @@ def test_a_batch_without_a_label_has_finite_terms() -> None:
 
 
 def test_a_class_that_is_never_seen_has_no_weight() -> None:
-    with pytest.raises(ValueError, match="more than one voxel each"):
+    with pytest.raises(ValueError, match="more than one voxel"):
         MaskLossSettings((1000, 1, 100, 200))

@@ -147,7 +147,7 @@ class TPVEncoder(nn.Module):
         """Return the planes; `size_px`: rows and columns of the padded images."""
         batch, cameras = features[0].shape[:2]
         if cameras != self.config.cameras:
-            raise ValueError(f"{cameras} cameras, where this model was made for {self.config.cameras}")
+            raise ValueError(f"the batch has {cameras} cameras, but this model requires {self.config.cameras}")
         of_cameras = self.camera_embeddings[:, :, None, None]
         embedded = [
             level + of_cameras + of_level[:, None, None]
