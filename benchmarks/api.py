@@ -1,9 +1,9 @@
-"""How fast lists are read: `python -m benchmarks.api [--readers 50] [--requests 2000] [--databases sqlite postgres]`.
+"""Speed of list requests: `python -m benchmarks.api [--readers 50] [--requests 2000] [--databases sqlite postgres]`.
 
-A platform with 2,000 sequences and 10,000 jobs of eight owners; the API as the embedded platform runs it (one uvicorn
-process, its own command); readers on keep-alive connections in this process, each asking again as soon as it was
-answered. Rounds of the lists and of `/healthz` (the floor: a route that asks nobody) take turns, so that whatever else
-the machine does is shared. Latencies are what a reader waits for; CPU is the API process's own, per request.
+The platform has 2,000 sequences and 10,000 jobs of eight owners; the API runs as in the embedded platform (one uvicorn
+process, its own command). Readers use keep-alive connections in this process; each sends its next request after the
+last answer. Rounds of the lists and of `/healthz` (the floor: a route without a query) alternate, so that other load on
+the machine affects all alike. Latencies are measured by the readers; CPU is the API process's own, per request.
 """
 
 import argparse
@@ -32,13 +32,13 @@ from testing.servers.postgres import running_postgres
 FLOOR = "/healthz"
 PATHS = (FLOOR, "/api/v1/sequences", "/api/v1/jobs", "/api/v1/me")
 STARTS_WITHIN_S = 30.0
-VACUUM_LOOKS = "1min"  # as PostgreSQL has it; the servers of tests are not looked after
+VACUUM_LOOKS = "1min"  # PostgreSQL's default; the servers of tests have no autovacuum
 COLUMNS = ("database", "route", "bytes", "p50 ms", "p99 ms", "a second", "CPU ms", "p50 × floor", "p99 × floor")
 
 
 @dataclass
 class RouteTimes:
-    """What was measured of one route: seconds waited, and CPU seconds of the API, over all rounds."""
+    """The measurement of one route: latencies in seconds, and CPU seconds of the API, over all rounds."""
 
     waited_s: list[float] = field(default_factory=list)
     wall_s: float = 0.0
@@ -77,7 +77,7 @@ def measured(settings: Settings, options: argparse.Namespace) -> Iterator[tuple[
     database.close()
     taken = {path: RouteTimes() for path in PATHS}
     with serving(settings) as (port, pid):
-        asyncio.run(ask(port, "/api/v1/me", readers, options.readers * 4))  # warm
+        asyncio.run(ask(port, "/api/v1/me", readers, options.readers * 4))  # warm up
         for _ in range(options.rounds):
             for path in PATHS:
                 note(taken[path], port, pid, path, readers, options.requests)
@@ -104,7 +104,7 @@ def shown(path: str, taken: RouteTimes, floor: np.ndarray) -> tuple[str, ...]:
 
 @contextmanager
 def serving(settings: Settings) -> Iterator[tuple[int, int]]:
-    """The port and process id of the API's own process."""
+    """Yield the port and process id of the API's own process."""
     told = {
         "STONE_DATA_FOLDER": str(settings.root),
         "STONE_DATABASE__URL": settings.database.url,
@@ -123,7 +123,7 @@ def serving(settings: Settings) -> Iterator[tuple[int, int]]:
 
 
 async def ask(port: int, path: str, readers: list[Reader], requests: int) -> tuple[list[float], int]:
-    """Seconds that each of the requests took, shared out among all readers, and the bytes of an answer."""
+    """Return the latency of each request in seconds, shared among all readers, and the bytes of an answer."""
     waited_s: list[float] = []
     left = iter(range(requests))
     sizes = await asyncio.gather(*(read(port, path, reader, left, waited_s) for reader in readers))
@@ -131,7 +131,7 @@ async def ask(port: int, path: str, readers: list[Reader], requests: int) -> tup
 
 
 async def read(port: int, path: str, reader: Reader, left: Iterator[int], waited_s: list[float]) -> int:
-    """One reader on one connection until nothing is left to ask; bytes of the last answer."""
+    """Send requests on one connection until none is left; return the bytes of the last answer."""
     incoming, outgoing = await asyncio.open_connection("127.0.0.1", port)
     request = f"GET {path} HTTP/1.1\r\nHost: api\r\nAuthorization: Bearer {reader.secret}\r\n\r\n".encode()
     size = 0
@@ -149,7 +149,7 @@ async def read(port: int, path: str, reader: Reader, left: Iterator[int], waited
 
 
 def cpu_of(pid: int) -> float:
-    """CPU seconds of the process so far, all its threads (Linux)."""
+    """Return the CPU seconds of the process, all its threads (Linux)."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 

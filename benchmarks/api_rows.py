@@ -17,15 +17,16 @@ ENDED = ("succeeded", "failed")
 
 @dataclass(frozen=True)
 class Reader:
-    """Somebody who asks, by their token."""
+    """A user with a token."""
 
     secret: str
 
 
 def fill(database: Database, readers: int, states: tuple[str, ...] = STATES) -> list[Reader]:
-    """2,000 sequences, each with a run of four jobs in these states; `readers` tokens, dealt out among the owners.
+    """Insert 2,000 sequences, each with a run of four jobs in these states; return `readers` tokens shared among the
+    owners.
 
-    Where workers look on, the states are `ENDED`: they would try what is queued, and be tried by it.
+    If workers run, the states must be `ENDED`, because workers would process queued jobs.
     """
     with database.transaction() as session:
         owners = [users.create_user(session, f"owner-{number}", "curator") for number in range(OWNERS)]

@@ -1,9 +1,9 @@
 """`mask_camera` of labelled voxels against strict rays: `python -m benchmarks.camera_sight LABELS`.
 
-LABELS is what `stone label` left of a recording with cameras. A ray from the camera stops in the first labelled voxel
-(`testing.rays`, which shares no code with the mask). A voxel is lit if one of `RAYS` rays to random places on its
-sides that face the camera ends in it, as Occ3D defines it; beside it stands the ray to the voxel's middle alone. Rows
-are by the angle between the ray to the middle and the horizontal, at the nearest camera with the voxel in its image.
+LABELS is a folder of `stone label` from a recording with cameras. A ray from the camera stops in the first labelled
+voxel (`testing.rays`, which shares no code with the mask). As in Occ3D, a voxel is lit if one of `RAYS` rays to random
+places on its sides that face the camera ends in it. A second column uses only the ray to the voxel's middle. Rows are
+by the angle between the ray to the middle and the horizontal, at the nearest camera with the voxel in its image.
 """
 
 import sys
@@ -60,7 +60,7 @@ def overlap(one: Mask, other: Mask) -> float:
 
 
 def sight_of(source: LabelledSequence, frame: int) -> Sight:
-    """Return what is seen of `VOXELS` labelled voxels of the frame."""
+    """Return the sight of `VOXELS` labelled voxels of the frame."""
     grids = source.grids(frame)
     occupied = grids["semantics"] > 0
     voxels = np.argwhere(occupied)

@@ -1,8 +1,8 @@
-"""How well the classes are told apart: `python -m benchmarks.class_colours`.
+"""Colour differences between the classes: `python -m benchmarks.class_colours`.
 
-CIEDE2000 of every pair of classes in normal sight and under simulated protanopia, deuteranopia and tritanopia: in the
-colours that pages and pictures had until 2026-11 (light and dark), and in those they have; then the smallest
-difference of any pair and vision where relief lights and shades the colours, and to what the classes lie on.
+It prints CIEDE2000 of every pair of classes in normal vision and under simulated protanopia, deuteranopia and
+tritanopia, in the page colours before and after 2026-11 (light and dark). It also prints the smallest difference of any
+pair and vision if relief lights and shades the colours, and the difference to the background.
 """
 
 from itertools import combinations
@@ -78,7 +78,7 @@ def _grounds() -> Table:
 
 
 def _by_triple(title: str, first: str) -> Table:
-    """A table with a column for each triple of colours, without rows."""
+    """Return a table with a column for each triple of colours, without rows."""
     table = Table(title=title)
     table.add_column(first)
     for name in TRIPLES:

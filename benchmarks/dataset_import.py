@@ -1,9 +1,8 @@
-"""Importing a published dataset: `python -m benchmarks.dataset_import [--scenes N] [--frames N] [--index-only]`.
+"""Import of a published dataset: `python -m benchmarks.dataset_import [--scenes N] [--frames N] [--index-only]`.
 
-A dataset of the release's rig (six cameras, three radars, a LiDAR) is made as a tar, its labels those of a fractal
-world. Then one process indexes the tar, and another
-imports scene after scene, with nothing in the way of a platform around them. Each prints frames per CPU-second, the
-shares of its steps, and the most memory that it held.
+A dataset of the release's rig (six cameras, three radars, a LiDAR) is written as a tar, with labels of a fractal world.
+Then one process indexes the tar, and another imports scene after scene, without a platform around them. Each prints
+frames per CPU-second, the shares of its steps, and its peak memory.
 """
 
 import argparse
@@ -30,7 +29,7 @@ from testing.worlds.published_datasets import SyntheticDataset, write_published_
 
 
 class StepShares:
-    """CPU seconds between what a child tells of its progress, by the step that it tells of."""
+    """CPU seconds of a child between its progress reports, by reported step."""
 
     def __init__(self) -> None:
         self.spent, self._last = Counter[str](), time.process_time()
@@ -57,7 +56,7 @@ def index(tar: Path, folder: Path) -> None:
 
 
 def scenes(tar: Path, folder: Path) -> None:
-    """All that were indexed; kernels are compiled, or fetched, before."""
+    """Import all indexed scenes; kernels are compiled, or loaded, before."""
     ordinals = range(len(list((folder / "scenes").iterdir())))
     opening = SceneOpening(tar, 0, OWN_CLASSES)
     import_scene(opening, folder, lambda *_: None)
@@ -69,7 +68,7 @@ def scenes(tar: Path, folder: Path) -> None:
 
 
 def _sized(count: int, frames: int) -> SyntheticDataset:
-    """The robot drives half a kilometre to and fro."""
+    """Return a dataset whose robot drives half a kilometre to and fro."""
     return replace(release_sized(count), scenes=count, frames=frames, longer=0, turns_after=150)
 
 

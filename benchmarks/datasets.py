@@ -1,8 +1,8 @@
 """Reading a published dataset of the release's size: `python -m benchmarks.datasets [--frames N] [--tar]`.
 
-It has 43 sequences, 50,878 frames and ten sensors, and is made first: labels of a fractal world repeat, hard-linked in
-a folder, copied in a tar. Then two processes of their own read it: the index alone, and everything (`stone check`);
-each prints seconds, frames a second and the most memory that it held.
+The generated dataset has 43 sequences, 50,878 frames and ten sensors: labels of a fractal world repeat, hard-linked in
+a folder, copied in a tar. Then two processes read it: the index alone, and everything (`stone check`). Each prints
+seconds, frames per second and its peak memory.
 """
 
 import argparse
@@ -27,7 +27,7 @@ RADARS = ("RADAR_FRONT", "RADAR_LEFT", "RADAR_RIGHT")
 
 
 def release_sized(count: int) -> SyntheticDataset:
-    """So many frames in 43 scenes."""
+    """Return a dataset of `count` frames in 43 scenes."""
     labels = []
     for truth, _ in frames(KINDS_OF_LABELS):
         seen = seen_by_lidar(truth).astype(np.uint8)
@@ -37,7 +37,7 @@ def release_sized(count: int) -> SyntheticDataset:
 
 
 def measure(path: Path, what: str) -> None:
-    """Read it in this process, and say what that took."""
+    """Read the dataset in this process and print the cost."""
     begun = time.perf_counter()
     if what == "index":
         count = sum(map(len, read_dataset(path).sequences))

@@ -1,11 +1,11 @@
 """The effect of each choice that the paper leaves open: `python -m benchmarks.decisions [--seeds 1 2]`.
 
-A simulated world of 64 × 900 rays is labelled again and again, each time with one decision taken otherwise, and every
-label set is held against the exact truth (as `benchmarks.truth` does): T ∪ P against drivable ground in every fifth
-frame, what a walker left behind, labelled voxels that nobody measured. `--short` labels drives of these lengths, where
-it matters what elevation means and whether the reference has a floor. Worlds and figures are kept in `--folder`;
-`--table` prints the figures that are there once more. Differences below a hundredth are those of the world, not of the
-decision: look at several seeds.
+A simulated world of 64 × 900 rays is labelled repeatedly, each time with one decision changed. Every label set is
+compared with the exact truth, as in `benchmarks.truth`. The figures are T ∪ P against drivable ground in every fifth
+frame, remains of a walker, and unmeasured labelled voxels. `--short` labels drives of these lengths, for which the
+meaning of elevation and the floor of the reference matter. Worlds and figures are stored in `--folder`; `--table`
+prints the stored figures again. Differences below a hundredth are those of the world, not of the decision: compare
+several seeds.
 """
 
 import argparse
@@ -25,7 +25,7 @@ from services.labeler.parameters import LabelParameters, parameters_for
 from simulator.options import SimulateOptions
 
 WORKERS = 2
-OUT_OF_REACH_M = 1.0  # of the vote: no point is as near, so nothing is voted out
+OUT_OF_REACH_M = 1.0  # no point qualifies for the vote, so nothing is voted out
 PAPER, LOCAL = parameters_for("paper"), parameters_for("local")
 UNFLOORED = replace(LOCAL, reference=replace(LOCAL.reference, floor_voxels=0))
 DECISIONS: Mapping[str, LabelParameters] = {
@@ -83,7 +83,7 @@ def main() -> None:
 def _measured(
     options: argparse.Namespace, world: tuple[float, int], variants: Mapping[str, LabelParameters]
 ) -> dict[str, Figures]:
-    """The figures of each variant in the world (seconds, seed); those kept by an earlier run are taken over."""
+    """Return the figures of each variant in the world (seconds, seed); figures of an earlier run are reused."""
     seconds, seed = world
     path = options.folder / f"decisions-{seed}-{seconds:g}s.json"
     kept: dict[str, Figures] = json.loads(path.read_text()) if path.exists() else {}
@@ -97,7 +97,7 @@ def _measured(
 
 
 def _figures(drive: Drive, folder: Path, parameters: LabelParameters) -> Figures:
-    """Label into `folder` and hold it against the truth; what nobody measured, where the surface is another."""
+    """Label into `folder` and compare with the truth; with another surface also count unmeasured voxels."""
     record = label(drive.sequence, drive.sweeps, folder, LabelOptions(parameters, WORKERS)).as_record()
     verdict, walker = judged(drive, folder), walker_counts(drive, folder)
     is_other_surface = replace(parameters.surface, min_frames=1) != PAPER.surface

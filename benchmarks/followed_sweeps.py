@@ -49,7 +49,7 @@ def main(bag: Path, calibration: Path) -> None:
 
 
 def carved(run: LabelRun, rays: Rays, parameters: CarveParameters) -> tuple[Observed, float]:
-    """Return what the followed sweeps observe, and the processor seconds of that."""
+    """Return the observations of the followed sweeps, and the processor seconds."""
     carver, begun = Carver(parameters), process_time()
     for index, points in enumerate(rays):
         if index % run.every(parameters.every(len(points))) == 0:

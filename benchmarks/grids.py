@@ -1,7 +1,7 @@
-"""Label grids that look like off-road scenes, and predictions with errors like a network's: correlated, not salt.
+"""Label grids that resemble off-road scenes, and predictions with a network's correlated errors.
 
 **Conventions.** Grids are (256, 256, 32) uint8, z fastest. A window slides over a fractal world, so neighbouring frames
-resemble each other. Same seed, same grids.
+are similar. The same seed gives the same grids.
 """
 
 from collections.abc import Iterator
@@ -31,7 +31,7 @@ class GridWorld:
 
 
 def fractal(random: np.random.Generator, size: int, roughness: float, coarsest: float) -> Field:
-    """Noise of unit deviation with spectrum f^−roughness, flat below wavelength `coarsest`."""
+    """Return noise of unit deviation with spectrum f^−roughness, flat below wavelength `coarsest`."""
     frequency = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size)[None, :])
     spectrum = np.maximum(frequency, 1 / coarsest) ** -roughness
     noise = np.fft.irfft2(np.fft.rfft2(random.standard_normal((size, size))) * spectrum, (size, size))
@@ -48,7 +48,7 @@ def world(random: np.random.Generator) -> GridWorld:
 
 
 def render(random: np.random.Generator, seen: GridWorld, floor: float, porous_ratio: float) -> Grid:
-    """The ground as a sheet of 1–3 voxels, bushes above it as a porous mass."""
+    """Return the ground as a sheet of 1–3 voxels, with bushes above it as a porous mass."""
     above = LAYERS - (seen.height - floor)[..., None]
     is_bush = (above > 0) & (above < seen.bushes[..., None])
     is_bush &= random.random(PAPER.shape, dtype=np.float32) > porous_ratio
@@ -57,7 +57,7 @@ def render(random: np.random.Generator, seen: GridWorld, floor: float, porous_ra
 
 
 def mistaken(random: np.random.Generator, truth: GridWorld) -> GridWorld:
-    """What a network would see: heights off by half a voxel, patches of another class, bushes missed and invented."""
+    """Return a network's view: heights off by half a voxel, patches of another class, bushes missed and invented."""
     errors = [fractal(random, X, 1.5, 60) for _ in range(3)]
     classes = np.where(errors[1] > 1.1, truth.classes % 3 + 1, truth.classes).astype(np.uint8)
     bushes = np.clip(truth.bushes + 1.5 * errors[2] * (truth.bushes > 0), 0, None)
@@ -65,7 +65,7 @@ def mistaken(random: np.random.Generator, truth: GridWorld) -> GridWorld:
 
 
 def frames(count: int, seed: int = 1) -> Iterator[tuple[Grid, Grid]]:
-    """(ground truth, prediction) of `count` frames along a straight drive."""
+    """Yield (ground truth, prediction) of `count` frames along a straight drive."""
     random = np.random.default_rng(seed)
     whole = world(random)
     for index in range(count):
@@ -77,7 +77,9 @@ def frames(count: int, seed: int = 1) -> Iterator[tuple[Grid, Grid]]:
 
 
 def seen_by_lidar(truth: Grid) -> Grid:
-    """Where a ray could have come: from the lowest surface of a column up, and nowhere in columns without any."""
+    """Return the voxels that a ray can reach: from the lowest surface of a column up, none in columns without a
+    surface.
+    """
     is_occupied = truth > 0
     height = truth.shape[2]
     lowest = np.where(is_occupied.any(axis=2), is_occupied.argmax(axis=2), height)

@@ -1,11 +1,11 @@
-"""Bytes read and stored when a recording with raw pictures is labelled where it lies: `python -m benchmarks.in_place`.
+"""Bytes read and stored when a recording with raw images is labelled in place: `python -m benchmarks.in_place`.
 
-One bag of 2.15 GB as a robot writes it that compresses no pictures: 45 frames of six raw pictures (41.5 MB) and 230,400
-LiDAR points (6 MB). It is labelled as an MCAP and as a database below a folder, and by ranges from an S3 server of this
-program's own, and uploaded, with its pictures and as the same drive without them. Read: the share of the file that the
-page cache holds afterwards, which was emptied of it before, so with what the kernel read ahead; from S3 what was asked
-for. Stored: the most that the data folder held after any job, each file once, beyond an empty one's. The labels of
-all must be the same.
+One bag of 2.15 GB from a robot that does not compress images: 45 frames of six raw images (41.5 MB) and 230,400 LiDAR
+points (6 MB). It is labelled as an MCAP and as a database below a folder, by ranges from an S3 server of this program,
+and as an upload. The upload is tried with its images and as the same drive without them. Read is the share of the file
+in the page cache afterwards, including the kernel's read-ahead; the cache is emptied before. For S3 it is the requested
+bytes. Stored is the maximum of the data folder after any job, each file once, beyond an empty one's. All labels must be
+equal.
 """
 
 import ctypes
@@ -92,7 +92,7 @@ def _platform(root: Path, in_place: InPlaceSettings) -> Iterator[Platform]:
 
 
 def _labelled(platform: Platform, recording: RecordingPlace | Path, drive: Path) -> tuple[Brought, int]:
-    """The sequence labelled from a recording in place, or one to upload; and the most that was stored after a job."""
+    """Return the sequence labelled from a recording in place, or from an upload; and the maximum stored after a job."""
     empty_bytes, most_bytes = _stored_bytes(platform.settings.root), [0]
 
     def measured(_kind: str, handler: Handler) -> Handler:
@@ -146,7 +146,7 @@ def _forget(path: Path) -> None:
 
 
 def _cached_bytes(path: Path) -> int:
-    """Bytes of the file in the page cache (mincore(2))."""
+    """Return the bytes of the file in the page cache (mincore(2))."""
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped:
         view = np.frombuffer(mapped, np.uint8)
         pages = np.zeros(-(-len(view) // PAGE_BYTES), np.uint8)

@@ -1,10 +1,10 @@
 """Labelling simulated full-rig runs of three lengths: `python -m benchmarks.label [--frames 300 1200 5000]`.
 
-Each run is a bag of 128 × 1800 rays and six cameras at 10 Hz, simulated once and kept in `--folder` (5,000 frames take
-19 GB). A child process per length synchronises and labels it, masks and removal of moving things included, and is the
-only thing timed: recorded seconds per CPU second (all processes), wall seconds, and the highest resident memory (all
-processes, children of the solver included). Then `--peer-frames` of the shortest run are reconstructed one by one, as
-`benchmarks/per_frame_poisson.py` says.
+Each run is a bag of 128 × 1800 rays and six cameras at 10 Hz, simulated once and stored in `--folder` (5,000 frames
+take 19 GB). A child process per length synchronises and labels it, including masks and removal of movers; only this
+process is timed. It prints recorded seconds per CPU second (all processes), wall seconds, and peak resident memory (all
+processes, including the solver's children). Then `--peer-frames` of the shortest run are reconstructed one by one by
+`benchmarks/per_frame_poisson.py`.
 """
 
 import argparse
@@ -45,7 +45,7 @@ def main() -> None:
 
 
 def _simulated(frames: int, options: argparse.Namespace) -> Path:
-    """The bag of this length, from an earlier run where there is one."""
+    """Return the bag of this length, from an earlier run if it exists."""
     bag: Path = options.folder / f"rig-{options.channels}x{options.columns}-{frames}.mcap"
     if not bag.exists():
         command = [_stone(), "simulate", str(bag), "--seconds", str(frames / SWEEPS_HZ)]

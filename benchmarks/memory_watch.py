@@ -1,4 +1,4 @@
-"""Memory and processor time of a running platform, process by process, looked at while something else happens."""
+"""Memory and processor time of a running platform by process, sampled during another activity."""
 
 import threading
 import time
@@ -12,9 +12,9 @@ LOOK_S = 2.0
 
 
 class MemoryWatch:
-    """The memory of the platform's processes by program, each with all below it, looked at by a thread every 2 s.
+    """The memory of the platform's processes by program, including descendants, sampled by a thread every 2 s.
 
-    `used_s` are CPU seconds so far, those of children that ended included; `looked_s` when, on the monotonic clock.
+    `used_s` are CPU seconds, including ended children; `looked_s` are the sample times on the monotonic clock.
     """
 
     def __init__(self, running: RunningPlatform) -> None:
@@ -47,7 +47,7 @@ def _below(pid: int) -> list[psutil.Process]:
 
 
 def _held_bytes(process: psutil.Process) -> int:
-    """Its share of memory (PSS), which counts what forked processes share once."""
+    """Return the process's share of memory (PSS), which counts memory shared after a fork once."""
     try:
         return int(process.memory_full_info().pss)
     except psutil.Error:
@@ -55,7 +55,7 @@ def _held_bytes(process: psutil.Process) -> int:
 
 
 def _used_s(process: psutil.Process) -> float:
-    """Its CPU seconds, and those of its children that have ended."""
+    """Return the process's CPU seconds, including ended children."""
     try:
         return float(sum(process.cpu_times()[:4]))
     except psutil.Error:

@@ -1,10 +1,10 @@
-"""What the pages cost a reader: `python -m benchmarks.pages [--data DIR --url URL] [--turns 3]`.
+"""The cost of the web pages for a reader: `python -m benchmarks.pages [--data DIR --url URL] [--turns 3]`.
 
-Without a URL a demo of its own is made first (simulated, labelled, submitted: half a minute), else the running platform
-whose data lie in DIR is looked at. Every page that links lead to is loaded in Chromium, each in a fresh browser with an
-empty cache, as its administrator: what came over the wire, how long the server took (`responseStart − requestStart`),
-when something meaningful stood on the page (the largest contentful paint; the first paint beside it), and how much the
-page moved while it loaded (cumulative layout shift). The median of the turns is told.
+Without a URL the program first makes a demo of its own (simulated, labelled, submitted: half a minute); otherwise it
+uses the running platform with the data in DIR. Every linked page is loaded in Chromium as the administrator, each in a
+fresh browser with an empty cache. The table shows the transferred bytes, the server's time (`responseStart −
+requestStart`), the largest contentful paint with the first paint, and the cumulative layout shift. Figures are medians
+of the turns.
 """
 
 import argparse
@@ -66,7 +66,7 @@ READ = """() => {
 
 @dataclass(frozen=True)
 class PageServer:
-    """A platform to look at, and how to sign in there."""
+    """A platform to measure, and its sign-in."""
 
     url: str
     name: str
@@ -93,7 +93,7 @@ def main() -> None:
 
 @contextmanager
 def page_server(url: str | None, data: Path | None) -> Iterator[PageServer]:
-    """The platform that is named, or a demo's own."""
+    """Yield the given platform, or a demo's own."""
     if url is not None and data is not None:
         yield PageServer(url, "admin", (data / PASSWORD_FILE).read_text().strip())
         return
@@ -115,7 +115,7 @@ def signed_in(demo_server: PageServer) -> dict[str, str]:
 
 
 def pages_of(demo_server: PageServer, cookie: dict[str, str]) -> list[tuple[str, str]]:
-    """(shape, path) of one page of each shape, in the order of the shapes."""
+    """Return (shape, path) of one page of each shape, in the order of the shapes."""
     header = {"Cookie": "; ".join(f"{name}={value}" for name, value in cookie.items())}
     with httpx.Client(base_url=demo_server.url, timeout=60.0) as client:
         found = {one.shape: one.path for one in crawled(client, header) if one.is_page and "/api/" not in one.path}
@@ -123,7 +123,7 @@ def pages_of(demo_server: PageServer, cookie: dict[str, str]) -> list[tuple[str,
 
 
 def page_figures(chromium: Browser, url: str, cookie: dict[str, str], turns: int) -> list[str]:
-    """The row of a page."""
+    """Return the row of a page."""
     loads = [loaded(chromium, url, cookie) for _ in range(turns)]
     median = {key: statistics.median(load[key] for load in loads) for key in loads[0]}
     whole = (median["requests"], median["wire_bytes"] / 1e3, median["script_bytes"] / 1e3, median["server_ms"])
@@ -131,7 +131,7 @@ def page_figures(chromium: Browser, url: str, cookie: dict[str, str], turns: int
 
 
 def loaded(chromium: Browser, url: str, cookie: dict[str, str]) -> dict[str, float]:
-    """One load with an empty cache."""
+    """Return the figures of one load with an empty cache."""
     context = chromium.new_context(viewport=DESKTOP)  # type: ignore[arg-type]
     context.add_cookies([{"name": name, "value": value, "url": url} for name, value in cookie.items()])
     page = context.new_page()

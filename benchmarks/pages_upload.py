@@ -1,8 +1,8 @@
-"""How fast a page counts and sends a bag: `python -m benchmarks.pages_upload [--mb 512]`.
+"""Speed of hashing and uploading a bag in a page: `python -m benchmarks.pages_upload [--mb 512]`.
 
-A file of random bytes goes through Chromium to the API's own process on loopback: counted (sha256 by WebAssembly), then
-sent in pieces that are each counted again, verified as a whole by the platform. Beside it what the disk takes of the
-same bytes with a flush at the end.
+A file of random bytes goes through Chromium to the API's own process on loopback. It is hashed (sha256 by WebAssembly),
+then sent in pieces that are each hashed again, and verified as a whole by the platform. The second row is the disk's
+time for the same bytes with a flush at the end.
 """
 
 import argparse
@@ -41,7 +41,7 @@ def main() -> None:
 
 
 def written(path: Path, size_bytes: int) -> float:
-    """Seconds that random bytes take to be on the disk."""
+    """Return the seconds to write random bytes to the disk."""
     blocks = [os.urandom(BLOCK) for _ in range(64)]
     begun = time.perf_counter()
     with path.open("wb") as file:
@@ -53,7 +53,7 @@ def written(path: Path, size_bytes: int) -> float:
 
 
 def through_the_page(folder: Path) -> tuple[float, float]:
-    """Seconds until the file was counted, and from then on until it was sent."""
+    """Return the seconds until the file was hashed, and from then on until it was sent."""
     settings = Settings(data_folder=folder / "data")
     settings.root.mkdir(parents=True)
     upgrade(settings)

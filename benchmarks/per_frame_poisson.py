@@ -1,11 +1,11 @@
 """A baseline for dense labels: the surface of every frame reconstructed separately.
 
 After SurroundOcc (Wei et al., ICCV 2023, `generate_occupancy_nuscenes`): the whole aggregated cloud is moved into the
-frame, cropped, given normals towards the sensor by 20 neighbours, reconstructed by Poisson at depth 10, freed of the
-tenth of its vertices that is least dense, and put into voxels. Our own writing of it, one thread; the labels of other
-classes, which it finds by nearest neighbour on a GPU, are left out.
+frame, cropped and given normals towards the sensor by 20 neighbours. It is reconstructed by Poisson at depth 10,
+stripped of the tenth of its vertices with the lowest density, and voxelised. It is our own implementation, one thread,
+without the labels of other classes, which the original finds by nearest neighbour on a GPU.
 
-**Conventions.** Seconds are the processor's, of this process and the children it waited for.
+**Conventions.** Seconds are processor time of this process and its awaited children.
 """
 
 from dataclasses import dataclass
@@ -35,14 +35,14 @@ EVERYWHERE_M = 1e5  # the map's lattice ends there
 
 @dataclass(frozen=True)
 class PerFrame:
-    """What each of the chosen frames took, and the voxels it came to."""
+    """The cost of each of the chosen frames, and the resulting voxels."""
 
     cpu_s: tuple[float, ...]
     voxels: tuple[int, ...]
 
 
 def per_frame_poisson(bag: Path, calibration: Path, frames: int, folder: Path) -> PerFrame:
-    """Reconstruct so many frames, spread evenly over the run, one by one; aggregation is not counted."""
+    """Reconstruct `frames` frames, spread evenly over the run, one by one; aggregation is not counted."""
     sequence, sweeps = open_sequence(bag, calibration, bag.stem)
     run = LabelRun(sequence, sweeps, parameters_for("paper"), folder)
     for part in plan_of(run).parts:
@@ -59,14 +59,14 @@ def per_frame_poisson(bag: Path, calibration: Path, frames: int, folder: Path) -
 
 
 def _aggregated(run: LabelRun) -> NDArray[np.float64]:
-    """All points of the run in the map frame, one for each voxel of 0.1 m."""
+    """Return all points of the run in the map frame, one per voxel of 0.1 m."""
     everywhere = (np.full(2, -EVERYWHERE_M), np.full(2, EVERYWHERE_M))
     tiles = [tile_named(folder.name) for folder in sorted((run.scratch / "fused").iterdir())]
     return merge([part for tile in tiles for part in load_points(run, tile, *everywhere)]).centroids_map()
 
 
 def _frame_voxels(cloud_map: NDArray[np.float64], map_from_ego: SE3, sensor_ego: NDArray[np.float64]) -> bytes:
-    """How many voxels the surface of this frame fills; in a child, for Open3D must not be used before a fork."""
+    """Return the number of voxels on the surface of this frame; in a child, as Open3D must not run before a fork."""
     import open3d
 
     points = map_from_ego.inverse() @ cloud_map

@@ -1,9 +1,9 @@
 """One sequence through the real platform with 1 and with 2 workers: `python -m benchmarks.platform_label`.
 
 The embedded platform (Redis, API, Celery, sweeper) is started anew for every number of workers; a simulated bag is
-uploaded through the API, registered, and processed. Timed is the run alone, by its own rows: from its first job's start
-to its end. Beside the wall clock stands what no other load disturbs: the processor time of every job, and the shortest
-time in which so many workers could have done jobs of just this cost, each waiting for what it needs.
+uploaded through the API, registered, and processed. Only the run is timed, by its own rows, from its first job's start
+to its end. Two figures are independent of other load: the processor time of every job, and the shortest possible time
+for that many workers with jobs of this cost and their dependencies.
 """
 
 import argparse
@@ -33,7 +33,7 @@ LISTERS = ("ingest.synchronise", "labeler.parts")
 
 @dataclass(frozen=True)
 class JobMeasurement:
-    """One job of a run; `needs` are indices of jobs before it."""
+    """One job of a run; `needs` are indices of earlier jobs."""
 
     kind: str
     cpu_s: float
@@ -43,7 +43,7 @@ class JobMeasurement:
 
 @dataclass(frozen=True)
 class PlatformRunMeasurement:
-    """One run with so many workers."""
+    """One run with a number of workers."""
 
     workers: int
     wall_s: float
@@ -54,7 +54,7 @@ class PlatformRunMeasurement:
         return sum(job.cpu_s for job in self.jobs)
 
     def idle_s(self) -> float:
-        """Worker-seconds in which no job ran."""
+        """Return the worker-seconds without a job."""
         return self.workers * self.wall_s - sum(job.wall_s for job in self.jobs)
 
 
@@ -74,7 +74,7 @@ def main() -> None:
 
 
 def measured(bag: Path, workers: int) -> PlatformRunMeasurement:
-    """Bring the bag to a fresh platform and have it labelled."""
+    """Upload the bag to a fresh platform and label it."""
     with tempfile.TemporaryDirectory(dir=bag.parent) as folder:
         settings = Settings(data_folder=Path(folder), workers=workers, api=ApiSettings(port=0))
         with running_platform(settings) as running, Api(Server(running.url, running.keys.token)) as api:
@@ -87,7 +87,7 @@ def measured(bag: Path, workers: int) -> PlatformRunMeasurement:
 
 
 def shortest_s(jobs: tuple[JobMeasurement, ...], workers: int) -> float:
-    """When the last job ends if every free worker takes the first job that is ready, each for its processor time."""
+    """Return the end of the last job if every free worker takes the first ready job, each for its processor time."""
     ends: dict[int, float] = {}
     free = [0.0] * workers
     left = list(range(len(jobs)))
@@ -103,8 +103,9 @@ def shortest_s(jobs: tuple[JobMeasurement, ...], workers: int) -> float:
 
 
 def longest_chain(jobs: tuple[JobMeasurement, ...]) -> tuple[JobMeasurement, ...]:
-    """The jobs that need each other and take the most processor time together, in order: no number of workers is
-    quicker."""
+    """Return the chain of dependent jobs with the most processor time, in order: the lower limit for any number of
+    workers.
+    """
     chains: list[tuple[JobMeasurement, ...]] = []
     for job in jobs:
         chains.append((*max((chains[need] for need in job.needs), key=_chain_s, default=()), job))
@@ -131,7 +132,7 @@ def _read(platform: Platform, root_id: str, workers: int) -> PlatformRunMeasurem
         follows = tuple(needed[row.id]) or ((lister,) if lister >= 0 else ())
         jobs.append(JobMeasurement(row.kind, float(cpu_s[row.id] or 0), _wall_s(row), follows))
         if row.kind in LISTERS:
-            lister = number  # what comes after was named by this one
+            lister = number  # later jobs were created by this one
     begin, end = min(row.started_ns or 0 for row in rows), max(row.finished_ns or 0 for row in rows)
     return PlatformRunMeasurement(workers, (end - begin) / 1e9, tuple(jobs))
 

@@ -1,10 +1,10 @@
-"""Speed of reading recordings, beside two common libraries: `python -m benchmarks.read [--rounds 5]`.
+"""Speed of reading recordings compared with two common libraries: `python -m benchmarks.read [--rounds 5]`.
 
-The ways take turns in one run, each in a process of its own; a figure is the best of its rounds, a ratio is ours to the
-peer's in this run. Clouds: xyz of all points ends as contiguous (N, 3) float32, so all bytes are touched; ours is what
-the labeler does, returns filtered, times and rings read. Lists: all detections as arrays; the peers take minutes, so
-they read the first of them and are scaled by the count. Header scan: the stamp of every message of 400 MB of clouds.
-Growth is the kernel's peak of the process above what it held before, mapped pages of the file included.
+The readers take turns in one run, each in a process of its own. A figure is the best of its rounds, a ratio is ours to
+the peer's in this run. Clouds: xyz of all points as contiguous (N, 3) float32, so all bytes are touched; ours is the
+labeler's code with filtered returns, times and rings. Lists: all detections as arrays; the peers take minutes, so they
+read the first part and are scaled by the count. Header scan: the stamp of every message of 400 MB of clouds. Growth is
+the kernel's peak memory of the process above its initial value, mapped pages of the file included.
 """
 
 import argparse
@@ -51,7 +51,7 @@ OURS, MCAP, ROSBAGS = "ours", "mcap-ros2-support", "rosbags"
 
 @dataclass(frozen=True)
 class ReadTurn:
-    """What one turn took; `share` of the work was done."""
+    """The cost of one turn; `share` is the completed part of the work."""
 
     seconds: float
     growth_bytes: int
@@ -60,7 +60,7 @@ class ReadTurn:
 
 @dataclass(frozen=True)
 class Work:
-    """One thing to read, and how each of the three reads it: a function of the path that gives the share it did."""
+    """One thing to read, and the three readers' functions, which take the path and return the completed share."""
 
     name: str
     path: Path
@@ -68,7 +68,7 @@ class Work:
     turns: dict[str, list[ReadTurn]] = field(default_factory=dict)
 
     def best_s(self, way: str) -> float:
-        """Seconds for the whole."""
+        """Return the seconds for the whole."""
         return min(turn.seconds / turn.share for turn in self.turns[way])
 
 
@@ -87,7 +87,7 @@ def mcap_clouds(path: Path) -> float:
 
 
 def _rosbags_message(payload: bytes, kind: str) -> Any:
-    """The fields of a message have no static type."""
+    """Return the message; its fields have no static type."""
     return typestore().deserialize_cdr(payload, kind)
 
 
@@ -155,7 +155,7 @@ def _xyz(data: object) -> None:
 
 
 def _turn(way: Callable[[Path], float], path: Path) -> ReadTurn:
-    """In a process that does it for the second time, as a worker would: kernels are compiled, memory was touched."""
+    """Run in a process for the second time, like a worker: kernels are compiled, memory was touched."""
     with get_context("spawn").Pool(1) as pool:
         return pool.apply(_measured, (way, path))
 

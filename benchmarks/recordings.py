@@ -1,7 +1,7 @@
-"""The recordings that readers are measured on, written by the `mcap` library; payloads are noise where noise is data.
+"""The recordings for measuring readers, written by the `mcap` library; payload data are noise.
 
-**Conventions.** As ROS 2 Humble's recorder does by default: chunks of 768 KiB, so a large cloud has a chunk of its own,
-and no checksums; compressed only where a name says so.
+**Conventions.** As in ROS 2 Humble's default recorder: chunks of 768 KiB, so a large cloud has a chunk of its own, and
+no checksums. A recording is compressed only if its name contains the compression.
 """
 
 from pathlib import Path
@@ -30,7 +30,7 @@ CLOUD_TOPIC, LIST_TOPIC = "/lidar_points", "/radar/front/detections"
 
 
 def write_clouds(path: Path, compression: str, clouds: int = CLOUDS) -> Path:
-    """Clouds of `POINTS` points of 32 bytes at 10 Hz, as noisy as a real sweep."""
+    """Write clouds of `POINTS` points of 32 bytes at 10 Hz, as noisy as a real sweep; return the path."""
     kind = "sensor_msgs/msg/PointCloud2"
     with path.open("wb") as file:
         writer, channel = _started(file, CLOUD_TOPIC, kind, compression)
@@ -42,7 +42,7 @@ def write_clouds(path: Path, compression: str, clouds: int = CLOUDS) -> Path:
 
 
 def write_lists(path: Path, count: int = LISTS) -> Path:
-    """Detection lists of three radars' worth, 300 of 800 places filled."""
+    """Write detection lists of three radars' size, 300 of 800 slots filled; return the path."""
     layout = ros_messages.detection_list("radar_front")
     record = layout.records(1)
     draws = np.random.default_rng(7)
@@ -67,7 +67,7 @@ def _started(file: BinaryIO, topic: str, kind: str, compression: str) -> tuple[W
 
 
 def cloud_payload(number: int) -> bytes:
-    """The message of one cloud, the same for the same number."""
+    """Return the message of one cloud, the same for the same number."""
     stamp_ns = START_NS + number * 100_000_000
     draws = np.random.default_rng(number)
     points = np.zeros(POINTS, POINT)

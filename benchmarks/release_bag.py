@@ -1,9 +1,9 @@
 """A bag as long as the release's longest, labelled at its grid: `python -m benchmarks.release_bag`.
 
-Bags of 445 and 1,781 frames are simulated and written as the release's are, topic after topic, with a sweep of 16 × 300
-rays and six small raw pictures a frame, 10 frames a second. `stone label --grid release --ground auto` labels each. A
-line for each bag has seconds, processor seconds, frames for each of them, the most resident memory of any process, the
-bytes of the labels and the load of the machine: memory must not grow with the length.
+Bags of 445 and 1,781 frames are simulated and written like the release's, topic after topic. Each frame has a sweep of
+16 × 300 rays and six small raw images, 10 frames per second. `stone label --grid release --ground auto` labels each. A
+line for each bag has seconds, processor seconds, frames per second of each and the peak resident memory of any process.
+It also has the bytes of the labels and the load of the machine. Memory must not grow with the length.
 """
 
 import argparse
@@ -25,7 +25,7 @@ LONGEST, HZ = RELEASE_FACTS.frames_of_longest_bag, 10
 
 
 def options_of(frames: int) -> SimulateOptions:
-    """A drive of so many sweeps."""
+    """Return options for a drive of `frames` sweeps."""
     return SimulateOptions(frames / HZ + 0.05, channels=16, columns=300, camera_width_px=64, compression="none")
 
 

@@ -1,7 +1,7 @@
 """Reading the released dataset's layout: `python -m benchmarks.released`.
 
-Prints the cost of the directory of a ZIP as large as the release (sparse: its files have no bytes), read in a process
-of its own, then the shares of returns in occupied voxels of a simulated twin, written or stated right and wrong.
+Prints the cost of reading the directory of a ZIP as large as the release (sparse: its files have no bytes) in a process
+of its own. Then prints the shares of returns in occupied voxels of a simulated twin, with right and wrong layouts.
 """
 
 import struct
@@ -36,7 +36,7 @@ STAMP = "n001-2025-08-22-07-14-16+0900"
 
 
 def release_names() -> Iterator[str]:
-    """The names of as many files as the release has."""
+    """Yield as many file names as the release has."""
     root = LAYOUTS["release"].roots[0]
     yield f"{root}/v1.0-trainval/scene.json"
     for frame in range(RELEASE_FACTS.scenes * RELEASE_FACTS.frames_a_scene * 2):
@@ -46,7 +46,7 @@ def release_names() -> Iterator[str]:
 
 
 def write_sparse_zip(path: Path) -> None:
-    """A ZIP that has a directory alone."""
+    """Write a ZIP that consists of a directory alone."""
     directory, at = bytearray(), 0
     with path.open("wb") as file:
         for _, name in zip(range(RELEASE_FACTS.zip_entries), release_names(), strict=False):
@@ -61,13 +61,13 @@ def write_sparse_zip(path: Path) -> None:
 
 
 def peak_mib() -> float:
-    """The most memory that this program has held; `ru_maxrss` is also of the one that started it."""
+    """Return the peak memory of this program; `ru_maxrss` also includes its parent's."""
     text = Path("/proc/self/status").read_text().partition("VmHWM:")[2]
     return int(text.split()[0]) / 1024
 
 
 def measure_index(path: Path) -> None:
-    """Read the directory in this process, and print what that took."""
+    """Read the directory in this process, and print the cost."""
     before, begun = peak_mib(), time.process_time()
     files = open_zip(path)
     cpu_s, more = time.process_time() - begun, peak_mib() - before
@@ -77,7 +77,7 @@ def measure_index(path: Path) -> None:
 
 
 def measure_fit(name: str, what: ReleasedDataset, stated: StatedLayout = UNSTATED) -> None:
-    """Print the share as stated, and the best other one."""
+    """Print the share with the given layout, and with the best other one."""
     with TemporaryDirectory() as folder:
         index = read_dataset(write_released_zip(Path(folder) / "twin.zip", what), stated)
         fit = measured_fit(index, list(index.sequences), OWN_CLASSES)

@@ -1,10 +1,10 @@
-"""What sandboxed children cost a labelling run: `python -m benchmarks.sandbox`.
+"""The cost of sandboxed children for a labelling run: `python -m benchmarks.sandbox`.
 
-A simulated drive is registered on a platform in a folder; then its run (synchronise, label, publish) is done from one
-queue to the other by one process, in turns: every job's work in a sandboxed child, forked from a fork server as a
-worker's are, and the same work in the process itself. Each turn has a process and a copy of the folder of its own, and
-has loaded its kernels before. Processor time is that of the process, of the fork server and of all children, user and
-system; beside other programs it is what to go by.
+A simulated drive is registered on a platform in a folder; then one process runs its jobs (synchronise, label, publish)
+from one queue to the other. In turns, every job runs in a sandboxed child, forked from a fork server like a worker's,
+or in the process itself. Each turn has a process and a copy of the folder of its own, and has loaded its kernels
+before. Processor time covers the process, the fork server and all children, user and system; on a busy machine use this
+figure.
 """
 
 import argparse
@@ -50,7 +50,7 @@ TICKS_S = os.sysconf("SC_CLK_TCK")
 
 @dataclass(frozen=True)
 class TurnCost:
-    """What one run took; `system_s` of the processor time was spent in the kernel."""
+    """The cost of one run; `system_s` of the processor time was spent in the kernel."""
 
     cpu_s: float
     system_s: float
@@ -81,7 +81,7 @@ def main() -> None:
 
 
 def turn(folder: Path, how: str) -> TurnCost:
-    """One run on the platform in the folder, in this process."""
+    """Run once on the platform in the folder, in this process."""
     platform = _opened(folder)
     used = _ways()[how]()
     with platform.database.transaction() as session:
@@ -98,13 +98,13 @@ def turn(folder: Path, how: str) -> TurnCost:
 
 
 def _ways() -> Mapping[str, Callable[[], Used]]:
-    """How a process gets ready for each way; what it answers tells the user and system time that is used by now."""
+    """Return the setup of each way; it returns a function of the used user and system time."""
     return {APART: _use_children, ITSELF: _use_no_child}
 
 
 def _use_children() -> Used:
     server = use_fork_server([*FORKED_FROM["ingest"], *FORKED_FROM["labeler"]])
-    sandboxed(bytes)  # it is loaded when it answers
+    sandboxed(bytes)  # a first call ensures that it is loaded
 
     def used() -> tuple[float, float]:
         ours, theirs = _own_s(), _server_s(server)
@@ -120,7 +120,7 @@ def _use_no_child() -> Used:
         try:
             return work(watch.progress)
         finally:
-            tempfile.tempdir = None  # which goes with the job
+            tempfile.tempdir = None  # the folder is deleted with the job
 
     job_sandbox.sandboxed_with_progress = here  # type: ignore[attr-defined]  # what it was imported as
     job_sandbox.sandboxed_in_run = lambda asked: here(asked.work, asked.limits, asked.watch)
@@ -130,13 +130,13 @@ def _use_no_child() -> Used:
 
 
 def _own_s() -> tuple[float, float]:
-    """Of this process. Its children are the fork server's."""
+    """Return the time of this process. Its children are the fork server's."""
     used = os.times()
     return used.user, used.system
 
 
 def _server_s(server: ForkServer) -> tuple[float, float]:
-    """Of the fork server, and of its children (proc(5)): that which is kept is ended, so that it is counted."""
+    """Return the time of the fork server and its children (proc(5)); the spare child is ended to be counted."""
     CHILDREN.close()
     fields = Path(f"/proc/{server.pid}/stat").read_text().rpartition(")")[2].split()
     user, system, user_below, system_below = (int(ticks) / TICKS_S for ticks in fields[11:15])
@@ -144,7 +144,7 @@ def _server_s(server: ForkServer) -> tuple[float, float]:
 
 
 def _prepare(folder: Path, bag: Path) -> None:
-    """A platform with the recording registered."""
+    """Create a platform with the recording registered."""
     platform = _opened(folder)
     upgrade(platform.settings)
     bring_ready(platform, bag)
@@ -157,7 +157,7 @@ def _opened(folder: Path) -> Platform:
 
 
 def _jobs_done(platform: Platform, run_id: str) -> int:
-    """Raises `RuntimeError` for a run that did not succeed."""
+    """Return the number of jobs. Raises `RuntimeError` for a run that did not succeed."""
     with platform.database.reading() as session:
         state = session.get_one(Job, run_id).state
         jobs = session.scalar(select(func.count()).where(Job.root_id == run_id, Job.queue != ""))
@@ -167,7 +167,7 @@ def _jobs_done(platform: Platform, run_id: str) -> int:
 
 
 def _turn_of_its_own(prepared: Path, how: str) -> dict[str, Any]:
-    """A turn in a process of its own, on a copy of the platform."""
+    """Run a turn in a process of its own, on a copy of the platform."""
     with tempfile.TemporaryDirectory(dir=prepared.parent) as folder:
         copy = Path(folder) / "data"
         shutil.copytree(prepared, copy, symlinks=True)

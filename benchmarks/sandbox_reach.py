@@ -1,12 +1,14 @@
-"""The reach of a sandboxed child after it is taken over: `python -m benchmarks.sandbox_reach [--kernel NAME]`.
+"""The reach of a sandboxed child after an attacker has taken it over: `python -m benchmarks.sandbox_reach [--kernel
+NAME]`.
 
-A child of each kind tries all `ATTEMPTS` by native means, on a ground of its own: a folder to write in, a file to read,
-a file and a folder of the same user that it was not given, and another process of the same user. If an attempt leaves a
-trace outside, the trace is checked from outside; otherwise the child's own answer counts.
+A child of each kind tries all `ATTEMPTS` by native means. It may write in one folder and read one file. A file, a
+folder and a process of the same user are outside its grants. If an attempt leaves a trace outside, the trace is checked
+from outside; otherwise the child's own answer counts.
 
 **Conventions.** `--kernel` removes the features that an older kernel lacks: newer versions of Landlock, or all of it.
 Root's children usually have a user of their own, which alone refuses many attempts. Here they keep the service's user,
-as children of any other user do. `docs/security/sandbox.md` holds the table, and a test compares it with this program.
+like children of any other user. `docs/security/sandbox.md` contains the table, and a test compares it with this
+program.
 """
 
 import argparse
@@ -46,7 +48,7 @@ AT_FDCWD = -100
 
 @dataclass(frozen=True)
 class Ground:
-    """The files, folders and process (`victim`) that a child's attempts aim at."""
+    """The files, folders and process (`victim`) of a child's attempts."""
 
     folder: Path
     given: Path
@@ -59,7 +61,7 @@ class Ground:
 
     @property
     def beside(self) -> Path:
-        """The folder that the child was not given."""
+        """The folder outside the child's grants."""
         return self.foreign.parent
 
 

@@ -1,12 +1,13 @@
-"""How well the time left of a labelling is estimated: `python -m benchmarks.time_left`.
+"""The accuracy of the remaining time of a labelling: `python -m benchmarks.time_left`.
 
 One embedded platform in a fresh folder, so that the first run has no history; simulated sequences are uploaded and
-labelled one after the other, as the demo does. Twice a second what the estimate is made of is read from the database,
-and what `GET /jobs/{id}` shows. At the end the estimates at a quarter, half and three quarters of each run stand beside
-the truth; the last line is the median error at half-time, and the exit status is 1 where it is above the limit.
+labelled one after the other, like in the demo. Twice a second the inputs of the estimate are read from the database,
+and the result from `GET /jobs/{id}`. At the end the estimates at a quarter, half and three quarters of each run are
+compared with the truth. The last line is the median error at half-time, and the exit status is 1 if it is above the
+limit.
 
-`--save FILE` keeps what was read, `--replay FILE` estimates from it again: constants of
-`services/domain/runs/time_left.py` are tuned so, in a second a try.
+`--save FILE` stores the readings, `--replay FILE` estimates from them again: this tunes the constants of
+`services/domain/runs/time_left.py`, in a second per try.
 """
 
 import argparse
@@ -49,7 +50,7 @@ PLACES = (0.25, 0.5, 0.75)
 
 @dataclass(frozen=True)
 class RunGlance:
-    """What was known of a run `at_s` after it began, and what the API showed."""
+    """The knowledge of a run `at_s` after its start, and the API's answer."""
 
     at_s: float
     work: RunWorkload
@@ -63,7 +64,7 @@ class RunGlance:
 
 @dataclass(frozen=True)
 class LabellingTrace:
-    """A run of `total_s`, looked at while it ran; `spent` are its jobs' seconds by kind."""
+    """A run of `total_s`, sampled while it ran; `spent` are its jobs' seconds by kind."""
 
     total_s: float
     looks: tuple[RunGlance, ...]
@@ -71,11 +72,11 @@ class LabellingTrace:
     recorded_s: float
 
     def look_at(self, place: float) -> RunGlance:
-        """The first look at or after this share of the run."""
+        """Return the first sample at or after this share of the run."""
         return next((look for look in self.looks if look.at_s >= place * self.total_s), self.looks[-1])
 
     def error(self, place: float) -> float:
-        """|estimate − truth| / truth, as a look at this share of the run has it; 1 where nothing was told."""
+        """Return |estimate − truth| / truth at this share of the run; 1 without an estimate."""
         look = self.look_at(place)
         truth_s = self.total_s - look.at_s
         told = look.estimated_s()
@@ -106,7 +107,7 @@ def main() -> None:
 
 
 def measured(folder: Path, runs: int, seconds: float, workers: int) -> list[LabellingTrace]:
-    """Label so many simulated sequences on a fresh platform, one after the other."""
+    """Label `runs` simulated sequences on a fresh platform, one after the other."""
     folder.mkdir(parents=True, exist_ok=True)
     bags = [folder / f"time-left-{seconds:g}-{seed}.mcap" for seed in range(runs)]
     for seed, bag in enumerate(bags):
@@ -139,7 +140,7 @@ def _traced(platform: Platform, api: Api, bag: Path) -> LabellingTrace:
 
 
 def _looked_at(platform: Platform, api: Api, run_id: str) -> tuple[int, RunWorkload, Pace, int | None] | None:
-    """None before it begins and after it ends."""
+    """Return a sample; None before the run starts and after it ends."""
     at_ns = now_ns()
     with platform.database.reading() as session:
         run = session.get_one(Job, run_id)
@@ -166,7 +167,7 @@ def _trace(
 
 
 def thinned(trace: LabellingTrace) -> dict[str, Any]:
-    """The trace as JSON, a look every `KEPT_S` and those at the places that are shown."""
+    """Return the trace as JSON, with a sample every `KEPT_S` and at the shown shares."""
     kept, next_s = list[RunGlance](), 0.0
     shown = {trace.look_at(place).at_s for place in PLACES}
     for look in trace.looks:
@@ -179,7 +180,7 @@ def thinned(trace: LabellingTrace) -> dict[str, Any]:
 
 
 def recorded(value: Any) -> Any:
-    """As JSON has it: what has names is an object of them."""
+    """Return the value for JSON; values with fields become objects."""
     if isinstance(value, LabellingTrace | RunGlance | Pace):
         return {field.name: recorded(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, RunWorkload | StageWork | RunningJob):
@@ -188,7 +189,7 @@ def recorded(value: Any) -> Any:
 
 
 def read_traces(path: Path) -> list[LabellingTrace]:
-    """What `--save` kept."""
+    """Return the traces of `--save`."""
     return [_read_trace(record) for record in json.loads(path.read_text("utf-8"))]
 
 
@@ -229,7 +230,7 @@ def _cell(trace: LabellingTrace, place: float) -> str:
 
 
 def _typical(traces: Sequence[LabellingTrace]) -> Iterable[tuple[str, float]]:
-    """Mean seconds of a job by kind; of synchronisation per recorded second."""
+    """Return mean seconds per job by kind; for synchronisation per recorded second."""
     for kind in traces[0].spent:
         jobs_s = [second for trace in traces for second in trace.spent.get(kind, ())]
         units = sum(trace.recorded_s for trace in traces) if kind == "ingest.synchronise" else len(jobs_s)

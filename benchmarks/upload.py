@@ -1,10 +1,11 @@
-"""Uploads through a real uvicorn beside a plain write of the same bytes: `python -m benchmarks.upload [--place …]`.
+"""Uploads through a real uvicorn compared with a plain write of the same bytes: `python -m benchmarks.upload [--place
+…]`.
 
-Both read the same file, which the page cache holds, write to the same disk, and are done when the bytes are on it
-(fsync; the upload also has its sha256 by then). They take turns in one run. The client is one process sending one PATCH
-by `sendfile`, which costs as little as a client can; the API's memory and processor time are the kernel's word. Places:
-the uploads folder; the store as a folder; the store as a real S3 server on this machine, which shares its cores and
-answers before its disk has the bytes.
+Both read the same file from the page cache and write to the same disk. They end when the bytes are on it (fsync; the
+upload also has its sha256 by then). They take turns in one run. The client is one process that sends one PATCH by
+`sendfile`, at the minimum cost of a client; the API's memory and processor time come from the kernel. Places are the
+uploads folder, the store as a folder, and the store as a real S3 server on this machine. The server shares the
+machine's cores and answers before its disk has the bytes.
 """
 
 import argparse
@@ -41,7 +42,7 @@ WAYS = ("one PATCH", "one PATCH, sha256 declared", "PATCHes of 16 MiB, sha256 of
 
 @dataclass
 class UploadTimes:
-    """What each turn of one way took."""
+    """The cost of each turn of one way."""
 
     wall_s: list[float] = field(default_factory=list)
     processor_s: list[float] = field(default_factory=list)
@@ -53,7 +54,7 @@ class UploadTimes:
 
 @dataclass(frozen=True)
 class Bench:
-    """The source file, the running API, and who sends to it."""
+    """The source file, the running API, and its client."""
 
     source: Path
     sha256: str
@@ -66,7 +67,7 @@ class Bench:
         return self.source.stat().st_size
 
     def write_plainly(self) -> None:
-        """What one would do without any of this."""
+        """Write the file directly."""
         target = self.platform.settings.uploads_folder / "plain"
         with self.source.open("rb") as source, target.open("wb") as file:
             while block := source.read(MIB):
@@ -104,7 +105,7 @@ class Bench:
 
 
 def compare(bench: Bench, turns: int) -> dict[str, UploadTimes]:
-    """Every way in turn, `turns` times; the first round only warms up."""
+    """Run every way in turn, `turns` times; the first round only warms up."""
     clocks: dict[str, UploadTimes] = {}
     for turn in range(turns + 1):
         if turn == 1:
@@ -116,7 +117,7 @@ def compare(bench: Bench, turns: int) -> dict[str, UploadTimes]:
             bench.write_plainly() if way == PLAIN else bench.upload(way)
             clock.wall_s.append(time.perf_counter() - begun_s)
             clock.processor_s.append(processor() - spent_s)
-            collect_garbage(bench.platform)  # or what was in the store fills the disk
+            collect_garbage(bench.platform)  # otherwise the store's content fills the disk
     return clocks
 
 
@@ -127,7 +128,7 @@ def make_owner(platform: Platform) -> Person:
 
 
 def make_source(path: Path, size_bytes: int) -> str:
-    """Write random bytes; their sha256."""
+    """Write random bytes; return their sha256."""
     whole, block = hashlib.sha256(), os.urandom(min(size_bytes, 64 * MIB))
     with path.open("wb") as file:
         for number in range(-(-size_bytes // len(block))):
@@ -156,7 +157,7 @@ def table_of(clocks: dict[str, UploadTimes], size_bytes: int) -> Table:
 
 @contextmanager
 def upload_rig(place: str) -> Iterator[dict[str, Any]]:
-    """The settings of the place, by group."""
+    """Yield the settings of the place, by group."""
     in_store = {"uploads": UploadSettings(backend="store")}
     if place == "s3":
         with running_s3() as server:

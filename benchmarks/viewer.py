@@ -1,14 +1,14 @@
-"""How fast the 3D viewer is: `python -m benchmarks.viewer [--voxels 60000] [--pictures 40] [--openings 12]
-[--size 1280x720]`.
+"""Speed of the 3D viewer: `python -m benchmarks.viewer [--voxels 60000] [--pictures 40] [--openings 12] [--size
+1280x720]`.
 
-A run by formula on an embedded platform, its site on a socket of this machine, Debian's Chromium drawing in software
-(SwiftShader), so that the figures need no graphics card and are a floor. *First voxel* is from the navigation to the
-first picture with labels: once with an empty browser, when the site warms up too, and many times with a full one, with
-cameras and without in turn: the middle and its quartiles, since one opening may last half as long again as the next.
-*Pictures a second* is the whole view turning around once, each picture waited for by reading a pixel; beside it the
-obvious way, one instanced box per voxel. All of it is measured with the six cameras hidden and with them on, and what
-the cameras themselves cost: the step from frame to frame, and the labels cast into six pictures. The cameras take some
-of the 3D view's height: read the canvas's size.
+A generated run on an embedded platform is opened in Debian's Chromium with software rendering (SwiftShader), so that
+the figures need no graphics card and are a floor. *First voxel* is from the navigation to the first image with labels.
+It is measured once with an empty browser, when the site warms up too, and many times with a warm one, alternating with
+and without cameras. Median and quartiles are printed, since one opening may last half as long again as the next.
+*Images per second* is the whole view turning around once, each image awaited by reading a pixel; the reference is the
+simplest method, one instanced box per voxel. All is measured with the six cameras hidden and shown, and also the
+cameras' own costs: the step from frame to frame, and the labels cast into six images. The cameras take some of the 3D
+view's height, so read the canvas's size.
 """
 
 import argparse
@@ -108,7 +108,7 @@ def main() -> None:
 
 
 def run_of(voxels: int) -> Run:
-    """The run whose first frame has about so many voxels."""
+    """Return the run whose first frame has about `voxels` voxels."""
     return min((Run(2, reach) for reach in np.arange(4.0, 30.0, 2.0)), key=lambda one: abs(_count(one) - voxels))
 
 
@@ -118,7 +118,7 @@ def _count(run: Run) -> int:
 
 @contextmanager
 def site(run: Run) -> Iterator[tuple[str, dict[str, Any]]]:
-    """The site's address and the sequence, which everybody may look at."""
+    """Yield the site's address and a public sequence."""
     with tempfile.TemporaryDirectory() as folder:
         settings = Settings(data_folder=Path(folder))
         settings.root.mkdir(parents=True, exist_ok=True)
@@ -146,7 +146,7 @@ def window(size: str) -> Any:
 
 
 def first_voxels(context: BrowserContext, sequence_id: str, openings: int) -> Iterator[tuple[str, str]]:
-    """Rows of how long the first picture with voxels takes."""
+    """Yield rows of the time to the first image with voxels."""
     page = context.new_page()
     yield "first voxel, empty browser", f"{opened(page, sequence_id, 'off'):.0f} ms"
     took: dict[str, list[float]] = {cameras: [] for cameras in SAID_OF_CAMERAS}
@@ -154,13 +154,13 @@ def first_voxels(context: BrowserContext, sequence_id: str, openings: int) -> It
         for cameras, lasted in took.items():
             lasted.append(opened(page, sequence_id, cameras))
     for cameras, lasted in took.items():
-        low, middle, high = np.percentile(lasted[1:], (25, 50, 75))  # the first compiles what the next find compiled
+        low, middle, high = np.percentile(lasted[1:], (25, 50, 75))  # the first one compiles for the others
         yield f"first voxel, full browser, {SAID_OF_CAMERAS[cameras]}", f"{middle:.0f} ms ({low:.0f}-{high:.0f})"
     page.close()
 
 
 def measured(context: BrowserContext, shown: tuple[dict[str, Any], str], pictures: int) -> Iterator[tuple[str, str]]:
-    """Rows of the table for this sequence with the cameras "off" or with "labels"."""
+    """Yield rows of the table for this sequence with the cameras "off" or with "labels"."""
     (made, cameras), page = shown, context.new_page()
     said = SAID_OF_CAMERAS[cameras]
     page.route("**/whole/*", lambda route: route.fulfill(path=WHOLE / route.request.url.rpartition("/")[2]))
@@ -178,7 +178,7 @@ def measured(context: BrowserContext, shown: tuple[dict[str, Any], str], picture
 
 
 def compared(page: Page, given: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Rows that need no cameras: what is sent, and the obvious way of drawing."""
+    """Yield rows without cameras: the transferred data, and the simplest way of drawing."""
     sizes = dict(page.evaluate(SCRIPTS))
     yield "scripts on the wire", f"{sum(sizes.values()) / 1e3:.0f} kB in {len(sizes)} files"
     three = sum(size for name, size in sizes.items() if "three" in name)
@@ -197,12 +197,12 @@ def milliseconds(seconds: list[float]) -> str:
 
 
 def asked(page: Page, script: str, given: object = None) -> Any:
-    """What the script says of the page's viewer, its `stage`."""
+    """Return the script's result in the page's viewer, its `stage`."""
     return page.evaluate(f"async given => {{ {IMPORTS} {script} }}", given)
 
 
 def opened(page: Page, sequence_id: str, cameras: str) -> float:
-    """Milliseconds until the first picture with voxels; ends once the cameras are there too."""
+    """Return milliseconds until the first image with voxels; ends after the cameras have loaded too."""
     page.goto(f"/sequences/{sequence_id}/view?cameras={cameras}")
     page.wait_for_selector(READY, timeout=120_000)
     if cameras != "off":

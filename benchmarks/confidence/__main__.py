@@ -1,8 +1,8 @@
-"""Is a voxel's confidence the share of labels that are right? `python -m benchmarks.confidence [--fit]`.
+"""Calibration of the voxels' confidence: `python -m benchmarks.confidence [--fit]`.
 
-Voxels of drives whose truth is known are grouped by their confidence: in tenths of the voxels, and in tenths of the
-probability. The drives of `UNSEEN` had no part in `stone.labels.confidence_curves`; `--fit` fits the curves to those
-of `TUNED` and prints them. Recordings and voxels are kept in `--folder`; a drive takes about a minute.
+Voxels of drives with known truth are grouped by their confidence: in tenths of the voxels, and in tenths of the
+probability. The drives of `UNSEEN` were not used for `stone.labels.confidence_curves`; `--fit` fits the curves to the
+drives of `TUNED` and prints them. Recordings and voxels are stored in `--folder`; a drive takes about a minute.
 """
 
 import argparse
@@ -80,7 +80,7 @@ def main() -> None:
 
 
 def _judged(source: Source, folder: Path) -> tuple[Array, NDArray[np.bool_], Array]:
-    """Return of a drive's voxels (K,) the confidence, whether the label is right, and the weight, which adds to 1."""
+    """Return the confidence of a drive's voxels (K,), whether the label is right, and the weights, which sum to 1."""
     voxels = kept_voxels(source, folder)
     log_odds = drivable_log_odds(dict(zip(voxels.names, voxels.properties.T, strict=True)))
     confidence = right_probability(log_odds, ~voxels.is_kept)

@@ -1,7 +1,7 @@
-"""Fit the curves of `stone.labels.confidence`: a logistic regression on hinges, by Newton's method.
+"""Fit of the curves of `stone.labels.confidence`: a logistic regression on hinges, by Newton's method.
 
-**Conventions.** Every drive weighs as much as any other. Of voxels that are clear (far within all limits, or far beyond
-one) a part is taken that stands for all of them.
+**Conventions.** Every drive has the same weight. A sample represents all clear voxels (far within all limits, or far
+beyond one).
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ CLEAR_RATIOS, CLEAR_SHARE = (0.5, 8.0), 0.05
 
 
 def fitted(drives: Sequence[JudgedVoxels]) -> Curves:
-    """Return the curves fitted to these drives: those of the properties first, then those of P and N on top."""
+    """Return the curves fitted to these drives: first the curves of the properties, then of P and N on top."""
     designs, truths, weights = [], [], []
     for drive in drives:
         kept, weight = _thinned(drive)
@@ -37,7 +37,7 @@ def fitted(drives: Sequence[JudgedVoxels]) -> Curves:
 
 
 def _side(drives: Sequence[JudgedVoxels], curves: Curves, is_n: bool) -> Curve:
-    """Return the curve that maps log odds of labels P, or N, to those that are true."""
+    """Return the curve from log odds of labels P, or N, to the true log odds."""
     odds, truths, weights = [], [], []
     for drive in drives:
         of_side = drive.is_kept != is_n
@@ -51,7 +51,7 @@ def _side(drives: Sequence[JudgedVoxels], curves: Curves, is_n: bool) -> Curve:
 
 
 def _thinned(drive: JudgedVoxels) -> tuple[NDArray[np.int64], Array]:
-    """Return which voxels of a drive are taken, and their weights."""
+    """Return the sampled voxels of a drive, and their weights."""
     ratio = drive.properties[:, drive.names.index("distance_ratio")]
     is_clear = (ratio < CLEAR_RATIOS[0]) | (ratio > CLEAR_RATIOS[1])
     taken = np.flatnonzero(~is_clear | (np.random.default_rng(0).random(len(ratio)) < CLEAR_SHARE))
@@ -83,7 +83,7 @@ def _rounded(weights: Array) -> tuple[float, ...]:
 
 
 def as_source(curves: Curves) -> str:
-    """Return the curves as they stand in `stone/labels/confidence_curves.py`."""
+    """Return the curves as source text for `stone/labels/confidence_curves.py`."""
     properties = "".join(f'        "{name}": {curve},\n' for name, curve in curves.properties.items())
     sides = f"    p_right={curves.p_right},\n    n_right={curves.n_right},\n"
     return f"CURVES = Curves(\n    intercept={curves.intercept},\n    properties={{\n{properties}    }},\n{sides})"

@@ -1,4 +1,4 @@
-"""Reliability: how far what is claimed lies from what is true, in groups of alike confidence."""
+"""Reliability: the difference of claimed and true shares in groups of similar confidence."""
 
 from dataclasses import dataclass
 
@@ -6,14 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 GROUPS = 10
-FEWEST = 200  # voxels of a bin of probability; fewer say nothing of it
+FEWEST = 200  # voxels of a bin of probability; smaller bins are left out
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Reliability:
-    """The worst difference of claimed and true shares: in tenths of the `voxels`, and in `bins` of the probability; and
-    both shares in the tenth of the `lowest` confidence. `by_probability`: both shares and the voxels of each bin."""
+    """The worst difference of claimed and true shares: in tenths of the `voxels`, and in `bins` of the probability.
+
+    `lowest`: both shares in the tenth of the lowest confidence. `by_probability`: both shares and the voxels of each
+    bin.
+    """
 
     voxels: int
     tenths: float
@@ -23,7 +26,7 @@ class Reliability:
 
 
 def reliability_of(confidence: Array, is_right: NDArray[np.bool_], weight: Array) -> Reliability:
-    """Return the reliability of confidences (K,) of labels that are right or not (K,), of voxels that weigh so much."""
+    """Return the reliability of confidences (K,) of labels that are right or not (K,), with weights (K,)."""
     order = np.argsort(confidence, kind="stable")
     before = np.cumsum(weight[order]) - weight[order]
     tenth = np.empty(len(order), np.int64)
@@ -40,7 +43,7 @@ def reliability_of(confidence: Array, is_right: NDArray[np.bool_], weight: Array
 def _shares(
     group: NDArray[np.int64], confidence: Array, is_right: NDArray[np.bool_], weight: Array
 ) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Return what each of the groups claims, how much of it is right, and its voxels; NaN if it has none."""
+    """Return the claimed share of each group, its true share, and its voxels; NaN for an empty group."""
     total = np.bincount(group, weight, GROUPS)
     with np.errstate(invalid="ignore"):
         claimed = np.bincount(group, weight * confidence, GROUPS) / total

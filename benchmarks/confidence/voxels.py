@@ -1,8 +1,8 @@
-"""Voxels of profile `field` with the properties that their confidence depends on, and whether truth lets one drive.
+"""Voxels of profile `field` with the properties that determine their confidence, and their true drivability.
 
-**Conventions.** A voxel of the map is placed in the world by the exact pose of the frame nearest in plan. Truth is that
-of the vehicle's limits in both kinds of worlds (`testing.outside.truth`); grey places are not drivable. T is left out:
-the robot was there. A voxel weighs as many frames as it is in the grid of.
+**Conventions.** A map voxel is placed in the world by the exact pose of the frame nearest in plan. Truth follows the
+vehicle's limits in both kinds of worlds (`testing.outside.truth`); grey places are not drivable. T is left out, as the
+robot was there. The weight of a voxel is the number of frames whose grid contains it.
 """
 
 from collections.abc import Callable
@@ -36,13 +36,16 @@ from testing.outside.verdict import world_from_ego
 
 GRID_HALF_M, EVERY = 25.6, 5
 Array = NDArray[np.float64]
-Judge = Callable[[Array], NDArray[np.uint8]]  # of points (N, 3) of the world; 0 is not judged, 1 drivable
+Judge = Callable[[Array], NDArray[np.uint8]]  # points (N, 3) of the world to 0 not judged, 1 drivable or another value
 
 
 @dataclass(frozen=True, eq=False)
 class JudgedVoxels:
-    """K voxels: their `properties` (K, n), by `names`; `is_drivable` in truth (K,); `is_kept` (K,), labelled P and not
-    N; their `weight` (K,)."""
+    """K voxels.
+
+    `properties` (K, n), by `names`; `is_drivable` in truth (K,); `is_kept` (K,), labelled P and not N; their `weight`
+    (K,).
+    """
 
     names: tuple[str, ...]
     properties: Array
@@ -63,7 +66,7 @@ class OutsideVoxels:
         return f"{self.drive.name} {self.fault}"
 
     def voxels(self, folder: Path) -> JudgedVoxels:
-        """Return the voxels of the drive; its ideal ranges are kept in the folder."""
+        """Return the voxels of the drive; its ideal ranges are stored in the folder."""
         with TemporaryDirectory(dir=folder) as place:
             bag, calibration, data = self.drive.record(folder, self.fault, Path(place) / "recording")
             sequence, sweeps = open_sequence(bag, calibration, "outside")
@@ -85,13 +88,13 @@ class SimulatedVoxels:
         return " ".join((f"simulated-{one.seed}-{one.channels}-{one.seconds:g}s", *further))
 
     def voxels(self, folder: Path) -> JudgedVoxels:
-        """Return the voxels of the drive; its recording is kept in the folder."""
+        """Return the voxels of the drive; its recording is stored in the folder."""
         drive = simulated(folder / f"{self.name.replace(' ', '-')}.mcap", self.options)
         return _voxels(drive.sequence, drive.sweeps, drive.world_from_ego().as_matrix(), _vehicle_judge(drive.truth))
 
 
 def kept_voxels(source: OutsideVoxels | SimulatedVoxels, folder: Path) -> JudgedVoxels:
-    """Return the voxels of a source, kept in the folder from an earlier run where they are."""
+    """Return the voxels of a source, from the folder if an earlier run stored them."""
     path = folder / f"{source.name}.npz"
     if not path.exists():
         np.savez(path.with_suffix(".part.npz"), **vars(source.voxels(folder)))

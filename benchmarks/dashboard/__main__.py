@@ -1,9 +1,9 @@
-"""How fast an administrator's pages are made: `python -m benchmarks.dashboard [--runs 10000] [--workers 50] [--plans]`.
+"""Speed of the administrator's pages: `python -m benchmarks.dashboard [--runs 10000] [--workers 50] [--plans]`.
 
-A platform with 10,000 runs of five jobs each (60,000 rows) and 50 worker processes; the site on a socket of this
-process, asked one page after another by one reader, so what is waited for is what the server takes; CPU is that of
-this process, which on a busy machine says more. `--plans` says how the database goes about each statement of the
-list: what is scanned whole, and by which index the rest is found.
+The platform has 10,000 runs of five jobs each (60,000 rows) and 50 worker processes. One reader requests the site's
+pages from a socket of this process one after another, so latencies are the server's own. CPU is this process's, which
+is more reliable on a busy machine. `--plans` prints the database's query plan of each statement of the list: full
+scans, and the used indexes.
 """
 
 import argparse
@@ -102,7 +102,7 @@ def _timed(client: httpx.Client, path: str, requests: int) -> tuple[str, ...]:
 
 
 def plans(platform: Platform, client: httpx.Client, path: str) -> Iterator[str]:
-    """Each statement of the page, shortened, and below it the steps by which the database goes about it."""
+    """Yield each statement of the page, shortened, and the steps of its query plan."""
     with _statements(platform) as said:
         client.get(path).raise_for_status()
     dialect = platform.database.engine.dialect.name

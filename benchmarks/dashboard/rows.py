@@ -21,14 +21,14 @@ GIB = 2**30
 
 @dataclass(frozen=True)
 class FilledDashboard:
-    """What was laid down: how many rows, and a run that runs."""
+    """The inserted rows: their number, and a running run."""
 
     jobs: int
     running_id: str
 
 
 def fill(session: Session, runs: int, workers: int, silent: int = 2) -> FilledDashboard:
-    """`runs` runs of five jobs each, the newest last, made over the last hours; `workers` processes."""
+    """Insert `runs` runs of five jobs each, the newest last, within the last hours, and `workers` processes."""
     people = [users.create_user(session, name, "curator") for name in OWNERS]
     session.flush()
     sequences = [_sequence(number, person) for number, person in enumerate(people)]
@@ -89,14 +89,14 @@ def _row(
 
 
 def _state(of_run: str, place: int) -> str:
-    """Of a job of the run: the last but one is where runs end badly or still are."""
+    """Return the state of a job of the run; runs fail or are still running at their last job but one."""
     if of_run in ("succeeded", "queued") or place < len(STAGES) - 2:
         return "queued" if of_run == "queued" else "succeeded"
     return of_run if place == len(STAGES) - 2 else {"running": "queued"}.get(of_run, "cancelled")
 
 
 def _worker(number: int, name: str, at_ns: int, is_silent: bool) -> Worker:
-    beat_ns = at_ns - 300 * SECOND_NS if is_silent else at_ns + 3600 * SECOND_NS  # stays fresh while it is looked at
+    beat_ns = at_ns - 300 * SECOND_NS if is_silent else at_ns + 3600 * SECOND_NS  # stays fresh during the measurement
     sizes = {"memory_bytes": 64 * GIB, "disk_free_bytes": (60 + number) * 10**9, "disk_bytes": 1000 * 10**9}
     free = (50 - number % 48) * GIB
     return Worker(

@@ -1,9 +1,9 @@
-"""Every fault of the catalogue, made of two drives, inspected and labelled: `python -m benchmarks.faults`.
+"""Every fault of the catalogue, applied to two drives, inspected and labelled: `python -m benchmarks.faults`.
 
-The drives are a few seconds of a car's real LiDAR (left out where there is no field data) and of the simulated rig.
-Outcomes are kept as JSON in `--folder`; `--before FILE` shows those of an earlier run beside them, `--only WORD` takes
-the faults with this word in their names. Exit code 1 where a fault goes through: a crash without a code, T beyond the
-footprint of any pose, a refusal or an exclusion that inspection did not name.
+The drives are a few seconds of a car's real LiDAR (left out without field data) and of the simulated rig. Outcomes are
+stored as JSON in `--folder`; `--before FILE` shows an earlier run's outcomes beside them, `--only WORD` selects the
+faults whose names contain the word. Exit code 1 if a fault goes through: a crash without a code, T beyond the footprint
+of any pose, or a refusal or exclusion that inspection did not report.
 """
 
 import argparse
@@ -55,7 +55,7 @@ def _drives(folder: Path) -> list[SoundDrive]:
 
 
 def _outcomes(drives: list[SoundDrive], options: argparse.Namespace) -> Outcomes:
-    """By drive and fault."""
+    """Return the outcomes by drive and fault."""
     clean = {drive.name: sound(drive, options.folder / f"sound-{drive.name}") for drive in drives}
     runs = [(drive, fault) for drive in drives for fault in FAULTS if drive.has(fault) and options.only in fault.name]
     found: dict[tuple[str, str], dict[str, Any]] = {}

@@ -14,7 +14,7 @@ from testing.worlds.faults.outcome import LabelledDrive, codes, inspected, outco
 
 
 def outcome_of(drive: SoundDrive, name: str, clean: Mapping[int, NDArray[np.uint8]]) -> dict[str, Any]:
-    """In a process of its own; what has no code is what is looked for, so it is a row and not the end."""
+    """Return the outcome of a fault in a process of its own; an error without a code becomes a row."""
     fault = next(fault for fault in FAULTS if fault.name == name)
     with tempfile.TemporaryDirectory(prefix="stone-fault-") as folder:
         try:

@@ -1,20 +1,23 @@
-"""The outcomes of `benchmarks.faults` as a table in Markdown: a row a fault, the two drives beside each other."""
+"""The outcomes of `benchmarks.faults` as a Markdown table: a row per fault, the two drives beside each other."""
 
 from collections.abc import Mapping
 from typing import Any
 
-# by drive, by fault ("" is none): what `FaultOutcome.as_record` gives
+# by drive, by fault ("" is none): records of `FaultOutcome.as_record`
 Outcomes = dict[str, dict[str, dict[str, Any]]]
 
 
 def shown(made: Outcomes, before: Outcomes) -> str:
-    """The table of each drive, one after the other."""
+    """Return the table of each drive, one after the other."""
     return "\n\n".join(_of_drive(drive, rows, before.get(drive, {})) for drive, rows in made.items())
 
 
 def goes_through(row: Mapping[str, Any]) -> bool:
-    """Whether the fault got past everybody: a crash, T where nobody drove, a refusal that is no error of the inspection
-    or an error of it without a refusal."""
+    """Return whether the fault went undetected.
+
+    This is a crash, T outside the driven ground, a refusal without an inspection error, or an inspection error without
+    a refusal.
+    """
     if row["refusal"]:
         return row["refusal"] not in row["errors"]
     return bool(row["errors"]) or bool(row["beyond"]) or (bool(row["excluded"]) and "SYN-501" not in row["named"])
@@ -40,7 +43,7 @@ def _done(row: Mapping[str, Any]) -> str:
 
 
 def _brief(row: Mapping[str, Any]) -> str:
-    """An earlier run's row in one cell."""
+    """Return an earlier run's row in one cell."""
     if row["refusal"]:
         return _done(row)
     beyond = f", T beyond {row['beyond']}" if row["beyond"] else ""

@@ -1,9 +1,9 @@
-"""Do intervals cover, and are equal entries told apart? `python -m benchmarks.intervals [--trials 1000]`.
+"""Coverage of intervals and separation of equal entries: `python -m benchmarks.intervals [--trials 1000]`.
 
-In worlds whose truth is known (`testing/worlds/correlated_scores.py`) two entries are scored as the platform scores
-them. Printed is in how many trials something is said, and of these, how often the interval of 95 % holds the true mIoU,
-and how often that of the difference misses the true one, which is 0 in a new place and nearly so in these. Below, in
-how many boards of equally good entries state something, rest on these places, and separate any two entries.
+In worlds with known truth (`testing/worlds/correlated_scores.py`) two entries are scored like on the platform. The
+table shows the number of trials with a statement, the coverage of the 95 % interval for the true mIoU, and the misses
+of the interval for the difference. The true difference is 0 in a new place and nearly 0 in these places. A second table
+counts the boards of equally good entries that make a statement, use these places, and separate any two entries.
 """
 
 import argparse
@@ -33,12 +33,12 @@ LONG: tuple[tuple[int, ...], ...] = (PAPER, (400,) * 5, (600,) * 3, (300,) * 10,
 HURSTS = (0.6, 0.7, 0.8, 0.9)
 CHANCE = 0.001
 SPEAKS = 0.1
-MOST_FRAMES = 3_000_000  # of a row; rows of many frames have fewer trials
+MOST_FRAMES = 3_000_000  # limit per row; rows of many frames have fewer trials
 
 
 @dataclass
 class ScopeCounts:
-    """Of the trials of a row, in one scope."""
+    """Counts over the trials of a row, in one scope."""
 
     said: int = 0
     covered: int = 0
@@ -55,7 +55,7 @@ class IntervalRow:
 
 @dataclass(frozen=True)
 class BoardTrials:
-    """Boards of equal entries: how many there were, said something, did so by these places, told any two apart."""
+    """Boards of equal entries: counts of all, with a statement, with one by these places, with any separated pair."""
 
     world: CorrelatedWorld
     entries: int
@@ -66,7 +66,7 @@ class BoardTrials:
 
 
 def measured(world: CorrelatedWorld, trials: int, seed: int) -> IntervalRow:
-    """A row of the table."""
+    """Return a row of the table."""
     random = np.random.default_rng([seed, *world.frames_of_sequence, round(1000 * world.memory)])
     row = IntervalRow(world, trials, {scope: ScopeCounts() for scope in SCOPES})
     spread = float(np.hypot(world.place, world.own_place))
@@ -98,7 +98,7 @@ def _count(counts: ScopeCounts, found: object, of_both: object, truth: tuple[flo
 
 
 def boards(world: CorrelatedWorld, entries: int, trials: int, seed: int) -> BoardTrials:
-    """Boards whose entries are all equally good on this ground."""
+    """Return boards whose entries are all equally good on this ground."""
     random = np.random.default_rng([seed, entries, *world.frames_of_sequence])
     said = here = split = 0
     for _ in range(trials):
@@ -115,7 +115,7 @@ def boards(world: CorrelatedWorld, entries: int, trials: int, seed: int) -> Boar
 
 
 def worlds() -> Iterator[CorrelatedWorld]:
-    """The rows of the table."""
+    """Yield the rows of the table."""
     for sequences, frames, rho in product(SEQUENCES, FRAMES, RHOS):
         yield CorrelatedWorld((frames,) * sequences, rho)
     for lengths, rho in product(UNEQUAL, (0.5, 0.9)):
@@ -127,7 +127,7 @@ def worlds() -> Iterator[CorrelatedWorld]:
 
 
 def long_memory_worlds() -> Iterator[CorrelatedWorld]:
-    """Worlds whose memory is long, and others of the same lengths beside them."""
+    """Yield worlds with long memory, and other worlds of the same lengths beside them."""
     for lengths in LONG:
         for hurst in HURSTS:
             yield CorrelatedWorld(lengths, hurst, "fractional")
@@ -143,7 +143,7 @@ def long_memory_worlds() -> Iterator[CorrelatedWorld]:
 
 
 def board_worlds() -> Iterator[CorrelatedWorld]:
-    """Worlds whose entries are equally good in every sequence."""
+    """Yield worlds whose entries are equally good in every sequence."""
     for rho in (0.0, 0.9):
         yield CorrelatedWorld((300,) * 10, rho, own_place=0.0)
     for rho in (0.9, 0.98, 0.995):
@@ -177,7 +177,7 @@ def show(rows: Sequence[IntervalRow], of_boards: Sequence[BoardTrials]) -> None:
 
 
 def _summary(scope: Scope, rows: Sequence[IntervalRow]) -> str:
-    """All rows together, the worst ones, and those that are beyond the aims by more than chance."""
+    """Return a summary of all rows, the worst rows, and the rows that miss the aims significantly."""
     counts = [row.of_scope[scope] for row in rows]
     spoken = [row for row in rows if row.of_scope[scope].said > SPEAKS * row.trials]
     least = min((row.of_scope[scope].covered / row.of_scope[scope].said for row in spoken), default=float("nan"))
@@ -213,7 +213,7 @@ def _percents(counts: ScopeCounts, trials: int) -> str:
 
 
 def _share(part: int, whole: int) -> str:
-    """In per cent; of few trials in brackets, for it is known to a few points only."""
+    """Return the share in per cent; in brackets for few trials, whose error is a few points."""
     if not whole:
         return "–"
     return f"{100 * part / whole:.1f}" if whole >= 200 else f"({100 * part / whole:.0f})"

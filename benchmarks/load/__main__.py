@@ -1,13 +1,14 @@
 """The whole platform under load: `python -m benchmarks.load [--clients 200] [--minutes 10] [--pause-s 1.0] [--slow N]`.
 
-The embedded platform on SQLite or PostgreSQL with 2,000 sequences, 10,000 jobs and an open phase; clients in a process
-of their own, each with a connection: 90 in 100 read lists, things and the board, 8 send files in pieces of 1 MiB, 2
-have submissions scored; meanwhile one recording after another is labelled. The tables show errors, latencies by kind of
-request, requests a second and CPU ms a request by quarter of the time, and the memory of every process of the platform
-in the first and the last quarter.
-With `--slow 2000`, 2,000 connections of one address stop in a request (`benchmarks/load/strangers.py`) after `CALM_S`.
-Nothing is labelled or scored then, and the platform keeps its bounds. Without `--slow` the clients' address is exempt.
-With `--pause-s 0` clients do not think, so latencies are those of a platform that is asked more than it can answer.
+The embedded platform on SQLite or PostgreSQL has 2,000 sequences, 10,000 jobs and an open phase. Clients run in a
+process of their own, each with a connection. 90 % read lists, objects and the board, 8 % send files in pieces of 1 MiB,
+2 % have submissions scored. Meanwhile recordings are labelled one after another. The tables show errors and latencies
+by kind of request. They also show requests per second and CPU ms per request by quarter of the time, and the memory of
+every process in the first and the last quarter.
+
+With `--slow 2000`, 2,000 connections of one address stop within a request (`benchmarks/load/strangers.py`) after
+`CALM_S`. Then nothing is labelled or scored, and the platform's limits stay in force. Without `--slow` the clients'
+address is exempt. With `--pause-s 0` clients do not pause, so latencies are those of an overloaded platform.
 """
 
 import argparse
@@ -95,7 +96,7 @@ def _readers(settings: Settings) -> list[str]:
 
 
 def _plan(options: argparse.Namespace, running: RunningPlatform, world: World, secrets: list[str]) -> LoadPlan:
-    """`clients` shared out; the file that is submitted lies in the data folder."""
+    """Return the plan: `clients` shared among the kinds; the submitted file is in the data folder."""
     path = running.platform.settings.root / "guess.zip"
     path.write_bytes(next(iter(files(world).values())))
     submitters = 0 if options.slow else max(1, options.clients * 2 // 100)
@@ -109,7 +110,7 @@ def _plan(options: argparse.Namespace, running: RunningPlatform, world: World, s
         readers=options.clients - submitters - uploaders,
         uploaders=uploaders,
         submitters=submitters,
-        secrets=tuple(secrets[::8]),  # those of the owner whose sequence is looked at
+        secrets=tuple(secrets[::8]),  # tokens of the owner of the requested sequence
         captains=tuple((team, captain.secret) for team, captain in zip(world.teams, world.captains, strict=True)),
         sequence=sequence,
         benchmark="kill",
@@ -121,7 +122,7 @@ def _plan(options: argparse.Namespace, running: RunningPlatform, world: World, s
 
 
 def clients(folder: Path, plan: LoadPlan) -> dict[str, Any]:
-    """What the clients noted, in a process of their own."""
+    """Return the clients' log from a process of their own."""
     said, out = folder / "plan.json", folder / "noted.json"
     said.write_text(json.dumps(asdict(plan)))
     subprocess.run([sys.executable, "-m", "benchmarks.load.clients", said, out], check=True)
@@ -130,7 +131,7 @@ def clients(folder: Path, plan: LoadPlan) -> dict[str, Any]:
 
 
 class _Labelling:
-    """One recording after another is brought and labelled, each for a new owner, by a thread."""
+    """A thread that uploads and labels one recording after another, each for a new owner."""
 
     def __init__(self, target: PlatformUnderTest, inputs: Inputs) -> None:
         self.runs, self.failures = 0, list[str]()

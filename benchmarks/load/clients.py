@@ -1,7 +1,7 @@
-"""The clients of `benchmarks.load`: a process of its own, a connection each, asking, thinking, asking again.
+"""The clients of `benchmarks.load`: a process with a connection per client, alternating requests and pauses.
 
-**Conventions.** `python -m benchmarks.load.clients PLAN.json OUT.json`. What takes long is noted under the name of what
-was asked, in seconds on the client's clock; an answer that is not the one that was to come is an error with its words.
+**Conventions.** `python -m benchmarks.load.clients PLAN.json OUT.json`. Durations are logged by request name, in
+seconds on the client's clock; an unexpected answer is an error with its text.
 """
 
 import asyncio
@@ -60,7 +60,7 @@ class LoadPlan:
 
 @dataclass
 class LoadLog:
-    """Seconds by what was asked; words of what went wrong."""
+    """Durations in seconds by request name; texts of errors."""
 
     waited_s: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
     begun_s: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
@@ -86,7 +86,7 @@ class LoadReply:
 
 
 class UnexpectedError(Exception):
-    """Another answer than the one that was to come."""
+    """An answer differs from the expected one."""
 
 
 class Client:
@@ -98,7 +98,7 @@ class Client:
         self._streams: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
 
     async def ask(self, what: str, method: str, path: str, expected: tuple[int, ...], **said: Any) -> LoadReply:
-        """The answer, noted. Raises `UnexpectedError`."""
+        """Send a request, log it and return the answer. Raises `UnexpectedError`."""
         begun_s = time.perf_counter()
         try:
             answer = await self._sent(method, path, said.get("headers", {}), said.get("body", b""))
@@ -112,7 +112,7 @@ class Client:
         return answer
 
     async def close(self) -> None:
-        """The next question opens another connection."""
+        """Close the connection; the next request opens another."""
         streams, self._streams = self._streams, None
         if streams is not None:
             streams[1].close()
@@ -136,13 +136,13 @@ class Client:
 
 
 async def read(client: Client, chance: random.Random) -> None:
-    """One of the lists; a second look shows the tag of the first."""
+    """Request one of the lists; a repeated request sends the tag of the first."""
     (what, path, _), *_ = chance.choices(READS, [share for *_, share in READS])
     await read_path(client, what, path)
 
 
 async def read_path(client: Client, what: str, path: str) -> None:
-    """One path, with the tag that it had last where it is read again."""
+    """Request one path, with its last tag if it was requested before."""
     named = path.format(sequence=client.plan.sequence, benchmark=client.plan.benchmark, phase=client.plan.phase)
     headers = {"If-None-Match": client.tags[named]} if "again" in what and named in client.tags else {}
     answer = await client.ask(what, "GET", named, (200, 304), headers=headers)
@@ -151,7 +151,7 @@ async def read_path(client: Client, what: str, path: str) -> None:
 
 
 async def upload(client: Client, chance: random.Random) -> None:
-    """A file of several pieces, given up when it is whole, so that the disk is not what is measured."""
+    """Upload a file of several pieces and delete it when it is complete, so that the disk is not measured."""
     content = chance.randbytes(PIECE_BYTES)
     size = PIECES * PIECE_BYTES
     path, _ = await _announce(client, size, {"filename": "load.mcap", "purpose": "recording"})
@@ -163,7 +163,7 @@ async def upload(client: Client, chance: random.Random) -> None:
 
 
 async def submit(client: Client, chance: random.Random) -> None:
-    """A submission from its draft to its score."""
+    """Take a submission from its draft to its score."""
     submission_id = await send_submission(client, chance)
     begun_s = time.perf_counter()
     while True:
@@ -179,14 +179,14 @@ async def submit(client: Client, chance: random.Random) -> None:
 
 
 async def send_submission(client: Client, chance: random.Random) -> str:
-    """A submission from its draft until it waits for its checks; its id."""
+    """Take a submission from its draft to its queued checks; return its id."""
     content = Path(client.plan.zip_path).read_bytes()
     digest = sha256(content).hexdigest()
     draft = {"team_id": client.team, "method": f"load {chance.random()}", "modality": "L", "sha256": digest}
     made = await _post(client, "submit: draft", f"/phases/{client.plan.phase_id}/submissions", draft | _size(content))
     said = {"filename": "guess.zip", "purpose": "submission", "target_id": made["id"], "sha256": digest}
     path, here_bytes = await _announce(client, len(content), said, "submit: announce")
-    if here_bytes < len(content):  # what one sent before is not sent again
+    if here_bytes < len(content):  # existing bytes are not sent again
         patch, rest = {**BYTES, "Upload-Offset": str(here_bytes)}, content[here_bytes:]
         await client.ask("submit: PATCH of the file", "PATCH", path, (204, 200), headers=patch, body=rest)
     await _post(client, "submit: finalize", f"/submissions/{made['id']}/finalize", {"upload_id": path.split("/")[-1]})
@@ -200,7 +200,7 @@ def _size(content: bytes) -> dict[str, int]:
 async def _announce(
     client: Client, size: int, said: Mapping[str, str], what: str = "upload: announce"
 ) -> tuple[str, int]:
-    """The upload's path, and how many of its bytes are there."""
+    """Return the upload's path, and the number of its bytes on the server."""
     metadata = ",".join(f"{key} {base64.b64encode(value.encode()).decode()}" for key, value in said.items())
     headers = {**TUS, "Upload-Length": str(size), "Upload-Metadata": metadata}
     answer = await client.ask(what, "POST", "/uploads", (201,), headers=headers)
@@ -216,7 +216,7 @@ async def _post(client: Client, what: str, path: str, body: Mapping[str, Any]) -
 
 
 async def live(client: Client, act: Callable[[Client, random.Random], Awaitable[None]], seed: int) -> None:
-    """Act and think until the time is over."""
+    """Act and pause until the time is over."""
     chance, noted, plan = random.Random(seed), client.noted, client.plan
     until_s = time.perf_counter() + plan.seconds
     await asyncio.sleep(chance.random() * plan.pause_s)

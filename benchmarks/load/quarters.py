@@ -1,7 +1,7 @@
-"""How a load went on: requests, waiting and processor time by quarter of its time, so that what grows is seen.
+"""Requests, latencies and processor time of a load by quarter of its duration, to detect growth.
 
-**Conventions.** Clients and the watch tell times on the machine's monotonic clock. A request belongs to the quarter in
-which it was answered; the processor time of a program to all requests of the quarter.
+**Conventions.** Clients and the watch use the machine's monotonic clock. A request belongs to the quarter of its
+answer; a program's processor time is divided among all requests of the quarter.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,13 +12,13 @@ import numpy as np
 from benchmarks.memory_watch import MemoryWatch
 
 QUARTERS = 4
-UNTIL_SCORED = "submit: until scored"  # is no request
+UNTIL_SCORED = "submit: until scored"  # a duration, not a request
 Noted = Mapping[str, Sequence[float]]
 
 
 @dataclass(frozen=True)
 class LoadQuarter:
-    """Requests a second, milliseconds that they waited, and CPU milliseconds a request of each program."""
+    """Requests per second, their latency in milliseconds, and CPU milliseconds per request of each program."""
 
     requests_per_s: float
     p50_ms: float
@@ -27,7 +27,7 @@ class LoadQuarter:
 
 
 def quarters(begun_s: Noted, waited_s: Noted, watch: MemoryWatch) -> list[LoadQuarter]:
-    """Of all that was answered, by when; none where nothing was."""
+    """Return the quarters of all answered requests; empty without answers."""
     kinds = [what for what in begun_s if what != UNTIL_SCORED]
     begun = np.array([at_s for what in kinds for at_s in begun_s[what]])
     waited = np.array([seconds for what in kinds for seconds in waited_s[what]])

@@ -1,8 +1,8 @@
 """Connections from one address that start a request and then stop, beside the clients of `benchmarks.load`.
 
 **Conventions.** `python -m benchmarks.load.strangers PLAN.json OUT.json`. A third of the connections is silent, a third
-stops in a head, and a third stops in the body of a sign-in of 2 MiB, one byte before its end. `PAUSE_S` after a
-connection ends, it is opened again.
+stops in a head, and a third stops one byte before the end of a sign-in's body of 2 MiB. `PAUSE_S` after a connection
+ends, it is opened again.
 """
 
 import asyncio

@@ -1,1 +1,1 @@
-"""Measurements of the models of Table II; they need torch: `make bench-models`."""
+"""Measurements of the models of Table II; they require torch: `make bench-models`."""

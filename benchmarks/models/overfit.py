@@ -1,9 +1,9 @@
-"""Every row, scaled down, learns one simulated frame by heart: `python -m benchmarks.models.overfit [--rows ROW ...]`.
+"""Every row, scaled down, overfits one simulated frame: `python -m benchmarks.models.overfit [--rows ROW ...]`.
 
-A row that cannot is wrong somewhere between its inputs and its losses. The frame is the middle one of simulated world
-1, all sensors as simulated, on 32 × 32 × 16 or 48 × 48 × 16 voxels around the robot, pictures of 96 × 160; nothing is
-augmented. What nobody observed is not counted. mIoU over T, P and N is of the network in evaluation. The learning rate
-falls by a cosine. One thread; a row ends there, or before at `--enough` or after `--most` CPU-seconds.
+A row that fails has a fault between its inputs and its losses. The frame is the middle frame of simulated world 1, with
+all sensors as simulated. It has 32 × 32 × 16 or 48 × 48 × 16 voxels around the robot, images of 96 × 160 and no
+augmentation. Unobserved voxels are not counted. mIoU over T, P and N is of the network in evaluation. The learning rate
+falls by a cosine. One thread; a row ends at its last step, at `--enough`, or after `--most` CPU-seconds.
 """
 
 import argparse
@@ -33,7 +33,7 @@ PART = VoxelLattice((-4.8, -4.8, -1.2), (0.2, 0.2, 0.2), (48, 48, 16))
 SMALLER_PART = VoxelLattice((-3.2, -3.2, -1.2), (0.2, 0.2, 0.2), (32, 32, 16))
 PICTURES_PX = (96, 160)
 LOOK_EVERY = 20
-STEPS = {  # what four CPU-minutes take
+STEPS = {  # steps within four CPU-minutes
     "c-conet": 1200, "c-openocc": 1400, "column-net": 280, "l-conet": 800, "l-openocc": 800, "m-conet": 700,
     "m-openocc": 700, "occformer": 700, "occfusion-cl": 360, "occfusion-cr": 400, "tpvformer": 700,
 }  # fmt: skip
@@ -66,7 +66,7 @@ SCALED_DOWN: Mapping[str, Mapping[str, Any]] = {
 
 @dataclass(frozen=True)
 class OverfitLook:
-    """How a row does after some steps. `cpu_s` is of training alone."""
+    """A row's state after some steps. `cpu_s` is of training alone."""
 
     step: int
     cpu_s: float
@@ -99,10 +99,10 @@ def main() -> None:
 
 
 def scaled_down(row: RowConfig) -> RowConfig:
-    """The row on a part of the grid, a tenth as wide, of small pictures and five sweeps.
+    """Return the row on a part of the grid, a tenth as wide, with small images and five sweeps.
 
-    M of one, since its steps cost twice as much; OpenOccupancy's rows on less than half of the part, for many steps.
-    OccFusion's finest level stays 24 wide: its heads have no norms, and of eight hidden numbers most die.
+    M rows have one, since their steps cost twice as much; OpenOccupancy's rows use less than half of the part, for many
+    steps. OccFusion's finest level stays 24 wide: its heads have no norms, and of eight hidden units most die.
     """
     model: ModelConfig = replace(row.model, **{"lattice": PART, **SCALED_DOWN[row.model.architecture]})
     sweeps = 1 if row.name.startswith("m-") else 5
@@ -110,14 +110,14 @@ def scaled_down(row: RowConfig) -> RowConfig:
 
 
 def one_frame(row: RowConfig, export: Path, cache: Path) -> Batch:
-    """The world's middle frame."""
+    """Return the world's middle frame."""
     frames = cached_frames(labelled_frames([export]), row.inputs, cache, lambda *_: None)
     dataset = FrameDataset(CachedStore(frames), FrameRequest(row.inputs, row.model.lattice, counted="observed"))
     return dataset[0, len(frames) // 2]
 
 
 def overfit(model: OccupancyModel[Any], batch: Batch, steps: int) -> Iterator[OverfitLook]:
-    """Train on the one frame, and look now and then."""
+    """Train on the one frame, and yield its state now and then."""
     optimizer, schedule = build_optimizer(model, TRAINING), RateSchedule(TRAINING, steps)
     parameters, losses, cpu_s = list(model.parameters()), BatchLosses(model, TRAINING.precision), 0.0
     for begin in range(0, steps, LOOK_EVERY):
@@ -131,7 +131,7 @@ def overfit(model: OccupancyModel[Any], batch: Batch, steps: int) -> Iterator[Ov
 
 
 def miou_of(model: OccupancyModel[Any], batch: Batch) -> float:
-    """Over T, P and N, of the network in evaluation."""
+    """Return mIoU over T, P and N of the network in evaluation."""
     if batch.labels is None:
         raise ValueError("the frame has no labels")
     model.eval()

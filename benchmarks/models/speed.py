@@ -1,12 +1,12 @@
-"""CPU-seconds that a frame of a recording costs, by torch and by onnxruntime: `python -m benchmarks.models.speed`.
+"""CPU-seconds per frame of a recording with torch and onnxruntime: `python -m benchmarks.models.speed`.
 
-    python -m benchmarks.models.speed column-net RUN --bag BAG --calibration CAL
+        python -m benchmarks.models.speed column-net RUN --bag BAG --calibration CAL
 
-A row is a run, or one that is shipped, untrained: ColumnNet costs the same whatever it learned, CoNet by how many
-voxels it calls occupied. One thread; CPU-seconds, so that other work on the machine changes little; the median of all
-frames but the first, which reads earlier ones too. `read` is from the recording to the batch, `whole` the model and its
-classes in torch. Of ColumnNet, `geometry` is what comes before its network, `network` that in torch, `onnx` the same in
-onnxruntime.
+A row is a run, or a shipped row, untrained: ColumnNet's cost does not depend on training, CoNet's on the number of
+voxels predicted occupied. One thread; CPU-seconds, so that other load matters little; the median of all frames except
+the first, which also reads earlier frames. `read` is from the recording to the batch, `whole` the model and its classes
+in torch. For ColumnNet, `geometry` is the part before its network, `network` the network in torch, `onnx` the network
+in onnxruntime.
 """
 
 import argparse
@@ -43,7 +43,7 @@ Feed = dict[str, torch.Tensor]
 
 @dataclass
 class FrameCosts:
-    """CPU-seconds of each frame by part, and the share of voxels that onnxruntime and torch call the same."""
+    """CPU-seconds of each frame by part, and the share of voxels with equal classes in onnxruntime and torch."""
 
     seconds: dict[str, list[float]] = field(default_factory=lambda: {part: [] for part in PARTS})
     equal: list[float] = field(default_factory=list)
@@ -80,7 +80,7 @@ def main() -> None:
 
 
 def untrained_run(row: str, folder: Path) -> Path:
-    """A run of this shipped row with the weights that training would begin with."""
+    """Return a run of this shipped row with its initial weights."""
     config = read_row(row)
     say_row(folder, config)
     torch.manual_seed(0)
@@ -89,7 +89,7 @@ def untrained_run(row: str, folder: Path) -> Path:
 
 
 def onnx_of(run: Path, loaded: LoadedRun) -> Callable[[Feed], torch.Tensor] | None:
-    """What answers logits by onnxruntime; None where the row cannot be exported."""
+    """Return the function that computes logits by onnxruntime; None if the row cannot be exported."""
     if not isinstance(loaded.predictor.model, ColumnNet):
         return None
     import onnxruntime
@@ -106,7 +106,7 @@ def onnx_of(run: Path, loaded: LoadedRun) -> Callable[[Feed], torch.Tensor] | No
 def frame_costs(
     loaded: LoadedRun, store: RecordedStore, indices: range, onnx: Callable[[Feed], torch.Tensor] | None
 ) -> FrameCosts:
-    """Of the frames at `indices`, the first of which warms up."""
+    """Return the costs of the frames at `indices`; the first frame warms up."""
     model, costs = loaded.predictor.model, FrameCosts()
     dataset = FrameDataset(store, FrameRequest(loaded.row.inputs, model.lattice))
     with torch.inference_mode():

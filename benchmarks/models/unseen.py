@@ -1,12 +1,11 @@
-"""Rows trained on some worlds, scored on others that they have not seen: `python -m benchmarks.models.unseen`.
+"""Rows trained on some worlds, scored on unseen worlds: `python -m benchmarks.models.unseen`.
 
-Each row is trained with each seed on worlds 1, 2 and 3, with no look at another, and predicts every tenth frame of
-worlds 4, 6, 7 and 8 through `stone model predict`'s own code. (World 5 has chosen between variants of ColumnNet.) It is
-scored on the voxels of its lattice, the 25.6 m around the robot, all of them, as a benchmark that masks nothing scores,
-and so is `stone baseline` on the same voxels. Cameras, LiDAR and radar are simulated. CPU-seconds are of training
-alone, one thread. Worlds, runs and figures are kept in `--folder`, and what is there is not made again. Intervals are
-Student's: of the seeds' differences from the baseline over all worlds, and of the worlds' differences between two
-rows, means of seeds.
+Each row is trained with each seed on worlds 1, 2 and 3 only, and predicts every tenth frame of worlds 4, 6, 7 and 8
+with `stone model predict`'s own code. (World 5 was used to choose between variants of ColumnNet.) All voxels of its
+lattice, the 25.6 m around the robot, are scored, like in a benchmark without a mask; `stone baseline` is scored on the
+same voxels. Cameras, LiDAR and radar are simulated. CPU-seconds are of training alone, one thread. Worlds, runs and
+figures are stored in `--folder` and reused. Intervals are Student's, for the seeds' differences from the baseline over
+all worlds, and for the worlds' differences between two rows (means of seeds).
 """
 
 import argparse
@@ -48,7 +47,7 @@ RATIOS = ("iou_occ", "iou_t", "iou_p", "iou_n", "miou")
 
 @dataclass(frozen=True)
 class UnseenScores:
-    """Of one row and seed, by unseen world. Times are CPU-seconds, of training and of a frame."""
+    """The scores of one row and seed, by unseen world. Times are CPU-seconds, of training and per frame."""
 
     row: str
     seed: int
@@ -58,7 +57,7 @@ class UnseenScores:
     frame_s: float = 0.0
 
     def ratio(self, name: str, world: str | None = None) -> float:
-        """Of one world, or of all their voxels together."""
+        """Return the ratio of one world, or of all worlds' voxels together."""
         chosen = [self.confusions[world]] if world else list(self.confusions.values())
         return scores_of(np.sum([np.array(one) for one in chosen], axis=0))[name] or 0.0
 
@@ -79,14 +78,14 @@ def main() -> None:
 
 
 def kept(path: Path, row: str, seed: int, worlds: Mapping[int, ModelWorld]) -> UnseenScores:
-    """The scores in the file, or measured and put there."""
+    """Return the scores in the file; measure and store them if it is missing."""
     if not path.exists():
         path.write_text(json.dumps(asdict(trained_scores(path.with_suffix(""), row, seed, worlds))), "utf-8")
     return UnseenScores(**json.loads(path.read_text("utf-8")))
 
 
 def trained_scores(run: Path, row: str, seed: int, worlds: Mapping[int, ModelWorld]) -> UnseenScores:
-    """Train the row on what is to be trained on, and score it on what is not."""
+    """Train the row on the training worlds, and score it on the unseen worlds."""
     exports = tuple(worlds[world].export for world in TRAINED)
     config = read_row(row, {"seed": seed})
     cache = run.parent / "frames"
@@ -106,7 +105,7 @@ def trained_scores(run: Path, row: str, seed: int, worlds: Mapping[int, ModelWor
 
 
 def baseline_scores(worlds: Sequence[ModelWorld]) -> UnseenScores:
-    """`stone baseline` on the same frames."""
+    """Return the scores of `stone baseline` on the same frames."""
     run = worlds[0].folder.parent / "baseline"
     run.mkdir(exist_ok=True)
 
@@ -120,7 +119,9 @@ def baseline_scores(worlds: Sequence[ModelWorld]) -> UnseenScores:
 def judged(
     run: Path, worlds: Sequence[ModelWorld], lattice: VoxelLattice, write: Callable[[ModelWorld, Path], int]
 ) -> tuple[dict[str, list[list[int]]], float]:
-    """Confusions by world of the submissions that `write` writes, which answers its frames; CPU-seconds a frame."""
+    """Return confusions by world of the submissions, and CPU-seconds per frame; `write` writes one and returns its
+    frames.
+    """
     submissions = [run / f"{world.folder.name}.zip" for world in worlds]
     begun = time.process_time()
     frames = sum(map(write, worlds, submissions))
@@ -133,7 +134,7 @@ def judged(
 
 
 def confusion_in(submission: Path, world: ModelWorld, lattice: VoxelLattice) -> NDArray[np.int64]:
-    """Of the frames of a submission, over the part of their grids that the lattice covers."""
+    """Return the confusion of a submission's frames, over the part of their grids inside the lattice."""
     part, whole = grid_part(lattice, PAPER), np.zeros((CLASSES, CLASSES), np.int64)
     for labels in sorted(world.ground_truth.rglob("labels.npz")):
         truth, predicted = classes_of(labels, "semantics"), _submitted(submission, labels.parent.name)
@@ -153,7 +154,7 @@ def _submitted(submission: Path, token: str) -> NDArray[np.uint8]:
 
 
 def table_of(geometric: UnseenScores, runs: Sequence[UnseenScores]) -> Table:
-    """A line a row: means over seeds in per cent, and by how much mIoU is above the baseline's."""
+    """Return a table with a line per row: means over seeds in per cent, and the mIoU difference from the baseline."""
     table = Table(title=f"worlds {_named(UNSEEN)}, every tenth frame; trained on worlds {_named(TRAINED)}")
     for heading in ("row", "seeds", *RATIOS, "mIoU above", "CPU-s to train", "steps", "CPU-s a frame"):
         table.add_column(heading, justify="left" if heading == "row" else "right")
@@ -173,7 +174,7 @@ def table_of(geometric: UnseenScores, runs: Sequence[UnseenScores]) -> Table:
 
 
 def worlds_table(geometric: UnseenScores, runs: Sequence[UnseenScores]) -> Table:
-    """mIoU in per cent by world, means over seeds, and each row's differences from the first row over worlds."""
+    """Return mIoU in per cent by world, means over seeds, and each row's differences from the first row over worlds."""
     names, rows = list(geometric.confusions), {"baseline": [geometric], **by_row(runs)}
     by_world = {
         row: [statistics.mean(run.ratio("miou", name) for run in own) for name in names] for row, own in rows.items()
@@ -191,7 +192,7 @@ def by_row(runs: Sequence[UnseenScores]) -> dict[str, list[UnseenScores]]:
 
 
 def interval_of(values: Sequence[float]) -> str:
-    """Mean and 95 % interval, in per cent."""
+    """Return the mean and the 95 % interval, in per cent."""
     mean = statistics.mean(values)
     if len(values) < 2:
         return f"{100 * mean:+.2f}"
@@ -204,7 +205,7 @@ def _named(worlds: Sequence[int]) -> str:
 
 
 def _silent(stage: str, done: int, total: int) -> None:
-    """No progress wanted."""
+    """Default progress function; does nothing."""
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Simulated worlds as exports to train on: recorded, labelled and exported once, and kept."""
+"""Simulated worlds as training exports: recorded, labelled and exported once, and stored."""
 
 import json
 import shutil
@@ -25,7 +25,7 @@ class ModelWorld:
 
     @property
     def manifest(self) -> Path:
-        """Every n-th frame."""
+        """The manifest of every n-th frame."""
         return self.folder / MANIFEST
 
     @property
@@ -35,7 +35,7 @@ class ModelWorld:
 
 
 def made_world(folder: Path, seed: int, seconds: float, every: int) -> ModelWorld:
-    """The world of this seed: made, or found as it was left."""
+    """Return the world of this seed, created or from an earlier run."""
     world = ModelWorld(folder / f"world-{seed}", seed)
     if not world.manifest.exists():
         shutil.rmtree(world.folder, ignore_errors=True)
@@ -49,7 +49,7 @@ def made_world(folder: Path, seed: int, seconds: float, every: int) -> ModelWorl
 
 
 def stone(*words: object) -> None:
-    """Run the command, its output left away."""
+    """Run the command without its output."""
     command = [sys.executable, "-m", "stone_client.main", *(str(word) for word in words)]
     subprocess.run(command, check=True, capture_output=True)
 

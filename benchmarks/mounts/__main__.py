@@ -1,10 +1,9 @@
-"""Mounts entered wrongly, put right by `--ground auto`: `python -m benchmarks.mounts`.
+"""Wrong mounts corrected by `--ground auto`: `python -m benchmarks.mounts`.
 
-Three simulated drives through worlds of their own, and a car's real one (left out where there is no field data), each
-labelled with its right mount and with twelve wrong ones. Told are how far the corrected mount is from the right one,
-and the IoU of its labels with those of the right mount: as the calibration has it, and put on the ground by
-`--ground auto` as well. Rows are kept as JSON in `--folder`; `--only WORD` takes the drives with this word in their
-names.
+Three simulated drives through worlds of their own, and a car's real drive (left out without field data), are each
+labelled with the right mount and with twelve wrong ones. The tables show the error of the corrected mount, and the IoU
+of its labels with the labels of the right mount, with the calibration as given and with `--ground auto`. Rows are
+stored as JSON in `--folder`; `--only WORD` selects the drives whose names contain the word.
 """
 
 import argparse
@@ -58,7 +57,7 @@ def _drives(folder: Path) -> list[MountDrive]:
 
 
 def _simulated(folder: Path, seed: int) -> MountDrive:
-    """From an earlier run where there is one."""
+    """Return the drive, from an earlier run if it exists."""
     bag = folder / f"world-{seed}.mcap"
     if not bag.exists():
         simulate(bag, SimulateOptions(SECONDS, seed, channels=64, columns=450, cameras=False))
@@ -66,7 +65,7 @@ def _simulated(folder: Path, seed: int) -> MountDrive:
 
 
 def _rows(drive: MountDrive, options: argparse.Namespace) -> dict[str, Any]:
-    """By wrong mount; "" is the right one, by `--ground auto`."""
+    """Return the rows by wrong mount; "" is the right one, with `--ground auto`."""
     sound = {
         ground: labelled(
             drive.bag, drive.rig(), options.folder / f"{drive.name}-{ground}", SynchroniseOptions(ground=ground)

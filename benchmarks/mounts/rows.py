@@ -1,4 +1,4 @@
-"""The row of one wrongly entered mount of `benchmarks.mounts`: what is measured, and what its labels are like."""
+"""The row of one wrong mount of `benchmarks.mounts`: the mount's error and the quality of its labels."""
 
 import tempfile
 from collections.abc import Mapping
@@ -36,7 +36,7 @@ class MountDrive:
 
 @dataclass(frozen=True)
 class WrongMount:
-    """A mount entered wrongly: so much too high (m), or turned about the LiDAR's own x (roll) or y (pitch)."""
+    """A wrong mount: a height error (m), or a rotation about the LiDAR's own x (roll) or y (pitch)."""
 
     name: str
     misreading: Misreading
@@ -51,8 +51,10 @@ WRONG = (
 
 
 def row_of(drive: MountDrive, number: int, sound: Mapping[str, Grids]) -> dict[str, Any]:
-    """Of the wrong mount of this number: how far the corrected one is from the right one, and the IoU of its labels
-    with the sound ones, by the way that these were put on the ground."""
+    """Return the row of the wrong mount of this number: the error of the corrected mount and the IoU of its labels.
+
+    The IoU is with the labels `sound` of the right mount, by the method of setting the ground.
+    """
     entered = WRONG[number].misreading(drive.rig())
     with tempfile.TemporaryDirectory(prefix="stone-mounts-") as folder:
         try:
@@ -66,7 +68,7 @@ def row_of(drive: MountDrive, number: int, sound: Mapping[str, Grids]) -> dict[s
 
 
 def distances(drive: MountDrive, made: LabelledDrive) -> dict[str, Any]:
-    """How far the mount that labels were made with is from the calibration's: height, m; tilt, degrees."""
+    """Return the differences of the labels' mount from the calibration's: height, m; tilt, degrees."""
     off = made.report.sequence.calibration.ego_from_lidar @ drive.rig().ego_from_lidar.inverse()
     height_m = made.report.sequence.calibration.ego_from_lidar.translation_m[2]
     right_m = drive.rig().ego_from_lidar.translation_m[2]
@@ -74,12 +76,12 @@ def distances(drive: MountDrive, made: LabelledDrive) -> dict[str, Any]:
 
 
 def tilt_deg(turned: SE3) -> float:
-    """How far the z axis leans."""
+    """Return the tilt of the z axis."""
     return float(np.rad2deg(np.arccos(np.clip(turned.rotation()[2, 2], -1.0, 1.0))))
 
 
 def drivable_iou(ours: Grids, theirs: Grids) -> float:
-    """Of the voxels that either calls T or P, the share that both do; NaN without a frame in common."""
+    """Return the IoU of T ∪ P of both label sets; NaN without a common frame."""
     both = either = 0
     for stamp_ns in ours.keys() & theirs.keys():
         mine, other = (np.isin(grids[stamp_ns], (TRAVERSABLE, POTENTIAL)) for grids in (ours, theirs))

@@ -1,4 +1,4 @@
-"""The rows of `benchmarks.mounts` as a table in Markdown: a row a wrong mount, the drives beside each other."""
+"""The rows of `benchmarks.mounts` as a Markdown table: a row per wrong mount, the drives beside each other."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -8,7 +8,7 @@ MountRows = Mapping[str, Mapping[str, Mapping[str, Any]]]
 
 
 def shown(made: MountRows) -> str:
-    """The table of what is left of each mount, then of the IoUs."""
+    """Return the table of each mount's remaining error, then of the IoUs."""
     names = list(next(iter(made.values())))
     left = [[name or "right", *(_left(made[drive][name]) for drive in made)] for name in names]
     ious = [[name, *(_ious(made[drive][name]) for drive in made)] for name in names if name]

@@ -1,8 +1,8 @@
-"""What movers leave in the labels: `python -m benchmarks.movers [--rates 1 2 5 10 20] [--seeds 1 2 3]`.
+"""Remains of movers in the labels: `python -m benchmarks.movers [--rates 1 2 5 10 20] [--seeds 1 2 3]`.
 
-Per seed and LiDAR rate a drive of 20 s (64 × 900 rays) is simulated twice, with three walkers and two vehicles about
-and with nobody, and labelled with profile `paper`. The labels do not see the truth. Worlds, labels and figures are
-kept in `--folder`; `--table` prints the figures that are there once more.
+Per seed and LiDAR rate a drive of 20 s (64 × 900 rays) is simulated twice, with three walkers and two vehicles and
+without movers, and labelled with profile `paper`. Labelling does not use the truth. Worlds, labels and figures are
+stored in `--folder`; `--table` prints the stored figures again.
 """
 
 import argparse
@@ -52,7 +52,7 @@ def _stem(world: SimulateOptions) -> str:
 
 
 def measured(folder: Path, world: SimulateOptions) -> MoverCounts:
-    """The counts of this world, whoever its options say is about; its drives and labels are left in the folder."""
+    """Return the counts of this world with its movers; its drives and labels stay in the folder."""
     busy = _labelled(folder, replace(world, traffic="busy"))
     truth = busy[0].truth
     movers = movers_of(replace(world, traffic="busy"), truth.trajectory, truth)
@@ -60,7 +60,7 @@ def measured(folder: Path, world: SimulateOptions) -> MoverCounts:
 
 
 def _labelled(folder: Path, world: SimulateOptions) -> tuple[Drive, Path]:
-    """The drive of these options and its labels."""
+    """Return the drive of these options and its labels."""
     name: Traffic = world.traffic
     drive = simulated(folder / f"{name}-{_stem(world)}.mcap", world)
     labels = folder / f"labels-{name}-{_stem(world)}"

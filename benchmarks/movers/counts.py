@@ -1,8 +1,7 @@
-"""Counts of what movers left behind, and of what was lost with them, against the same drive with nobody about.
+"""Counts of movers' remains, and of surfaces lost with them, relative to the same drive without movers.
 
-**Conventions.** All is counted in the voxels that hold surface of the map, within `NEAR_M` in plan of a pose: every
-label of a frame is the class of one of them. Of two voxels that touch, one may stand for the other: surface is known
-to no more than that.
+**Conventions.** Counts are of map voxels with surface within `NEAR_M` in plan of a pose: every label of a frame is the
+class of one of them. Two touching voxels may replace each other, since the position of a surface has this uncertainty.
 """
 
 from collections.abc import Sequence
@@ -22,14 +21,17 @@ from stone.labels.voxels import VOXEL_M
 
 NEAR_M = 24.0
 TOUCHING_M = VOXEL_M * 1.75  # a corner's distance is √3
-MARGIN_M = 0.3  # about a mover: half a voxel, the drift of the map, what a vehicle drives in half a sweep
+MARGIN_M = 0.3  # around a mover: half a voxel, the drift of the map, a vehicle's path in half a sweep
 SEEN_M = VOXEL_M
 
 
 @dataclass(frozen=True)
 class MoverCounts:
-    """Voxels with surface: in all; where somebody was who is gone, and nobody about leaves none; of what was parked;
-    of what stands, as nobody about leaves it and as seen in this drive; those of them that are lost."""
+    """Counts of voxels with surface.
+
+    They are all voxels; falsely occupied voxels of movers that left, absent from the drive without movers; and voxels
+    of parked vehicles. Further counts are static voxels without movers and in this drive, and the lost ones.
+    """
 
     voxels: int
     left: int
@@ -39,7 +41,7 @@ class MoverCounts:
 
 
 def mover_counts(busy: tuple[Drive, Path], clear: tuple[Drive, Path], movers: Sequence[Mover]) -> MoverCounts:
-    """Of a drive and its labels, and of the same drive without the movers."""
+    """Return the counts of a drive and its labels, relative to the same drive without the movers."""
     drive, labels = busy
     found, expected = _surface(drive, labels), _surface(*clear)
     is_new, found_world = ~_touches(found, expected), _in_world(drive, found)
@@ -58,24 +60,24 @@ def mover_counts(busy: tuple[Drive, Path], clear: tuple[Drive, Path], movers: Se
 
 
 def _surface(drive: Drive, labels: Path) -> Array:
-    """Centres (N, 3) of the voxels near the track that hold surface."""
+    """Return the centres (N, 3) of the voxels near the track with surface."""
     centres = centres_of(np.unique(keys_of(read_mesh(labels / "mesh.ply").vertices_map, VOXEL_M)), VOXEL_M)
     track = cKDTree(drive.sequence.frames.map_from_ego.translation_m[:, :2])
     return np.asarray(centres[np.isfinite(track.query(centres[:, :2], distance_upper_bound=NEAR_M)[0])])
 
 
 def _touches(voxels: Array, others: Array) -> NDArray[np.bool_]:
-    """Which of the voxels (N, 3) are one of the others (M, 3), or touch one."""
+    """Return which of the voxels (N, 3) equal or touch one of the others (M, 3)."""
     return np.asarray(np.isfinite(cKDTree(others).query(voxels, distance_upper_bound=TOUCHING_M)[0]))
 
 
 def _half_sweep_ns(drive: Drive) -> int:
-    """A sweep takes 0.1 s, or as long as the time to the next one where that is less."""
+    """Return half a sweep: a sweep takes 0.1 s, or the time to the next one if that is less."""
     return int(min(np.median(np.diff(drive.sequence.frames.stamps_ns)), 100_000_000)) // 2
 
 
 def _standing_points(drive: Drive, movers: Sequence[Mover], moments_ns: NDArray[np.int64]) -> Array:
-    """Where in the map the sweeps met what stands (M, 3), thinned."""
+    """Return the map positions of hits on standing movers (M, 3), thinned."""
     kept, world_from_ego = list[Keys](), drive.world_from_ego()
     for frame, stamp_ns in enumerate(moments_ns.tolist()):
         seen = points_ego(drive, frame)
@@ -86,7 +88,7 @@ def _standing_points(drive: Drive, movers: Sequence[Mover], moments_ns: NDArray[
 
 
 def _in_world(drive: Drive, points_map: Array) -> Array:
-    """Points (N, 3) of the map in the world, by the nearest frame in plan."""
+    """Return points (N, 3) of the map in the world, by the nearest frame in plan."""
     map_from_ego = drive.sequence.frames.map_from_ego
     _, nearest = cKDTree(map_from_ego.translation_m[:, :2]).query(points_map[:, :2])
     return np.asarray((drive.world_from_ego() @ map_from_ego.inverse())[nearest] @ points_map)

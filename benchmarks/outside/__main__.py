@@ -1,10 +1,9 @@
 """Labels against analytic worlds that share no code with the simulator: `python -m benchmarks.outside`.
 
 Every world is cast with every number of channels, recorded, labelled with every profile and judged by its exact truth;
-faults are tried with `--fault-channels`. Ideal ranges and figures are kept in `--folder`: rows that were measured are
-not measured again unless `--again` is given, and `--table` measures none. A row takes about half a minute, casting a
-world of 64 channels 40 s more, once. `--set NAME=VALUE` tries a variant of the profiles on kept surfaces, which
-`--again` deletes.
+faults are tried with `--fault-channels`. Ideal ranges and figures are stored in `--folder`: existing rows are reused
+unless `--again` is given, and `--table` measures none. A row takes about half a minute; casting a world of 64 channels
+takes 40 s more, once. `--set NAME=VALUE` tries a variant of the profiles on stored surfaces, which `--again` deletes.
 """
 
 import argparse

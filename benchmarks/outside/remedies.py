@@ -1,4 +1,4 @@
-"""Rows of drives whose fault is mended by what the product recommends: ground auto, or what its sentences say to enter.
+"""Rows of drives whose fault is corrected by the product's remedy: ground auto, or the values of its findings.
 
 **Conventions.** A row with a remedy is named "fault, remedy".
 """
@@ -28,7 +28,7 @@ def fault_of(row: str) -> str:
 
 
 def opened(row: str, bag: Path, calibration: Path) -> tuple[Sequence, SweepSource]:
-    """Return the recording as the row's remedy has it."""
+    """Return the recording opened with the row's remedy."""
     _, _, remedy = row.partition(", ")
     if remedy == AS_ADVISED:
         enter_advice(calibration, open_sequence(bag, calibration, "outside")[0])
@@ -37,7 +37,7 @@ def opened(row: str, bag: Path, calibration: Path) -> tuple[Sequence, SweepSourc
 
 
 def enter_advice(calibration: Path, sequence: Sequence) -> None:
-    """Write into a calibration file what CAL-433 and SYN-518 of a sequence say to enter."""
+    """Write the values of a sequence's findings CAL-433 and SYN-518 into a calibration file."""
     rig = json.loads(calibration.read_text())
     sentences = " ".join(one.message for one in sequence.findings if one.code in ("CAL-433", "SYN-518"))
     for _, sensor, place, turn in ENTRY.findall(sentences):

@@ -1,6 +1,6 @@
-"""One row of `benchmarks.outside`: a drive, a fault and a profile, recorded, labelled as `stone label` does, judged.
+"""One row of `benchmarks.outside`: a drive, a fault and a profile, recorded, labelled like `stone label`, judged.
 
-**Conventions.** A row's figures are counts, which add over worlds; they are kept as JSON beside the ideal ranges. A
+**Conventions.** A row's figures are counts, which add over worlds; they are stored as JSON beside the ideal ranges. A
 refusal keeps its code and no counts.
 """
 
@@ -36,7 +36,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The counts of one row, the codes of the label set's findings that are no mere information, or a refusal."""
+    """The counts of one row and the codes of the label set's findings beyond information, or a refusal."""
 
     frames: int
     counts: dict[str, int]
@@ -49,7 +49,7 @@ class Outcome:
 
 
 def measure(row: Row, folder: Path) -> Outcome:
-    """Return the outcome of a row, and keep it in the folder; its recording and labels are not kept."""
+    """Return the outcome of a row, and store it in the folder; its recording and labels are deleted."""
     with TemporaryDirectory(dir=folder) as place:
         outcome = _outcome(row, folder, Path(place))
     row.kept_in(folder).write_text(json.dumps(outcome.__dict__, indent=1) + "\n")
@@ -70,7 +70,7 @@ def _outcome(row: Row, folder: Path, place: Path) -> Outcome:
 
 
 def kept(row: Row, folder: Path) -> Outcome | None:
-    """Return the kept outcome of a row, None if it was not measured."""
+    """Return the stored outcome of a row, None if it was not measured."""
     path = row.kept_in(folder)
     if not path.exists():
         return None

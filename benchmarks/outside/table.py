@@ -1,8 +1,8 @@
 """The figures of `benchmarks.outside` as Markdown tables: a row per LiDAR, fault and profile, over all worlds.
 
-**Conventions.** Ratios are of the counts of all worlds; "worst" is that of the worst world, "worst kind" the greatest
-danger of a kind in one world. Shares of kinds and slope bands are of labelled voxels that are T or P, missed is of
-sightings, in which every voxel is.
+**Conventions.** Ratios are of the counts of all worlds; "worst" is the ratio of the worst world, "worst kind" the
+greatest danger of a kind in one world. Shares of kinds and slope bands are of labelled voxels that are T or P; missed
+is relative to sightings, which include every voxel.
 """
 
 from collections import Counter
@@ -67,7 +67,7 @@ def _cells(labelled: Sequence[Outcome]) -> list[str]:
 
 
 def _codes(outcomes: Sequence[Outcome]) -> tuple[str, str]:
-    """Return the findings, with the number of worlds in which each was, and the refusals likewise."""
+    """Return the findings, with the number of worlds of each, and likewise the refusals."""
     findings = Counter(code for one in outcomes for code in one.findings)
     refused = Counter(one.refused for one in outcomes if one.refused)
     found, refusals = (" ".join(f"{code}×{n}" for code, n in sorted(one.items())) for one in (findings, refused))

@@ -1,7 +1,7 @@
-"""Labels of any parameters, made again from kept surfaces: a variant of the classes costs the frames alone.
+"""Labels of any parameters, remade from stored surfaces: a variant of the classes costs only the frames.
 
-**Conventions.** Recordings, fused points and surfaces are kept in the folder, surfaces by the parameters that they
-depend on, fused points by theirs; neither by the code, so after a change of it `forget` them. No report is made.
+**Conventions.** Recordings, fused points and surfaces are stored in the folder, keyed by the parameters that they
+depend on, but not by the code; `forget` them after a code change. No report is written.
 """
 
 import os
@@ -51,12 +51,14 @@ def kept_in(row: Row, folder: Path) -> Path:
 
 
 def forget(folder: Path) -> None:
-    """Delete the recordings and surfaces that are kept in a folder."""
+    """Delete the recordings and surfaces in a folder."""
     shutil.rmtree(folder / "kept", ignore_errors=True)
 
 
 def _surfaces(run: LabelRun) -> Path:
-    """Return the scratch with the run's surfaces, made where they are not kept; `run.scratch` holds all that is."""
+    """Return the scratch with the run's surfaces, computed if they are missing; `run.scratch` contains the stored
+    stages.
+    """
     root, parameters = run.scratch, run.parameters
     of_points = (parameters.selection, parameters.tiling, parameters.carve, parameters.dynamic)
     fused = root / f"fused-{_hash((*of_points, parameters.surface.point_voxel_m))}"
@@ -78,7 +80,7 @@ def _made(run: LabelRun, target: Path, kinds: Iterable[str]) -> None:
 
 
 def run_stages(run: LabelRun, kinds: Iterable[str]) -> None:
-    """Do the jobs of these kinds in this process, in their order."""
+    """Run the jobs of these kinds in this process, in their order."""
     for job in label_graph(run):
         if job.kind in kinds:
             STAGES[job.kind].work(run, job.arguments, silent)

@@ -1,12 +1,12 @@
-"""Labels of real recordings against what is known of them: `python -m benchmarks.real [FOLDER]`.
+"""Labels of real recordings against known facts: `python -m benchmarks.real [FOLDER]`.
 
-Labels every recording of the folder that has a description (docs/research/real-ground.md says what one holds) with
-every profile and with one option at a time, and prints what can be told without a truth: ground that faces down, T
-under the track, N where the ground is known to be flat and on known walls, points whose class is known, how labels made
-from a part of the way hold on the rest of it, and how far two passes differ. Without FOLDER it is the one that
-STONE_FIELD_DATA names, else the tests' usual one; where that is missing, this is said and nothing fails. A folder that
-was named and holds nothing fails. `--names` chooses recordings, `--options` and `--profiles` rows; two passes are tried
-of the rows of `--passes-of`, since each labels everything twice more.
+It labels every recording of the folder that has a description (docs/research/real-ground.md lists its contents) with
+every profile and with one option at a time. It prints figures without a ground truth: ground that faces down, T under
+the track, N on known flat ground and walls, and points of known class. It also prints the agreement of labels from a
+part of the track with the rest, and the difference of two passes. FOLDER defaults to STONE_FIELD_DATA, or else the
+tests' usual folder; if the default is missing, the program prints a note and succeeds. A given folder without
+descriptions is an error. `--names` selects recordings, `--options` and `--profiles` rows; two passes are tried for the
+rows of `--passes-of`, since each labels everything twice more.
 """
 
 import argparse
@@ -58,9 +58,9 @@ def main() -> None:
 
 
 def described_recordings(folder: Path | None) -> list[Described]:
-    """Those of the folder; of the usual one where it is None, and none where that is not there, which is printed.
+    """Return the described recordings of the folder; None means the usual folder, which may be missing (with a note).
 
-    Raises `NothingDescribedError` for a folder that was named and holds none, and what `described_in` raises.
+    Raises `NothingDescribedError` for a given folder without any, and what `described_in` raises.
     """
     is_named = folder is not None or bool(os.environ.get(VARIABLE))
     chosen = folder or field_folder()
@@ -82,7 +82,7 @@ def _show_recording(described: Described, options: argparse.Namespace) -> None:
 
 
 def _row(described: Described, how: tuple[Profile, Option], options: argparse.Namespace) -> Figures:
-    """The figures of one label set; of what is refused, the code of the refusal."""
+    """Return the figures of one label set, or the code of its refusal."""
     profile, option = how
     folder: Path = options.out / described.description.name
     folder.mkdir(parents=True, exist_ok=True)
@@ -118,7 +118,7 @@ def _figures(described: Described, report: LabelReport, folder: Path) -> Figures
 def _passes(
     described: Described, run: tuple[Sequence, SweepSource], parameters: LabelParameters, folder: Path
 ) -> Figures:
-    """How far two passes differ, labelled alike: those frames are left out of each that the other has."""
+    """Return the difference of two passes, labelled alike; each leaves out the frames of the other."""
     figures: Figures = {}
     for kind in described.description.passes if len(run[0].frames) > 1 else ():
         maps = []

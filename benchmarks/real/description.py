@@ -1,7 +1,7 @@
-"""Descriptions of real recordings: a small file `*.real.yaml` that says what is known of one, validated.
+"""Descriptions of real recordings: a small file `*.real.yaml` with known facts, validated.
 
-**Conventions.** A path is looked for beside the description, then in the folder of recordings. Plan coordinates are
-metres in the recording's map, the frame of its poses; those of a scan are its ego frame.
+**Conventions.** A path is relative to the description, or else to the folder of recordings. Plan coordinates are metres
+in the recording's map, the frame of its poses; for a scan, in its ego frame.
 """
 
 from dataclasses import dataclass
@@ -32,8 +32,11 @@ class _Part(BaseModel):
 
 
 class LabelledScan(_Part):
-    """One scan with a class per point: float32 x, y, z, intensity in the LiDAR's frame, and uint32 of which the lower
-    16 bits are the class (SemanticKITTI's files). `stamp_ns` is that of its frame; a single scan has only one."""
+    """One scan with a class per point.
+
+    It has float32 x, y, z, intensity in the LiDAR's frame, and uint32 whose lower 16 bits are the class
+    (SemanticKITTI's files). `stamp_ns` is that of its frame; a single scan has only one.
+    """
 
     points: str
     labels: str
@@ -41,7 +44,7 @@ class LabelledScan(_Part):
 
 
 class Semantics(_Part):
-    """Labelled scans, and which of their classes (name → number) a robot can drive on, and which stand in its way."""
+    """Labelled scans, with the classes (name → number) that are drivable, and the classes that are obstacles."""
 
     scans: Annotated[tuple[LabelledScan, ...], Field(min_length=1)]
     ground: Classes
@@ -49,11 +52,11 @@ class Semantics(_Part):
 
 
 class Description(_Part):
-    """What is known of one recording, or of one scan without poses (`scan`: float32 x, y, z, intensity).
+    """The known facts of one recording, or of one scan without poses (`scan`: float32 x, y, z, intensity).
 
-    A recording has the track of its poses. Of a scan, `tracks_m` (name → corners from the robot's own place on, in its
-    ego frame) are ways that a person says can be driven; each is tried as the track, besides the footprint alone.
-    `ring_spacing_deg` is how far the LiDAR's channels are apart, about.
+    A recording has the track of its poses. For a scan, `tracks_m` (name → corners from the robot's own position, in its
+    ego frame) are paths that a person declared drivable. Each is tried as the track, besides the footprint alone.
+    `ring_spacing_deg` is the approximate spacing of the LiDAR's channels.
     """
 
     stone_real: Literal[1]
@@ -85,7 +88,7 @@ class Description(_Part):
 
 @dataclass(frozen=True)
 class Described:
-    """A description and where its paths are looked for."""
+    """A description and the folders of its paths."""
 
     description: Description
     path: Path
@@ -93,17 +96,17 @@ class Described:
 
     @property
     def source(self) -> Path:
-        """The recording or the scan; it need not exist."""
+        """The path of the recording or the scan; it need not exist."""
         return self.file(self.description.recording or self.description.scan or "")
 
     def file(self, name: str) -> Path:
-        """The file that the description calls so; it need not exist."""
+        """Return the path of a file of the description; it need not exist."""
         beside = self.path.parent / name
         return beside if beside.exists() else self.folder / name
 
 
 def described_in(folder: Path) -> list[Described]:
-    """Every recording of the folder that a description in it, or one of the project's own, tells of.
+    """Return every recording of the folder with a description in it, or with one of the project's own.
 
     Raises `DescriptionError`, `CalibrationYamlError`; a description in the folder whose recording is missing is wrong.
     """
@@ -117,12 +120,12 @@ def described_in(folder: Path) -> list[Described]:
 
 
 def own_descriptions() -> list[Path]:
-    """Those that come with the project."""
+    """Return the paths of the project's own descriptions."""
     return sorted(OURS.glob(f"*{SUFFIX}"))
 
 
 def read_description(path: Path, folder: Path) -> Described:
-    """The description in this file. Raises `DescriptionError`, `CalibrationYamlError`."""
+    """Return the description in this file. Raises `DescriptionError`, `CalibrationYamlError`."""
     if path.stat().st_size > MOST_BYTES:
         raise DescriptionError(path, f"has {path.stat().st_size} bytes; a description has at most {MOST_BYTES}")
     documents = parse_documents(path.name, path.read_bytes())
@@ -137,7 +140,7 @@ def read_description(path: Path, folder: Path) -> Described:
 
 
 def _of_one_name_each(found: list[Described]) -> list[Described]:
-    """The same. Raises `DescriptionError` where two have one name: their labels would replace each other."""
+    """Return the descriptions. Raises `DescriptionError` if two have one name, as their labels would collide."""
     paths: dict[str, Path] = {}
     for one in found:
         name = one.description.name

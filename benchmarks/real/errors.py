@@ -1,4 +1,4 @@
-"""What this program refuses: a description that says nothing usable, a folder without any recording described."""
+"""Refusals of this program: an unusable description, a folder without any described recording."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ from stone.errors import StoneError
 
 
 class DescriptionError(StoneError):
-    """A description of a recording that cannot be followed."""
+    """A description of a recording is unusable."""
 
     code = "bad_description"
 
@@ -15,7 +15,7 @@ class DescriptionError(StoneError):
 
 
 class NothingDescribedError(StoneError):
-    """A folder that was named is not there, or holds no recording with a description."""
+    """A given folder does not exist, or contains no recording with a description."""
 
     code = "nothing_described"
 

@@ -1,4 +1,4 @@
-"""How labels made from a part of the way hold on the rest of it, for parts of several lengths."""
+"""Agreement of labels from a part of the track with the rest, for parts of several lengths."""
 
 from benchmarks.real.labelled_map import Figures
 from services.labeler.map.held_out import HeldOutTrack
@@ -9,8 +9,11 @@ KNOWN_RATIOS = (0.35, 0.5, 0.7)
 
 
 def held_out_figures(run: LabelRun) -> Figures:
-    """The recall of labels from the first and from the last part of the way, None where too little ground was driven;
-    the stages of the run are done and in its scratch."""
+    """Return the recall of labels from the first and from the last part of the track, None with too little driven
+    ground.
+
+    The stages of the run are complete and in its scratch.
+    """
     track, figures = HeldOutTrack(run, load_summaries(run)), Figures()
     for ratio in KNOWN_RATIOS:
         for side, found in (("first", track.from_first(ratio)), ("last", track.from_last(ratio))):

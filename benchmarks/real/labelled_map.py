@@ -1,4 +1,4 @@
-"""The labelled voxels of a label set's whole map, and how far two such maps differ."""
+"""The labelled voxels of a label set's whole map, and the differences of two such maps."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,12 +25,12 @@ class LabelledMap:
 
     @cached_property
     def centres_map(self) -> Array:
-        """Their centres (K, 3)."""
+        """The centres (K, 3)."""
         return centres_of(self.keys, VOXEL_M)
 
 
 def read_map(labels: Path) -> LabelledMap:
-    """The labelled map of a label set, of the viewer's `STT1` files (`services/domain/viewer/formats.py`)."""
+    """Return the labelled map of a label set, from the viewer's `STT1` files (`services/domain/viewer/formats.py`)."""
     parts = [_tile(path) for path in sorted((labels / "scene").glob("tile_*.bin")) if path.stem.count("_") == 2]
     keys = np.concatenate([np.zeros(0, np.int64), *(keys for keys, _ in parts)])
     classes = np.concatenate([np.zeros(0, np.uint8), *(classes for _, classes in parts)])
@@ -46,12 +46,12 @@ def _tile(path: Path) -> tuple[Keys, NDArray[np.uint8]]:
 
 
 def disagreement(one: LabelledMap, other: LabelledMap) -> tuple[float | None, float | None]:
-    """Of the voxels that both label: the share of another class, and the share that only one of them calls N."""
+    """Return shares of the voxels that both label: with another class, and N in only one of them."""
     _, mine, theirs = np.intersect1d(one.keys, other.keys, assume_unique=True, return_indices=True)
     ours, others = one.classes[mine], other.classes[theirs]
     return share(ours != others), share((ours == NON_TRAVERSABLE) != (others == NON_TRAVERSABLE))
 
 
 def share(hits: NDArray[np.bool_]) -> float | None:
-    """How many of these are true, as a share; None of nothing."""
+    """Return the share of true values; None without values."""
     return float(hits.mean()) if len(hits) else None

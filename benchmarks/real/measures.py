@@ -1,8 +1,8 @@
-"""What can be told of labels without a truth: what faces down, where T is, what a person knows to be flat or a wall.
+"""Figures of labels without a ground truth: surfaces facing down, the position of T, known flat ground and walls.
 
-**Conventions.** Shares are of what there is; None where there is nothing to judge. Heights are those above the ego
-plane of the nearest pose of the track. Ground is the part of the mesh that is nearly level, either side up, with
-nothing of the mesh below it, within `SEEN_M` of the track and about as high.
+**Conventions.** A share is None if its base is empty. Heights are above the ego plane of the nearest pose of the track.
+Ground is the part of the mesh that is nearly level, either side up, with no mesh below it, within `SEEN_M` of the track
+and at a similar height.
 """
 
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class WrittenLabels:
-    """A label set as it was written, and the sequence it is of."""
+    """A written label set, and its sequence."""
 
     described: Described
     sequence: Sequence
@@ -47,24 +47,24 @@ class WrittenLabels:
 
     @cached_property
     def way(self) -> SE3:
-        """Poses (W,) at most `STEP_M` apart along the track of the first map."""
+        """Return poses (W,) at most `STEP_M` apart along the track of the first map."""
         stretches = [densified(stretch, STEP_M, STEP_M) for stretch in ego_path(self.sequence, 0)]
         return SE3(np.concatenate([stretch.wxyz_xyz for stretch in stretches]))
 
     def grid(self, frame: int) -> Grid:
-        """The classes of the voxels around frame `frame`."""
+        """Return the classes of the voxels around frame `frame`."""
         path = self.folder / "gts" / self.sequence.name / self.sequence.frames.tokens[frame] / "labels.npz"
         with np.load(path, allow_pickle=False) as archive:
             found: Grid = archive["semantics"]
         return found
 
     def above_track(self, points_map: Array) -> tuple[Array, Array]:
-        """Distance in plan (N,) to the nearest pose of the track, and height (N,) above its ego plane."""
+        """Return the distance in plan (N,) to the track's nearest pose, and the height (N,) above its ego plane."""
         away_m, nearest = cKDTree(self.way.translation_m[:, :2]).query(points_map[:, :2])
         return away_m, (self.way[nearest].inverse() @ points_map)[:, 2]
 
     def is_flat(self, points_map: Array) -> Mask:
-        """Which points (N, 3) are, in plan, where the description says that the ground is flat."""
+        """Return which points (N, 3) are, in plan, in an area that the description declares flat."""
         said = self.described.description
         inside = self.above_track(points_map)[0] < said.flat_beside_track_m
         for polygon in said.flat_m:
@@ -73,7 +73,7 @@ class WrittenLabels:
 
 
 def measured(labels: WrittenLabels) -> Figures:
-    """Every figure of one label set that needs no other and no classes."""
+    """Return every figure of one label set that needs no other label set and no classes."""
     return {
         **facing_down(labels),
         "covered": t_coverage(labels),
@@ -83,7 +83,7 @@ def measured(labels: WrittenLabels) -> Figures:
 
 
 def facing_down(labels: WrittenLabels) -> Figures:
-    """The share of ground vertices that face down: of all near the track, and of what is said to be flat."""
+    """Return the share of ground vertices that face down, among all near the track and in areas declared flat."""
     mesh = read_mesh(labels.folder / "mesh.ply")
     vertices, up = mesh.vertices_map, area_normals(mesh)[:, 2]
     away_m, height_m = labels.above_track(vertices)
@@ -94,7 +94,7 @@ def facing_down(labels: WrittenLabels) -> Figures:
 
 
 def lowest(points_map: Array) -> Mask:
-    """Which points (N, 3) have no other more than `BELOW_M` below them in their column of `VOXEL_M`."""
+    """Return which points (N, 3) have no other more than `BELOW_M` below them in their column of `VOXEL_M`."""
     flat = points_map * (1.0, 1.0, 0.0)
     _, column = np.unique(keys_of(flat, VOXEL_M), return_inverse=True)
     floor_m = np.full(int(column.max(initial=-1)) + 1, np.inf)
@@ -103,20 +103,20 @@ def lowest(points_map: Array) -> Mask:
 
 
 def t_coverage(labels: WrittenLabels) -> float | None:
-    """The share of places under the footprint, along the track, in whose voxel T lies, or in the one above or below."""
+    """Return the share of places under the footprint, along the track, with T in the voxel, or above or below it."""
     driven = labels.voxels.keys[labels.voxels.classes == TRAVERSABLE]
     return share(covered_places(driven, labels.way, labels.sequence.calibration.footprint)[0].ravel())
 
 
 def flat_non_traversable(labels: WrittenLabels) -> float | None:
-    """The share of N in the lowest voxels where the ground is said to be flat, those driven on left out."""
+    """Return the share of N in the lowest voxels of areas declared flat, without driven ground."""
     voxels = labels.voxels
     where = labels.is_flat(voxels.centres_map) & lowest(voxels.centres_map) & (voxels.classes != TRAVERSABLE)
     return share(voxels.classes[where] == NON_TRAVERSABLE)
 
 
 def wall_non_traversable(labels: WrittenLabels) -> float | None:
-    """The share of N in the voxels of the known walls, between two heights."""
+    """Return the share of N in the voxels of the known walls, between two heights."""
     centres, is_wall = labels.voxels.centres_map, np.zeros(len(labels.voxels.keys), np.bool_)
     height_m = labels.above_track(centres)[1]
     for line in labels.described.description.walls_m:
@@ -126,7 +126,7 @@ def wall_non_traversable(labels: WrittenLabels) -> float | None:
 
 
 def near_line(plan: Array, line: Array) -> Array:
-    """Distance (N,) of points (N, 2) to a line of corners (L, 2), metres."""
+    """Return the distance (N,) of points (N, 2) to a line of corners (L, 2), metres."""
     away = np.full(len(plan), np.inf)
     for start, along in zip(line[:-1], np.diff(line, axis=0), strict=True):
         ratio = np.clip((plan - start) @ along / max(float(along @ along), 1e-12), 0.0, 1.0)

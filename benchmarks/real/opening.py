@@ -1,4 +1,4 @@
-"""Opens what a description tells of as a sequence, whole or in part: a recording by its poses, a scan by its track."""
+"""Opening of a description's data as a sequence, whole or in part: a recording by its poses, a scan by its track."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,7 +26,7 @@ class ScanSweeps:
     points_lidar: NDArray[np.float32]
 
     def sweep(self, index: int) -> Sweep:
-        """The scan, of the only frame."""
+        """Return the scan, of the only frame."""
         return Sweep(index, self.points_lidar)
 
 
@@ -38,15 +38,15 @@ class ChosenSweeps:
     rows: NDArray[np.int64]
 
     def sweep(self, index: int) -> Sweep:
-        """The sweep of the index-th of the chosen frames."""
+        """Return the sweep of the index-th of the chosen frames."""
         return self.source.sweep(int(self.rows[index]))
 
 
 @dataclass(frozen=True, eq=False)
 class ThinnedSweeps:
-    """Sweeps of which one band of elevation in `every` is left, each as wide as the rings are apart.
+    """Sweeps reduced to one band of elevation in `every`, each as wide as the ring spacing.
 
-    Rings that are not evenly apart may fall two into one band, so what is left is about that share of the rings.
+    Unevenly spaced rings may share a band, so the result has about that share of the rings.
     """
 
     source: SweepSource
@@ -54,7 +54,7 @@ class ThinnedSweeps:
     spacing_deg: float
 
     def sweep(self, index: int) -> Sweep:
-        """The sweep with the points of the bands that stay."""
+        """Return the sweep with the points of the remaining bands."""
         whole = self.source.sweep(index)
         x, y, z = whole.points_lidar.T
         band = np.floor(np.rad2deg(np.arctan2(z, np.hypot(x, y))) / self.spacing_deg).astype(np.int64)
@@ -62,7 +62,7 @@ class ThinnedSweeps:
 
 
 def opened(described: Described, options: SynchroniseOptions, track: str | None = None) -> tuple[Sequence, SweepSource]:
-    """The sequence and its sweeps; of a scan with the stated way `track`, or with no way but its own place.
+    """Return the sequence and its sweeps; for a scan with the declared path `track`, or with only its own position.
 
     Raises `DescriptionError` and what `open_sequence` raises.
     """
@@ -79,7 +79,7 @@ def opened(described: Described, options: SynchroniseOptions, track: str | None 
 
 
 def along(corners: Array) -> Trajectory:
-    """Level poses at the corners (P, 2), turning at each to the next one; the first looks ahead, as the scan does."""
+    """Return level poses at the corners (P, 2), turning at each to the next; the first faces ahead, like the scan."""
     ways = np.diff(corners, axis=0)
     headings = np.concatenate([[0.0], np.repeat(np.arctan2(ways[:, 1], ways[:, 0]), 2)])
     places = np.repeat(corners, 2, axis=0)[: len(headings)]
@@ -90,7 +90,7 @@ def along(corners: Array) -> Trajectory:
 
 
 def classes_of(described: Described, points: str, labels: str) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """The returns (N, 3) of a labelled scan and their classes (N,). Raises `DescriptionError` where lengths differ."""
+    """Return points (N, 3) of a labelled scan and their classes (N,). Raises `DescriptionError` if lengths differ."""
     xyz, path = _rows_of(described.file(points)), described.file(labels)
     if not path.is_file():
         raise DescriptionError(described.path, f"{path} is not there")
@@ -102,7 +102,7 @@ def classes_of(described: Described, points: str, labels: str) -> tuple[NDArray[
 
 
 def part_of(sequence: Sequence, sweeps: SweepSource, rows: NDArray[np.int64]) -> tuple[Sequence, SweepSource]:
-    """The same run with these frames only; its track stays whole."""
+    """Return the same run with these frames only; its track stays whole."""
     frames = sequence.frames
     tokens = tuple(frames.tokens[row] for row in rows.tolist())
     chosen = Frames(frames.stamps_ns[rows], tokens, frames.map_from_ego[rows])
@@ -122,5 +122,5 @@ def _rows_of(path: Path) -> NDArray[np.float32]:
 
 
 def _is_return(points: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Which rows (N, 3) are returns; the scans of others have rows of zeros where there was none."""
+    """Return which rows (N, 3) are returns; foreign scans have rows of zeros for missing returns."""
     return np.asarray((points != 0).any(axis=1))

@@ -1,4 +1,4 @@
-"""How labels agree with points whose class is known: ground in T ∪ P, obstacles in N."""
+"""Agreement of labels with points of known class: ground in T ∪ P, obstacles in N."""
 
 from collections.abc import Mapping
 
@@ -19,10 +19,10 @@ NOTHING = np.zeros(4, np.int64)
 
 
 def semantic_counts(labels: WrittenLabels, semantics: Semantics) -> Counts:
-    """For every class of the labelled scans, how many of its points in the grid lie in voxels of class 0 to 3 (4,).
+    """Return for every class of the labelled scans the number of its points in voxels of class 0 to 3 (4,).
 
-    Points are placed by their own scan's frame. Those in T of a scan without poses are left out: what was stated is no
-    label to be judged. Raises `DescriptionError`.
+    Points are placed by their own scan's frame. Points in T of a scan without poses are left out, because that T was
+    declared, not labelled. Raises `DescriptionError`.
     """
     is_stated = labels.described.description.scan is not None
     totals: dict[int, NDArray[np.int64]] = {}
@@ -50,9 +50,9 @@ def _frame_of(labels: WrittenLabels, scan: LabelledScan) -> int:
 
 
 def agreement(counts: Counts, semantics: Semantics) -> Figures:
-    """Of the points in labelled voxels: those of ground classes in T or P, those of obstacles in N; and by class.
+    """Return shares of the points in labelled voxels: ground classes in T or P, obstacles in N; and by class.
 
-    `unlabelled`: the share of these points that lie in no labelled voxel, of which nothing is said.
+    `unlabelled`: the share of these points outside all labelled voxels, which are not judged.
     """
     ground = sum((counts.get(kind, NOTHING) for kind in semantics.ground.values()), NOTHING)
     obstacle = sum((counts.get(kind, NOTHING) for kind in semantics.obstacle.values()), NOTHING)

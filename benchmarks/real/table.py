@@ -1,4 +1,4 @@
-"""The figures of `benchmarks.real` as tables that can be put into a page: a row per profile and option."""
+"""The figures of `benchmarks.real` as Markdown tables: a row per profile and option."""
 
 from collections.abc import Iterable, Mapping
 
@@ -33,7 +33,7 @@ CLASS_MARKS = ("T ∪ P of ", "N of ")
 
 
 def show(title: str, rows: Mapping[tuple[str, str], Figures]) -> None:
-    """Print the table of one recording, and one of its classes where points of it have some."""
+    """Print the table of one recording, and one of its classes if points have some."""
     print(f"\n{title}\n")
     used = [column for column in COLUMNS if _is_known(rows, column[0])]
     table = _table(name for _, name, _ in used)

@@ -24,7 +24,7 @@ FOOTPRINT_ALONE = "footprint alone"
 
 @dataclass(frozen=True)
 class Option:
-    """One thing done otherwise. `choices` are parameters by dotted name, as `stone label` and the pages offer them."""
+    """One changed setting. `choices` are parameters by dotted name, as in `stone label` and on the pages."""
 
     name: str
     profiles: tuple[Profile, ...] = PROFILES
@@ -37,13 +37,13 @@ class Option:
     track: str | None = None
 
     def parameters(self, profile: Profile) -> LabelParameters:
-        """The profile's with what this option changes. Raises `bad_parameter`."""
+        """Return the profile's parameters with this option's change. Raises `bad_parameter`."""
         given = chosen_parameters(profile, self.choices)
         surface = replace(given.surface, solver=self.solver)
         return replace(given, surface=surface, refinement=self.refinement)
 
     def opened(self, described: Described) -> tuple[Sequence, SweepSource]:
-        """The sequence as this option reads it. Raises what `benchmarks.real.opening.opened` raises."""
+        """Return the sequence opened with this option. Raises what `benchmarks.real.opening.opened` raises."""
         reading = SynchroniseOptions(ground=self.ground, odometry_topic=self.odometry_topic)
         sequence, sweeps = opened(described, reading, self.track)
         if self.ring_every == 1:
@@ -51,7 +51,7 @@ class Option:
         return sequence, ThinnedSweeps(sweeps, self.ring_every, described.description.ring_spacing_deg)
 
 
-# A line here is a row for every recording; of a scan, a row for every way that its description states.
+# A line here is a row for every recording; for a scan, a row for every path of its description.
 OPTIONS = (
     Option("default"),
     Option("--ground auto", ground="auto"),
@@ -66,7 +66,7 @@ OPTIONS = (
 
 
 def options_of(described: Described) -> tuple[Option, ...]:
-    """Those that fit the recording, in order."""
+    """Return the options that fit the recording, in order."""
     said = described.description
     if said.scan is None:
         return OPTIONS
@@ -74,6 +74,6 @@ def options_of(described: Described) -> tuple[Option, ...]:
 
 
 def rows_of_pass(kind: Passes, frames: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The frames of two passes: those of even and of odd number, or the first half and the second."""
+    """Return the frames of two passes: even and odd numbers, or the first half and the second."""
     rows = np.arange(frames)
     return (rows[::2], rows[1::2]) if kind == "parity" else (rows[: frames // 2], rows[frames // 2 :])

@@ -1,11 +1,11 @@
-"""Our labels against the authors', for whoever has their data: `python -m benchmarks.release [FOLDER]`.
+"""Our labels against the authors', for users with their data: `python -m benchmarks.release [FOLDER]`.
 
-FOLDER holds the released ZIP, or the unpacked dataset, and one or more of its bags. Frames of a bag are matched to the
-dataset's by stamps, and the bag is labelled at the dataset's grid and ego origin with every profile, k, α and share of
-voxels kept (docs/research/released-labels.md). Printed is a row for each setting, the closest first; of the closest the
-confusion, the ratios by distance and the command to label with it. A picture of a frame of each bag, ours beside
-theirs, is left in `--out`. Nothing of the dataset is unpacked. Without FOLDER a twin is compared: a simulated bag of
-the release, and labels that our labeler made of it.
+FOLDER contains the released ZIP, or the unpacked dataset, and one or more of its bags. Frames of a bag are matched to
+the dataset's by stamps. The bag is labelled at the dataset's grid and ego origin with every profile, k, α and share of
+kept voxels (docs/research/released-labels.md). The program prints a row for each setting, the closest first; for the
+closest the confusion, the ratios by distance and the command to label with it. It writes an image of a frame of each
+bag, ours beside theirs, to `--out`. Nothing of the dataset is unpacked. Without FOLDER it compares a twin: a simulated
+bag of the release, and our labels of it.
 """
 
 import argparse
@@ -55,7 +55,7 @@ def main() -> None:
 
 
 def _twin(folder: Path) -> Path:
-    """Return a folder with a simulated bag of the release and a dataset with labels of it, made anew."""
+    """Return a folder with a simulated bag of the release and a dataset with labels of it, created anew."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     made = make_pair(folder / "twin_rosbag", TWIN, chosen_parameters(TWIN_SETTING.profile, TWIN_SETTING.choices))
@@ -64,9 +64,9 @@ def _twin(folder: Path) -> Path:
 
 
 def compare(folder: Path, searched: Searched, out: Path, workers: int) -> dict[Setting, Agreement]:
-    """Print how close each setting comes over all bags of a folder, and return it.
+    """Print the agreement of each setting over all bags of a folder, and return it.
 
-    A bag that is refused is named on stderr, and is raised if it is the last and none was compared. Raises `no_release`
+    A refused bag is named on stderr; if it is the last and none was compared, its error is raised. Raises `no_release`
     and a `DatasetFaultError`.
     """
     out.mkdir(parents=True, exist_ok=True)
@@ -109,7 +109,7 @@ def _grid_in(out: Path, name: str) -> Path:
 
 
 def _picture(pair: ReleasedPair, variant: Variant) -> bytes:
-    """The frame in the middle of those compared."""
+    """Return the frame in the middle of the compared frames."""
     place = len(pair.rows) // 2
     classes, is_known = released_labels(pair, place)
     return comparison_picture(variant.frame(place), (classes, is_known.astype(np.uint8)))

@@ -1,8 +1,8 @@
-"""What a folder holds of the released dataset: the dataset, its bags, and of each bag the frames with released labels.
+"""The released data in a folder: the dataset, its bags, and each bag's frames with released labels.
 
-**Conventions.** A frame of a bag and one of the dataset are the same if their stamps are, or are at most `MOST_OFF_NS`
-apart. The released labels are cut around the ego origin of the released tables, ours with the origin on the ground;
-`ours_from_theirs` leads from one ego frame to the other, since the LiDAR is where it is in both.
+**Conventions.** A frame of a bag and one of the dataset are the same if their stamps are at most `MOST_OFF_NS` apart.
+The released labels are cut around the ego origin of the released tables, ours with the origin on the ground.
+`ours_from_theirs` maps one ego frame to the other, since both have the LiDAR at the same place.
 """
 
 import re
@@ -40,7 +40,7 @@ class ReleasedPair:
     """A bag and the released labels of M of its frames.
 
     `rows` (M,) are those frames, `labels` their files, `off_ns` (M,) how much later the dataset's stamps are, `apart_m`
-    (M,) how far apart both have the LiDAR. The ego origin of `sequence` is on the ground.
+    (M,) the distance of both LiDAR positions. The ego origin of `sequence` is on the ground.
     """
 
     name: str
@@ -55,12 +55,12 @@ class ReleasedPair:
 
     @cached_property
     def ours_from_theirs(self) -> SE3:
-        """Our ego frame from that of the released tables."""
+        """Our ego frame from the ego frame of the released tables."""
         return self.sequence.calibration.ego_from_lidar @ self.their_ego_from_lidar.inverse()
 
     @property
     def reach(self) -> LabelGrid:
-        """The grid of the released labels as it lies in our ego frame: the map has to cover it."""
+        """The grid of the released labels in our ego frame, which the map has to cover."""
         low = np.array(self.layout.grid.min_m) + self.ours_from_theirs.translation_m
         x, y, z = low.tolist()
         return replace(self.layout.grid, name="released", min_m=(x, y, z))
@@ -107,7 +107,7 @@ def bags_in(folder: Path) -> list[Path]:
 
 
 def paired(bag: Path, index: DatasetIndex, out: Path) -> ReleasedPair:
-    """Return a bag with its released labels; its calibration, made of the released tables, is left in `out`.
+    """Return a bag with its released labels; its calibration, from the released tables, is written to `out`.
 
     Raises `no_release` if no frame has any or their LiDAR's mounts differ, and what opening a recording raises.
     """
@@ -132,12 +132,12 @@ def paired(bag: Path, index: DatasetIndex, out: Path) -> ReleasedPair:
 
 
 def calibration_in(out: Path, name: str) -> Path:
-    """Return where the calibration of a bag is left."""
+    """Return the path of a bag's calibration."""
     return out / f"{name}.calibration.yaml"
 
 
 def _labelled(index: DatasetIndex) -> Iterator[tuple[DatasetSequence, int, ExportFileSpan]]:
-    """Every frame that has labels, and their file. Raises `no_release` if there is none."""
+    """Yield every frame with labels, and their file. Raises `no_release` if there is none."""
     is_any = False
     for one in (one for one in index.sequences if one.is_labelled):
         for frame in range(len(one)):
@@ -151,7 +151,7 @@ def _labelled(index: DatasetIndex) -> Iterator[tuple[DatasetSequence, int, Expor
 
 
 def matched(ours_ns: NDArray[np.int64], theirs_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the places (M,) of stamps in `ours_ns` (N,) and in `theirs_ns` (K,), not empty, that belong together."""
+    """Return the indices (M,) of matching stamps in `ours_ns` (N,) and in `theirs_ns` (K,), both not empty."""
     order = np.argsort(theirs_ns, kind="stable")
     right = np.searchsorted(theirs_ns[order], ours_ns)
     beside = order[np.clip([right - 1, right], 0, len(order) - 1)]
@@ -162,7 +162,9 @@ def matched(ours_ns: NDArray[np.int64], theirs_ns: NDArray[np.int64]) -> tuple[N
 
 
 def _mount(bag: Bag, index: DatasetIndex) -> SE3:
-    """The LiDAR's mount in the released tables: that of all scenes, else that of the scenes of the bag's time."""
+    """Return the LiDAR's mount in the released tables: the mount of all scenes, or else of the scenes of the bag's
+    time.
+    """
     mounts = _mounts(index.sequences)
     if len(mounts) > 1:
         begin_ns, end_ns = bag.start_ns - MARGIN_NS, bag.end_ns + MARGIN_NS
@@ -177,7 +179,7 @@ def _mount(bag: Bag, index: DatasetIndex) -> SE3:
 
 
 def _mounts(sequences: Iterable[DatasetSequence]) -> list[SE3]:
-    """The different mounts of the LiDAR, to 0.1 mm and 1e-4 of a rotation."""
+    """Return the different mounts of the LiDAR, to 0.1 mm and 1e-4 of a rotation."""
     mounts = [one.channels[LIDAR_CHANNEL].sensor.ego_from_sensor for one in sequences]
     rounded = {tuple(np.round(one.as_matrix(), 4).ravel().tolist()): one for one in mounts}
     return list(rounded.values())

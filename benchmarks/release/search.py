@@ -1,8 +1,8 @@
-"""The labels of every setting held against released ones: one map of a bag, classed and cut again for each setting.
+"""The labels of every setting compared with released labels: one map of a bag, classed and cut again for each setting.
 
-**Conventions.** Points are fused once; the surface is made once for each k (`terrain.neighbours`), and the reference
-and the frames for each profile and α, of the same surface. Confusions are [ring, theirs, ours], over voxels that the
-released labels know. `beyond` counts our labelled voxels that they call unknown, `labelled` all of ours.
+**Conventions.** Points are fused once; the surface is computed once for each k (`terrain.neighbours`), and the
+reference and the frames for each profile and α, from the same surface. Confusions are [ring, theirs, ours], over voxels
+that the released labels know. `beyond` counts our labelled voxels that they mark unknown, `labelled` all of ours.
 """
 
 from collections.abc import Mapping
@@ -44,8 +44,11 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Kept:
-    """Which of our labelled voxels stay: all, or if `near_m` is given those whose centre is within it of a return of
-    the frame's own sweep, or of one of so many `sweeps` before and after it."""
+    """Our labelled voxels that are kept: all, or with `near_m` only those near a LiDAR return.
+
+    The voxel's centre is then within `near_m` of a return of the frame's own sweep, or of one of `sweeps` sweeps before
+    and after it.
+    """
 
     near_m: float | None = None
     sweeps: int = 0
@@ -58,7 +61,7 @@ class Kept:
 
 @dataclass(frozen=True)
 class Setting:
-    """How labels are made."""
+    """The parameters of labelling."""
 
     profile: Profile
     neighbours: int
@@ -67,13 +70,13 @@ class Setting:
 
     @property
     def choices(self) -> Mapping[str, float]:
-        """Its parameters by dotted name."""
+        """Return its parameters by dotted name."""
         return {"terrain.neighbours": self.neighbours, "reference.alpha": self.alpha}
 
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """What labels of a setting have in common with the released ones."""
+    """The agreement of a setting's labels with the released labels."""
 
     confusion: NDArray[np.int64]
     beyond: int
@@ -85,33 +88,35 @@ class Agreement:
 
     @property
     def ratios(self) -> list[float]:
-        """IoU_occ, IoU of T, P and N, and mIoU; NaN where undefined."""
+        """Return IoU_occ, IoU of T, P and N, and mIoU; NaN if undefined."""
         return [float(one) for one in ratios(self.confusion.sum(axis=0))]
 
     @property
     def rank(self) -> tuple[float, ...]:
-        """The lower the closer: by mIoU, then by IoU_occ, then by the labelled voxels that the release knows not."""
+        """Return a sort key, lower for closer: mIoU, then IoU_occ, then the labelled voxels unknown to the release."""
         iou_occ, *_, miou = np.nan_to_num(self.ratios, nan=-1.0).tolist()
         return -miou, -iou_occ, self.beyond
 
 
 @dataclass(frozen=True, eq=False)
 class Variant:
-    """A labelling of one map: `whole` of all frames of the bag, `run` of those with released labels, at their poses."""
+    """A labelling of one map: `whole` of all frames of the bag, `run` of the frames with released labels, at their
+    poses.
+    """
 
     whole: LabelRun
     run: LabelRun
     reference: Reference
 
     def frame(self, place: int) -> tuple[Grid, Grid]:
-        """Return the classes of one frame, and what was observed of it."""
+        """Return the classes of one frame, and its observed voxels."""
         (labelled,) = labelled_frames(self.run, (place, place + 1), self.reference)
         return _array(labelled.payload, "semantics"), _array(labelled.payload, "mask_lidar")
 
 
 @dataclass(frozen=True)
 class Searched:
-    """What is tried: every combination."""
+    """The searched values: every combination is tried."""
 
     profiles: Listing[Profile]
     neighbours: Listing[int]
@@ -119,15 +124,18 @@ class Searched:
     kept: Listing[Kept]
 
     def settings(self, neighbours: int) -> list[Setting]:
-        """The settings of this k, each with all voxels."""
+        """Return the settings of this k, each with all voxels."""
         return [Setting(profile, neighbours, alpha) for profile, alpha in product(self.profiles, self.alphas)]
 
 
 def search(
     pair: ReleasedPair, searched: Searched, workers: Workers, scratch: Path
 ) -> tuple[dict[Setting, Agreement], dict[Setting, Variant]]:
-    """Return the agreement of every setting, and its labelling by the setting with all voxels; it lasts as long as the
-    folder `scratch`. Raises `footprint_off_ground`, `no_reference`."""
+    """Return the agreement of every setting, and its labelling with all voxels, valid while the folder `scratch`
+    exists.
+
+    Raises `footprint_off_ground`, `no_reference`.
+    """
     base = LabelRun(pair.sequence, pair.sweeps, replace(parameters_for("paper"), grids=(pair.reach,)), scratch / "map")
     _do(workers, tasks_of(base, {FUSE}))
     found, variants = dict[Setting, Agreement](), dict[Setting, Variant]()
@@ -141,7 +149,7 @@ def search(
 
 
 def _unreferred(base: LabelRun, setting: Setting, scratch: Path) -> LabelRun:
-    """The run of a setting, in a scratch that all settings of its k share, and that links to the fused points."""
+    """Return the run of a setting, in a scratch shared by all settings of its k, with links to the fused points."""
     place = scratch / f"k-{setting.neighbours}"
     if not place.exists():
         place.mkdir()
@@ -158,7 +166,7 @@ def _variant(run: LabelRun, pair: ReleasedPair) -> Variant:
 
 
 def findings_of(variant: Variant, workers: Workers) -> tuple[Finding, ...]:
-    """Return what is noticed of the bag, and of its labels by a variant, all its frames labelled."""
+    """Return the findings of the bag, and of its labels by a variant, with all frames labelled."""
     _do(workers, tasks_of(variant.whole, {REFERENCE, FRAMES, MAP, PICTURES}))
     return report_of(variant.whole).findings
 
@@ -182,7 +190,7 @@ def _do(workers: Workers, tasks: list[Task]) -> None:
 
 
 def count_part(pair: ReleasedPair, variants: Listing[Variant], kept: Listing[Kept], part: Part) -> list[Agreement]:
-    """Return the agreement over the frames of a part, for each variant and in it for each way to keep voxels."""
+    """Return the agreement over the frames of a part, for each variant and each way to keep voxels."""
     ways, grid = list(product(range(len(variants)), kept)), pair.layout.grid
     confusions = np.zeros((len(ways), RINGS, CLASSES, CLASSES), np.int64)
     beyond, labelled = np.zeros((2, len(ways)), np.int64)
@@ -203,7 +211,7 @@ def count_part(pair: ReleasedPair, variants: Listing[Variant], kept: Listing[Kep
 
 
 def released_labels(pair: ReleasedPair, place: int) -> tuple[Grid, Mask]:
-    """Return the released classes of a compared frame, and which voxels they know."""
+    """Return the released classes of a compared frame, and its known voxels."""
     found = read_labels(pair.labels[place], layout=pair.layout)
     seen = found.mask_lidar
     return found.classes, np.ones(found.classes.shape, np.bool_) if seen is None else seen.astype(np.bool_)
@@ -215,9 +223,9 @@ def _array(payload: bytes, name: str) -> Any:
 
 
 class NearReturns:
-    """Which voxels of compared frames have a return near them, of their own sweep or of those around it.
+    """The voxels of compared frames with a near return, of their own sweep or of neighbouring sweeps.
 
-    Trees of sweeps are kept while frames follow each other.
+    Trees of sweeps are cached while frames follow each other.
     """
 
     def __init__(self, pair: ReleasedPair, compared: Sequence) -> None:
@@ -225,7 +233,7 @@ class NearReturns:
         self._maps = maps_of_frames(pair.sequence)
 
     def masks(self, place: int, is_asked: Mask, kept: Listing[Kept], grid: LabelGrid) -> dict[Kept, Mask]:
-        """Return the voxels of the grid that each way keeps, of those that are asked for."""
+        """Return the voxels of the grid that each way keeps, among the given ones."""
         row, most = int(self._pair.rows[place]), max(how.sweeps for how in kept)
         self._trees = {one: tree for one, tree in self._trees.items() if one >= row - most}
         centres_ego = np.array(grid.min_m) + (np.argwhere(is_asked) + 0.5) * grid.voxel_m
@@ -247,7 +255,7 @@ class NearReturns:
         return is_near
 
     def _tree(self, row: int) -> cKDTree:
-        """The returns of the sweep of a frame, in the map."""
+        """Return the returns of the sweep of a frame, in the map."""
         if row not in self._trees:
             sequence = self._pair.sequence
             map_from_lidar = sequence.frames.map_from_ego[row] @ sequence.calibration.ego_from_lidar

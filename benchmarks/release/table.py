@@ -1,4 +1,4 @@
-"""What `benchmarks.release` found, as tables that can be put into a page."""
+"""The results of `benchmarks.release` as Markdown tables."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -27,7 +27,7 @@ def ordered(found: Mapping[Setting, Agreement]) -> list[tuple[Setting, Agreement
 
 
 def show_pair(pair: ReleasedPair) -> None:
-    """Print how the frames of a bag and of the dataset were matched, and which sweeps are no frames, by code."""
+    """Print how the frames of a bag and of the dataset were matched, and by code the sweeps that are no frames."""
     off_us, apart_m = np.abs(pair.off_ns) // 1000, np.median(pair.apart_m)
     print(
         f"\n{pair.name}: {len(pair.rows)} of {len(pair.sequence.frames)} frames have released labels "
@@ -61,7 +61,7 @@ def show_settings(title: str, found: Mapping[Setting, Agreement]) -> None:
 
 
 def show_closest(setting: Setting, agreement: Agreement) -> None:
-    """Print the confusion of one setting, its ratios by distance, and in what ways voxels differ."""
+    """Print the confusion of one setting, its ratios by distance, and the kinds of differences."""
     whole = agreement.confusion.sum(axis=0)
     table = _table("released", *(f"ours {name}" for name in CLASS_NAMES))
     for name, row in zip(CLASS_NAMES, whole.tolist(), strict=True):
@@ -86,7 +86,7 @@ def ways_to_differ(confusion: NDArray[np.int64]) -> dict[str, float]:
 
 
 def _classes(confusion: NDArray[np.int64]) -> Sequence[float]:
-    """The shares of T, P and N of what is occupied in the released labels."""
+    """Return the shares of T, P and N in the occupied voxels of the released labels."""
     occupied = confusion.sum(axis=1)[1:]
     return [float(one) for one in occupied / max(int(occupied.sum()), 1)]
 

@@ -1,1 +1,1 @@
-"""A dataset of the release's size through the whole platform: imported under kills, scored against."""
+"""A dataset of the release's size through the whole platform: imported under kills, and scored."""

@@ -1,10 +1,10 @@
-"""A dataset of the release's size is imported while the platform is killed: `python -m benchmarks.release_import`.
+"""Import of a dataset of the release's size while the platform is killed: `python -m benchmarks.release_import`.
 
-43 scenes, 50,878 frames and ten sensors (labels of a fractal world repeat) are written as a tar and imported by what
-`stone serve` starts, twice: undisturbed with a quarter of the frames, and whole while at `--kills` moments, spread over
-the frames, either the platform with all its processes or one process of its worker is killed with −9. Printed are
-frames a second and the most memory of any process, of both; that every frame stands once with the dataset's bytes; and
-what a phase made of the imported splits scores, beside what NumPy counts of the same frames.
+A tar of 43 scenes, 50,878 frames and ten sensors (labels of a fractal world repeat) is imported twice by the processes
+of `stone serve`. The first import is undisturbed with a quarter of the frames; the second is whole with `--kills` kills
+(−9) spread over the frames. A kill hits the whole platform or one worker process. The program prints frames per second
+and the peak memory of any process for both imports. It checks that every frame exists once with the dataset's bytes,
+and compares the scores of a phase of the imported splits with NumPy's counts.
 """
 
 import argparse
@@ -28,7 +28,9 @@ TURNS_AFTER = 150  # frames: the robot drives half a kilometre to and fro, as in
 
 
 def dataset_of(scenes: int, count: int) -> SyntheticDataset:
-    """So many frames in so many scenes: the last ones are test, somewhere else, those before val, the others train."""
+    """Return a dataset of `count` frames in `scenes` scenes: the last are test, in another place, the ones before val,
+    the others train.
+    """
     each, longer = divmod(count, scenes)
     dataset = replace(release_sized(count), scenes=scenes, frames=each, longer=longer, turns_after=TURNS_AFTER)
     train, val, test = scenes - TEST_SCENES - VAL_SCENES, scenes - TEST_SCENES, scenes
@@ -50,7 +52,7 @@ def main(words: Sequence[str]) -> None:
 
 
 def measure(folder: Path, dataset: SyntheticDataset, kills: int) -> None:
-    """Import it into a new platform; with kills also hold what stands against the dataset, and score against it."""
+    """Import the dataset into a new platform; with kills also verify it and score against it."""
     folder.mkdir()
     begun = time.perf_counter()
     tar = write_published_tar(folder / "field.tar", dataset)

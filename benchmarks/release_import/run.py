@@ -1,4 +1,4 @@
-"""An import on a platform of its own that is killed at moments which are spread over the frames."""
+"""An import on its own platform that is killed at moments spread over the frames."""
 
 import time
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ ROLES = ("sandbox.fork_server", "processes.worker", "sweeper", "processes.api", 
 
 @dataclass
 class ImportMeasurement:
-    """An import that has ended well: how long it took from being asked for, and the most memory of each process."""
+    """A successful import: its duration from the request, and the peak memory of each process."""
 
     sent_s: float = 0.0
     wall_s: float = 0.0
@@ -38,11 +38,11 @@ class ImportMeasurement:
 
 
 class ImportFailedError(Exception):
-    """The import ended otherwise than well."""
+    """The import did not succeed."""
 
 
 def imported(data: Path, tar: Path, kills: int, seed: int = 1) -> ImportMeasurement:
-    """Send the tar, have it imported, and kill what works on it. Raises `ImportFailedError`."""
+    """Upload the tar, import it, and kill its processes. Raises `ImportFailedError`."""
     made, chance = ImportMeasurement(), Random(seed)
     begun = time.perf_counter()
     with serving(data) as running, administrator(running) as api:
@@ -59,12 +59,12 @@ def imported(data: Path, tar: Path, kills: int, seed: int = 1) -> ImportMeasurem
 
 
 def administrator(running: Serving) -> Api:
-    """The platform as its administrator, who may set splits and open phases."""
+    """Return the platform's API for its administrator, who may set splits and open phases."""
     return signed_in(running.url, ADMINISTRATOR, (running.data / PASSWORD_FILE).read_text().strip())
 
 
 def _disturbed(running: Serving, import_id: str, plan: tuple[ImportMeasurement, int, Random]) -> dict[str, Any]:
-    """The import once it has ended, or once all of the platform was killed."""
+    """Return the import after it has ended, or after the whole platform was killed."""
     made, kills, chance = plan
     with administrator(running) as api:
         while True:
@@ -83,7 +83,9 @@ def _disturbed(running: Serving, import_id: str, plan: tuple[ImportMeasurement, 
 
 
 def _is_due(state: dict[str, Any], done: int, kills: int) -> bool:
-    """Kill k of n comes when so many scenes are done; the first comes before the index is."""
+    """Return whether a kill is due: kill k of n comes after a share of the scenes, the first before the index is
+    complete.
+    """
     if done >= kills:
         return False
     if not done:
@@ -93,7 +95,7 @@ def _is_due(state: dict[str, Any], done: int, kills: int) -> bool:
 
 
 def _kill_in_worker(running: Serving, chance: Random) -> None:
-    """One process below the worker: of its pool, or a sandboxed child, or the server that forks them."""
+    """Kill one process below the worker: a pool process, a sandboxed child, or their fork server."""
     below = running.child("processes.worker").children(recursive=True)
     with suppress(*GONE):
         if below:
@@ -102,7 +104,7 @@ def _kill_in_worker(running: Serving, chance: Random) -> None:
 
 @contextmanager
 def _memory_seen(running: Serving, most_mib: dict[str, float]) -> Iterator[None]:
-    """While it lasts, the most resident memory of any process of each role is noted."""
+    """Record the peak resident memory of any process of each role while the block runs."""
     ended = Event()
     thread = Thread(target=_look, args=(running, most_mib, ended), daemon=True)
     thread.start()

@@ -1,4 +1,4 @@
-"""A phase of an imported dataset: a submission is scored by the platform, and the same counted by NumPy alone."""
+"""A phase of an imported dataset: a submission is scored by the platform, and counted by NumPy alone."""
 
 import io
 import time
@@ -21,13 +21,13 @@ REASON = "a benchmark of imports"
 
 
 class ScoredOtherwiseError(Exception):
-    """The platform's figures are not those that NumPy counts."""
+    """The platform's scores differ from NumPy's counts."""
 
 
 def scored(api: Api, dataset: SyntheticDataset, folder: Path) -> str:
-    """Publish a version of the imported splits, open a hidden phase on its test part, submit and compare.
+    """Publish a version of the imported splits, open a hidden phase on its test split, submit and compare.
 
-    A frame is predicted to be as the labels of the next kind are. Raises `ScoredOtherwiseError`.
+    The prediction of a frame is the labels of the next kind. Raises `ScoredOtherwiseError`.
     """
     begun = time.perf_counter()
     api.create("/datasets", {"name": "release-1.0", "licence": "CC-BY-4.0", "reason": REASON})
@@ -71,7 +71,7 @@ def _packed(path: Path, dataset: SyntheticDataset) -> Path:
 
 
 def _counted(dataset: SyntheticDataset) -> dict[str, float]:
-    """Ratios of the confusion over what the LiDAR observed."""
+    """Return the ratios of the confusion over voxels observed by the LiDAR."""
     kinds = _kinds(dataset)
     confusion = np.zeros((4, 4), np.int64)
     for scene in _test_scenes(dataset):

@@ -1,4 +1,4 @@
-"""What stands after an import, held against the dataset: each frame once, with the bytes that were published."""
+"""Comparison of an import with the dataset: each frame exists once, with the published bytes."""
 
 from collections import Counter
 from hashlib import sha256
@@ -6,15 +6,15 @@ from hashlib import sha256
 from stone_client.api import Api
 from testing.worlds.published_datasets import SyntheticDataset
 
-STEP = 97  # of every so many frames the bytes are compared
+STEP = 97  # one frame in so many is compared by its bytes
 
 
 class ImportedWronglyError(Exception):
-    """What stands is not what was published."""
+    """The imported data differ from the published data."""
 
 
 def verified(api: Api, dataset: SyntheticDataset) -> str:
-    """What was compared. Raises `ImportedWronglyError`."""
+    """Return a summary of the comparison. Raises `ImportedWronglyError`."""
     sequences = {one["name"]: one["id"] for one in api.pages("/sequences")}
     if sorted(sequences) != sorted(dataset.names):
         raise ImportedWronglyError(f"sequences {sorted(sequences)}")

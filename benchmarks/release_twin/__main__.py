@@ -1,10 +1,10 @@
-"""A twin of the release goes its whole way on a platform: `python -m benchmarks.release_twin [--grid paper]`.
+"""A twin of the release through all stages of a platform: `python -m benchmarks.release_twin [--grid paper]`.
 
-279 scenes of 200 frames, nine of each drive, with six cameras and sweeps of 6,000 shots, lie in one ZIP of the
-release's layout (`--grid paper`: the paper's). `stone check` reads the ZIP. Then what `stone serve` starts imports
-it, divides it by drives, publishes it, opens a hidden phase, makes inputs, scores the baseline made of them and exports
-a scene. A line for each stage has seconds, processor seconds, frames for each of them, the most resident memory of any
-process, what the platform stores afterwards and the load of the machine.
+A ZIP of the release's layout (`--grid paper`: the paper's) contains 279 scenes of 200 frames, nine of each drive, with
+six cameras and sweeps of 6,000 shots. `stone check` reads the ZIP. Then the processes of `stone serve` import it, split
+it by drives, publish it, open a hidden phase, create inputs, score a baseline from them and export a scene. A line for
+each stage has seconds, processor seconds, frames per second of each and the peak resident memory of any process. It
+also has the platform's stored bytes and the load of the machine.
 """
 
 import argparse
@@ -25,7 +25,7 @@ REACH_M = 17.0  # a frame of the release has labels in 15 % of its grid's area, 
 
 
 def twin_of(scenes: int, frames: int, grid: str) -> ReleasedDataset:
-    """The twin in the layout of this grid; a scene's 75 m are driven to and fro."""
+    """Return the twin in the layout of this grid; a scene's 75 m are driven to and fro."""
     shape = {"drive_scenes": DRIVE_SCENES, "turns_after": TURNS_AFTER, "apart_m": APART_M, "reach_m": REACH_M}
     return ReleasedDataset(scenes, frames, LAYOUTS[grid], CAMERAS, **shape)  # type: ignore[arg-type]
 

@@ -1,7 +1,7 @@
-"""The cost of each measured stage: of this process and of all below it.
+"""The cost of each measured stage, in this process and all below it.
 
-**Conventions.** Processor seconds are those of the whole tree, ended processes included. Memory is the resident memory
-of single processes, looked at by a thread. Stored bytes are those of the data folder, each file once.
+**Conventions.** Processor seconds cover the whole tree, including ended processes. Memory is the resident memory of
+single processes, sampled by a thread. Stored bytes are those of the data folder, each file once.
 """
 
 import os
@@ -19,7 +19,7 @@ from benchmarks.release_import.run import GONE, LOOK_S, MIB, ROLES
 
 @dataclass(frozen=True)
 class StageCost:
-    """A stage; `busiest` names the process that held the most, and `load` what the machine had to do at its end."""
+    """A stage; `busiest` names the process with the most memory, and `load` is the machine's load at its end."""
 
     name: str
     frames: int
@@ -45,7 +45,7 @@ HEAD = (
 
 @contextmanager
 def stage(name: str, frames: int, data: Path) -> Iterator[None]:
-    """Print what happens while this lasts."""
+    """Measure the block and print its cost."""
     most_mib, ended = dict[str, float](), Event()
     thread = Thread(target=_look, args=(most_mib, ended), daemon=True)
     thread.start()

@@ -1,4 +1,4 @@
-"""The way of a dataset on a platform, stage by stage, over HTTP and with the commands of `stone`."""
+"""A dataset's stages on a platform, over HTTP and with the commands of `stone`."""
 
 import os
 import sqlite3
@@ -31,7 +31,7 @@ REASON = "a benchmark of the release's twin"
 
 @dataclass(frozen=True)
 class TwinSplits:
-    """How many scenes of each part: whole drives, those of test from a place of their own."""
+    """The number of scenes per split: whole drives, with test in a place of its own."""
 
     train: int
     val: int
@@ -40,7 +40,7 @@ class TwinSplits:
 
 @dataclass(frozen=True)
 class Way:
-    """A dataset in a ZIP, the folder for what is downloaded, and the platform's folder `data` in it."""
+    """A dataset in a ZIP, the folder for downloads, and the platform's folder `data` in it."""
 
     what: ReleasedDataset
     path: Path
@@ -55,12 +55,12 @@ class Way:
         return scenes * self.what.frames
 
     def check(self) -> None:
-        """`stone check` of the whole ZIP."""
+        """Run `stone check` on the whole ZIP."""
         with stage("stone check", self.frames(self.what.scenes), self.data):
             self._command("check", str(self.path))
 
     def go(self, api: Api) -> None:
-        """From the ZIP to a board and an export."""
+        """Run all stages from the ZIP to a board and an export."""
         self._import(api)
         splits = splits_of(self.what)
         self._publish(api, splits)
@@ -149,7 +149,7 @@ class Way:
 
 
 def splits_of(what: ReleasedDataset) -> TwinSplits:
-    """The last drive for test, of its place no other; one drive of another place for val; the others for train."""
+    """Return the last drive for test, alone in its place; one drive of another place for val; the others for train."""
     drives = [
         range(first, min(first + what.drive_scenes, what.scenes)) for first in range(0, what.scenes, what.drive_scenes)
     ]
@@ -158,7 +158,7 @@ def splits_of(what: ReleasedDataset) -> TwinSplits:
 
 
 def cpu_by_kind(data: Path) -> Sequence[str]:
-    """Processor seconds of the jobs of each kind, as the platform counted them."""
+    """Return the processor seconds of the jobs of each kind, as counted by the platform."""
     asked = (
         "SELECT kind, count(DISTINCT jobs.id), sum(cpu_s) FROM jobs JOIN job_attempts ON job_id = id "
         "GROUP BY kind ORDER BY 3 DESC"

@@ -1,9 +1,9 @@
-"""Every list, board, claim and chore on a database with a million sequences: `python -m benchmarks.rows`.
+"""Every list, board, claim and maintenance query on a database with a million sequences: `python -m benchmarks.rows`.
 
-PostgreSQL is filled with synthetic rows (`--sequences`, `--submissions`, `--artefacts` a sequence); then each question
-is asked through its route or function, `--repeats` times with other parameters. Given are the time the database took
-(p50, p95, all statements of a question together), the rows it read, and whether anything large was read whole.
-Sizes of tables and depths of indexes say how the figures go on with more rows. Ends with 1 where an index is missed.
+PostgreSQL is filled with synthetic rows (`--sequences`, `--submissions`, `--artefacts` per sequence); then each query
+runs through its route or function, `--repeats` times with other parameters. The table shows the database's time (p50,
+p95, all statements of a query together), the rows read, and full scans of large tables. Sizes of tables and depths of
+indexes allow extrapolation to more rows. The exit code is 1 if a query misses an index.
 """
 
 import argparse
@@ -48,7 +48,7 @@ PATIENCE_S, ENOUGH_S = 120.0, 30.0
 
 @dataclass(frozen=True)
 class QuestionTimes:
-    """One question: times in ms, rows read by its costliest statement, and what was read whole."""
+    """One query: times in ms, rows read by its costliest statement, and full scans."""
 
     name: str
     statements: int
@@ -102,7 +102,7 @@ def _fill(platform: Platform, amounts: Amounts) -> None:
 
 
 def _quietly() -> None:
-    """No line for every request."""
+    """Disable the log line of every request."""
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.ERROR))
 
 
@@ -121,7 +121,7 @@ def _answers(platform: Platform, amounts: Amounts, repeats: int) -> list[Questio
 
 
 def answered(kit: Kit, question: Question, at: tuple[Connection, frozenset[str]], repeats: int) -> QuestionTimes:
-    """The question asked so often, and its statements explained once."""
+    """Run the query `repeats` times, and explain its statements once."""
     connection, large = at
     lasted_s, plans, until_s = [], dict[str, StatementPlan](), time.monotonic() + ENOUGH_S
     for number in range(repeats):
@@ -141,7 +141,7 @@ def answered(kit: Kit, question: Question, at: tuple[Connection, frozenset[str]]
 
 
 def _is_answered(kit: Kit, question: Question, chance: Random) -> bool:
-    """Whether it was answered while anybody would wait."""
+    """Return whether the query was answered within an acceptable time."""
     try:
         question.ask(kit, chance)
     except httpx.TimeoutException:
@@ -150,7 +150,7 @@ def _is_answered(kit: Kit, question: Question, chance: Random) -> bool:
 
 
 def sizes_of(engine: Engine) -> list[dict[str, Any]]:
-    """Of every table with rows: how many, and bytes of the table and of its indexes."""
+    """Return for every table with rows their number, and the bytes of the table and of its indexes."""
     query = """SELECT relname, reltuples::bigint AS rows, pg_relation_size(oid) AS table_bytes,
         pg_indexes_size(oid) AS index_bytes FROM pg_class
         WHERE relkind = 'r' AND relnamespace = 'public'::regnamespace AND reltuples >= 10000 ORDER BY reltuples DESC"""
@@ -159,7 +159,7 @@ def sizes_of(engine: Engine) -> list[dict[str, Any]]:
 
 
 def _show(answers: list[QuestionTimes], sizes: list[dict[str, Any]]) -> int:
-    """Print; 1 where something large is read whole without need."""
+    """Print the results; return 1 after an unnecessary full scan of a large table."""
     console, table = Console(width=150), Table("question", "statements", "p50 ms", "p95 ms", "rows read", "read whole")
     for one in answers:
         faults = "; ".join(one.faults) + (f" ({one.bound})" if one.bound else "")

@@ -1,7 +1,7 @@
 """A dataset version of many sequences, and twenty phases with submissions of a thousand teams.
 
-**Conventions.** The n-th submission is of team n mod TEAMS and of phase n mod PHASES, but every second one of phase 0,
-so that one board is long. Of ten, eight are scored, one failed, one is withdrawn; the last hundred wait.
+**Conventions.** The n-th submission is of team n mod TEAMS and of phase n mod PHASES, but every second one is of phase
+0, so that one board is long. Eight of ten submissions are scored, one failed, one is withdrawn; the last hundred wait.
 """
 
 from sqlalchemy import Connection
@@ -19,7 +19,7 @@ PHASE_OF = f"(CASE WHEN n % 2 = 0 THEN 0 ELSE n % {PHASES} END)"
 
 
 def insert_dataset(connection: Connection, members: int) -> None:
-    """One version; the same sequences are in the splits under discussion."""
+    """Insert one version; the same sequences are in the draft splits."""
     made = {"id": f"hex_id({DATASET}, 0)", "name": "'v1'", "code_version": "'1'", "manifest_bytes": "10"}
     made |= {"manifest_sha256": f"hex_sha({DATASET}, 0)", "created_by": f"hex_id({USER}, 0)"}
     insert_rows(connection, "datasets", numbers(1), made)
@@ -33,9 +33,9 @@ def insert_dataset(connection: Connection, members: int) -> None:
 
 
 def insert_boards(connection: Connection, submissions: int, runs: tuple[int, int]) -> None:
-    """A benchmark, its phases with a ground truth each in force, and all that was sent in.
+    """Insert a benchmark, its phases with one active ground truth each, and all submissions.
 
-    `runs`: how many runs there are, the last of which wait, and how many jobs each is of.
+    `runs`: the number of runs (the last ones wait), and the number of jobs per run.
     """
     insert_rows(connection, "benchmarks", numbers(1), {
         "id": f"hex_id({BENCHMARK}, 0)", "name": "'stone'", "title": "'Stone'", "is_public": "true",

@@ -1,8 +1,8 @@
-"""Bulk generation of rows inside PostgreSQL; columns that are not given take their defaults.
+"""Bulk generation of rows inside PostgreSQL; omitted columns take their defaults.
 
-**Conventions.** Synthetic rows refer to each other by number: `hex_id(kind, n)` is the id of the n-th row of a kind
-(ids sort by n, as real ones sort by age), `hex_sha(kind, n)` a sha256 that is spread evenly, as contents are. Foreign
-keys are not checked and plain indexes made afterwards; both only for the time it takes.
+**Conventions.** Synthetic rows refer to each other by number. `hex_id(kind, n)` is the id of the n-th row of a kind
+(ids sort by n, like real ones by age); `hex_sha(kind, n)` is a uniformly distributed sha256, like real contents. For
+speed, foreign keys are not checked and plain indexes are created afterwards.
 """
 
 import json
@@ -25,19 +25,21 @@ FUNCTIONS = (
 
 
 def hex_id(kind: int, number: int) -> str:
-    """As the function of that name in the database."""
+    """Return the id, equal to the function of that name in the database."""
     return f"{number * 32 + kind:016x}{md5(f'{kind}:{number}'.encode()).hexdigest()[:16]}"
 
 
 def prepare(connection: Connection) -> None:
-    """The functions, and no foreign key is checked by this session."""
+    """Create the functions, and disable foreign keys for this session."""
     for function in FUNCTIONS:
         connection.execute(text(function))
     connection.execute(text("SET session_replication_role = replica"))
 
 
 def insert_rows(connection: Connection, name: str, source: str, said: Mapping[str, str], order: str = "") -> None:
-    """Rows of table `name` from `source` (what stands after FROM): each column as `said` in SQL, else its default."""
+    """Insert rows of table `name` from `source` (the text after FROM): each column as in `said` (SQL), else its
+    default.
+    """
     table = Base.metadata.tables[name]
     unknown = set(said) - set(table.columns.keys())
     if unknown:
@@ -49,13 +51,13 @@ def insert_rows(connection: Connection, name: str, source: str, said: Mapping[st
 
 
 def numbers(count: int) -> str:
-    """What stands after FROM for n in 1 … count."""
+    """Return the text after FROM for n in 1 … count."""
     return f"generate_series(1::bigint, {count}) AS n"
 
 
 @contextmanager
 def without_indexes(connection: Connection, tables: tuple[str, ...]) -> Iterator[None]:
-    """Without what is no primary key; made again at the end, in memory and in one go."""
+    """Drop all indexes except primary keys for the block; they are created again at the end, in memory and at once."""
     found = connection.execute(
         text(
             """SELECT indexname, indexdef, conname, tablename FROM pg_indexes
@@ -75,7 +77,7 @@ def without_indexes(connection: Connection, tables: tuple[str, ...]) -> Iterator
 
 
 def analyse(connection: Connection) -> None:
-    """What a server does by itself in quiet hours: statistics, and pages marked as visible to all."""
+    """Run a server's routine maintenance: statistics, and pages marked as visible to all."""
     connection.execute(text("VACUUM (ANALYZE)"))
 
 

@@ -1,7 +1,7 @@
 """The generated rows: sequences, owners, boards, jobs and their history.
 
-**Conventions.** A fifth of the sequences is owner 1's, owner 2 has five, the rest are the others'; the run, labels and
-files of the n-th sequence have its number. Person 0 administrates.
+**Conventions.** A fifth of the sequences belongs to owner 1, five to owner 2, the rest to the others; the run, labels
+and files of the n-th sequence have its number. Person 0 is the administrator.
 """
 
 from dataclasses import dataclass
@@ -15,14 +15,14 @@ from services.runtime.orm.base import now_ns
 OWNERS, TEAMS, PHASES, WORKERS = 1000, 1000, 20, 1000
 USER, SEQUENCE, JOB, UPLOAD, RECORDING, LABELS, ARTEFACT, EXPORT, PREVIEW, TEAM, OTHER = range(1, 12)
 NOW_NS = now_ns()
-AGO = f"{NOW_NS} - (:most - n) * 1000000000"  # the n-th of :most things came a second after the one before
+AGO = f"{NOW_NS} - (:most - n) * 1000000000"  # row n of :most came a second after row n − 1
 BIG = ("sequences", "jobs", "blobs", "artefacts", "labelled_frames", "recordings", "recording_files", "uploads",
        "label_sets", "quota_ledger", "audit_log", "exports", "previews", "job_attempts")  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Amounts:
-    """How much of each there is; per sequence: jobs of its run, artefacts of its labels, rows of labelled frames."""
+    """Numbers of rows by kind; per sequence: jobs of its run, artefacts of its labels, rows of labelled frames."""
 
     sequences: int = 1_000_000
     submissions: int = 100_000
@@ -34,7 +34,7 @@ class Amounts:
 
 
 def fill(connection: Connection, amounts: Amounts) -> None:
-    """All of them, each table in one statement."""
+    """Insert all rows, each table in one statement."""
     _people(connection)
     with without_indexes(connection, BIG):
         _sequences(connection, amounts)
@@ -101,7 +101,7 @@ def _sequences(connection: Connection, amounts: Amounts) -> None:
 
 
 def _jobs(connection: Connection, amounts: Amounts) -> None:
-    """A run and its jobs for every sequence; the last ones are still ahead, 1,000 are being worked on."""
+    """Insert a run and its jobs for every sequence; the last ones are queued, 1,000 are running."""
     count, last = amounts.sequences, amounts.jobs_each
     id_of = f"hex_id({JOB}, n * {last + 1} + %s)"
     source = f"{numbers(count)}, generate_series(0, {last}) AS k"
@@ -125,7 +125,7 @@ def _jobs(connection: Connection, amounts: Amounts) -> None:
 
 
 def _stands(amounts: Amounts) -> tuple[str, str, str]:
-    """In SQL: whether a run waits, whether it is being worked on, and whether a job is its row or its last one."""
+    """Return SQL for whether a run waits, whether it runs, and whether a job is its row or its last one."""
     first = amounts.sequences - amounts.backlog
     return f"n > {first}", f"n BETWEEN {first - 999} AND {first}", f"k IN (0, {amounts.jobs_each})"
 

@@ -1,7 +1,7 @@
-"""Query plans: every statement of a question is recorded, and PostgreSQL explains it.
+"""Query plans: every statement of a query is recorded, and PostgreSQL explains it.
 
-**Conventions.** A fault is a scan of a whole large table, or of a whole index that no LIMIT ends. Rows read are those
-that scans gave and those that they threw away, of all loops. Explaining runs the statement; it is rolled back.
+**Conventions.** A fault is a scan of a whole large table, or of a whole index without a LIMIT. Rows read are the rows
+returned and discarded by scans, over all loops. Explaining runs the statement; it is rolled back.
 """
 
 import time
@@ -18,7 +18,7 @@ EXPLAINED = ("SELECT", "WITH", "UPDATE", "DELETE")
 
 @dataclass
 class Statement:
-    """As it was sent, and how long its sender waited."""
+    """A statement as sent, and its latency."""
 
     sql: str
     parameters: Any
@@ -31,7 +31,7 @@ class Statement:
 
 @dataclass(frozen=True)
 class StatementPlan:
-    """`faults` say what is scanned; `rows_read` is None where the statement was not run."""
+    """`faults` describe full scans; `rows_read` is None if the statement was not run."""
 
     sql: str
     faults: tuple[str, ...]
@@ -41,7 +41,7 @@ class StatementPlan:
 
 @contextmanager
 def taken_down(engine: Engine) -> Iterator[list[Statement]]:
-    """The statements that any session of `engine` executes meanwhile, in order."""
+    """Yield the list of statements that any session of `engine` executes during the block, in order."""
     statements: list[Statement] = []
     begun_s: dict[int, float] = {}
 
@@ -64,7 +64,7 @@ def taken_down(engine: Engine) -> Iterator[list[Statement]]:
 def explained(
     connection: Connection, statement: Statement, large: frozenset[str], *, is_run: bool = True
 ) -> StatementPlan:
-    """The plan of a statement; with `is_run` it is executed for it. The caller rolls back."""
+    """Return the plan of a statement; with `is_run` the statement is executed for it. The caller rolls back."""
     options = "ANALYZE, BUFFERS, FORMAT JSON" if is_run else "FORMAT JSON"
     found = connection.exec_driver_sql(f"EXPLAIN ({options}) {statement.sql}", statement.parameters).scalar_one()
     scans = list(_scans(found[0]["Plan"], is_ended=False))
@@ -74,13 +74,13 @@ def explained(
 
 
 def large_tables(connection: Connection, rows: int = 10_000) -> frozenset[str]:
-    """The tables of at least so many rows, by the statistics."""
+    """Return the tables with at least `rows` rows, by the statistics."""
     query = f"SELECT relname FROM pg_class WHERE relkind = 'r' AND reltuples >= {rows}"
     return frozenset(connection.exec_driver_sql(query).scalars())
 
 
 def _scans(node: dict[str, Any], *, is_ended: bool) -> Iterator[tuple[dict[str, Any], bool]]:
-    """Every scan with whether a LIMIT above ends it early: nothing between that would read it to its end first."""
+    """Yield every scan with whether a LIMIT above ends it early: no step between reads it to its end first."""
     if node["Node Type"] in (*SCANS, "Bitmap Index Scan"):
         yield node, is_ended
     for child in node.get("Plans", ()):
@@ -102,7 +102,7 @@ def _fault(node: dict[str, Any], is_ended: bool, large: frozenset[str]) -> str:
 
 
 def _rows(node: dict[str, Any]) -> int:
-    if node["Node Type"] == "Bitmap Index Scan":  # counted where its rows are fetched
+    if node["Node Type"] == "Bitmap Index Scan":  # counted with the scan that fetches its rows
         return 0
     thrown = node.get("Rows Removed by Filter", 0) + node.get("Rows Removed by Index Recheck", 0)
     return round(float((node.get("Actual Rows", 0) + thrown) * node.get("Actual Loops", 1)))

@@ -1,7 +1,7 @@
 """The measured queries: lists and boards of the API, claims, the sweeper and the garbage collector.
 
-**Conventions.** A question is asked through the route or the function that asks it in production; changes are rolled
-back. `who` calls: the administrator, somebody with a fifth of all sequences (`rich`), with five (`modest`), a visitor.
+**Conventions.** A query uses the route or the function of production; changes are rolled back. `who` is the caller: the
+administrator, a user with a fifth of all sequences (`rich`), with five (`modest`), a visitor.
 """
 
 from collections.abc import Callable
@@ -33,7 +33,7 @@ from testing.api.serving import Person
 
 @dataclass(frozen=True)
 class Kit:
-    """Who asks whom about what; `amounts` are those that were laid."""
+    """The callers and objects of queries; `amounts` are the inserted rows."""
 
     platform: Platform
     client: httpx.Client
@@ -43,7 +43,7 @@ class Kit:
 
 @dataclass(frozen=True)
 class Question:
-    """`bound`: where the answer itself grows with what there is, why; such a one need not be quick."""
+    """A query; `bound` is the reason if the answer itself grows with the rows, in which case it need not be quick."""
 
     name: str
     ask: Callable[[Kit, Random], object]
@@ -51,7 +51,7 @@ class Question:
 
 
 def people_of(platform: Platform) -> dict[str, Person]:
-    """Tokens for some of those that are laid."""
+    """Return tokens for some of the inserted users."""
     people = {}
     with platform.database.transaction() as session:
         for name, number in (("administrator", 0), ("rich", 1), ("modest", 2), ("many", 4)):
@@ -66,7 +66,7 @@ def questions() -> tuple[Question, ...]:
 
 
 def _route(name: str, who: str, path: str, bound: str = "") -> Question:
-    """GET of a path in which `{sequence}` and the like stand for a row's id, another one each time."""
+    """Return a GET of a path in which placeholders such as `{sequence}` stand for a row's id, another one each time."""
 
     def ask(kit: Kit, chance: Random) -> None:
         number = chance.randrange(1, kit.amounts.sequences - kit.amounts.backlog - 1000)

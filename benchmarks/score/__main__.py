@@ -1,7 +1,8 @@
-"""Speed and memory of scoring a zip, beside other implementations: `python -m benchmarks.score`.
+"""Speed and memory of scoring a zip compared with other implementations: `python -m benchmarks.score`.
 
-All read the same zip in the same run, taking turns; the slow ones see a part of the frames. Figures are milliseconds of
-processor time a frame, medians of the turns, and wall time on two threads. All must agree on every count.
+All read the same zip in the same run, taking turns; slow implementations read a part of the frames. Figures are
+milliseconds of processor time per frame, medians of the turns, and wall time on two threads. All must agree on every
+count.
 """
 
 import argparse
@@ -37,7 +38,7 @@ PACKED, PACKED_2 = "ours from the kept pack, 1 thread", "ours from the kept pack
 OCC3D, PLAIN, LIMIT = "(a) np.load, masked, bincount, as Occ3D", "(b) np.load + bincount", "(c) moving the bytes"
 INTERVALS = "all intervals, once"
 NAMES = (OURS, OURS_2, PACKED, PACKED_2, OCC3D, PLAIN, LIMIT, INTERVALS)
-# (what, of which it is told, how the two are compared, bound)
+# (subject, reference, comparison, bound)
 EXPECTED = ((OCC3D, "at least", 50.0), (PLAIN, "at least", 18.0), (LIMIT, "at most", 3.2))
 MOST_MEMORY_BYTES = 400e6
 
@@ -68,7 +69,7 @@ class ScoreTimes:
 
 @dataclass(frozen=True, eq=False)
 class ScoreInputs:
-    """Everything open that is read from."""
+    """All open inputs."""
 
     data: Material
     submission: SubmissionZip
@@ -86,7 +87,7 @@ class ScoreInputs:
 
 
 def take_turns(opened: ScoreInputs, clocks: dict[str, ScoreTimes]) -> NDArray[np.int32]:
-    """The confusions of all frames."""
+    """Return the confusions of all frames."""
     data, kept = opened.data, []
     unpacked = ((OURS, data.planes_of, 1), (OURS_2, data.planes_of, 2))
     ours = (*unpacked, (PACKED, opened.pack.planes_of, 1), (PACKED_2, opened.pack.planes_of, 2))
@@ -110,7 +111,7 @@ def take_turns(opened: ScoreInputs, clocks: dict[str, ScoreTimes]) -> NDArray[np
 
 
 def measure(data: Material, clocks: dict[str, ScoreTimes]) -> float:
-    """Fill the clocks; seconds that opening the zip takes."""
+    """Fill the clocks; return the seconds to open the zip."""
     looped = [str(part[k]) for part in np.array_split(np.array(data.tokens), TURNS) for k in range(LOOPED)]
     with (
         TruthPack(data.pack_path) as pack,
@@ -118,7 +119,7 @@ def measure(data: Material, clocks: dict[str, ScoreTimes]) -> float:
         zipfile.ZipFile(data.zip_path) as archive,
     ):
         opened = ScoreInputs(data, submission, archive, pack, Plain(data, looped), ByteMoving(data.grid))
-        opened.count(data.tokens[:64], pack.planes_of, 2)  # compiled, and memory at hand, before anything is timed
+        opened.count(data.tokens[:64], pack.planes_of, 2)  # compiled, and memory allocated, before the timing
         opened.moving(data, data.tokens[:64])
         started_s = time.process_time()
         with open_submission(data.zip_path, data.tokens, data.grid):
@@ -132,7 +133,7 @@ def measure(data: Material, clocks: dict[str, ScoreTimes]) -> float:
 
 
 def peak_bytes(data: Material) -> int:
-    """The most memory that a process held which did nothing but score."""
+    """Return the peak memory of a process that only scores."""
     command = [sys.executable, "-m", "benchmarks.score.memory", str(data.zip_path), str(data.pack_path)]
     return int(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout)
 

@@ -1,7 +1,7 @@
-"""Inputs of the scoring benchmark: `DISTINCT` frames over and over, their ground truth in files and a pack.
+"""Inputs of the scoring benchmark: `DISTINCT` frames repeated, their ground truth in files and a pack.
 
 **Conventions.** Frame k of the submission is frame k modulo `DISTINCT` of the drive. The mask is the LiDAR's. At
-another grid than the paper's a frame is the corner of it that has the grid's shape.
+another grid than the paper's a frame is its corner of the grid's shape.
 """
 
 import io
@@ -25,7 +25,7 @@ DISTINCT = 200
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """`folder` holds submission.zip, truth.pack and <k>.npz, the label files; `planes` are all in memory."""
+    """`folder` contains submission.zip, truth.pack and <k>.npz, the label files; `planes` are all in memory."""
 
     folder: Path
     tokens: tuple[str, ...]
@@ -55,14 +55,14 @@ def token_of(index: int) -> str:
 
 
 def saved_by_numpy(grid: Grid) -> bytes:
-    """The file that `np.savez_compressed` writes, as most participants will."""
+    """Return the file of `np.savez_compressed`, which most participants use."""
     file = io.BytesIO()
     np.savez_compressed(file, semantics=grid)
     return file.getvalue()
 
 
 def material(folder: Path, frame_count: int, grid: LabelGrid = PAPER) -> Material:
-    """Made in this folder, of `frame_count` frames of the grid."""
+    """Create the inputs in this folder, with `frame_count` frames of the grid."""
     planes, files, corner = [], [], tuple(slice(side) for side in grid.shape)
     for index, pair in enumerate(frames(min(DISTINCT, frame_count))):
         truth, prediction = (np.ascontiguousarray(one[corner]) for one in pair)

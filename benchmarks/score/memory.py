@@ -22,7 +22,7 @@ def main() -> None:
 
 
 def high_water_bytes() -> int:
-    """Of this process's own memory; `getrusage` would tell that of whoever started it, where that held more."""
+    """Return the peak of this process's own memory; `getrusage` would return the parent's if that was more."""
     status = Path("/proc/self/status").read_text("ascii")
     return 1024 * int(re.findall(r"VmHWM:\s+(\d+) kB", status)[0])
 

@@ -1,4 +1,4 @@
-"""Other implementations of counting the same frames, and the least memory traffic that any needs.
+"""Other implementations of counting the same frames, and the minimum memory traffic.
 
 **Conventions.** Each takes frames by token and returns their confusion [truth, prediction]; none checks more than numpy
 does. `occ3d` follows the evaluation of CVPR2023-3D-Occupancy-Prediction and Occ3D (`Metric_mIoU.add_batch` and
@@ -22,7 +22,7 @@ Words = NDArray[np.uint64]
 
 
 def occ3d(archive: zipfile.ZipFile, data: Material, tokens: Sequence[str]) -> Counts:
-    """`np.load` of prediction and labels, three fancy-indexed copies, `bincount` of int64."""
+    """Count with `np.load` of prediction and labels, three fancy-indexed copies, and `bincount` of int64."""
     total = np.zeros((CLASSES, CLASSES))
     for token in tokens:
         prediction = np.load(io.BytesIO(archive.read(f"{token}.npz")))["semantics"]
@@ -42,7 +42,9 @@ def _hist_info(pred: NDArray[np.uint8], gt: NDArray[np.uint8]) -> NDArray[np.flo
 
 
 class Plain:
-    """What one writes first: `np.load` of the prediction, `bincount` of the evaluated pairs; labels are in memory."""
+    """A straightforward implementation: `np.load` of the prediction, `bincount` of the evaluated pairs; labels in
+    memory.
+    """
 
     def __init__(self, data: Material, tokens: Sequence[str]) -> None:
         self._labels = {}
@@ -61,7 +63,7 @@ class Plain:
 
 
 class ByteMoving:
-    """The floor: write a frame's voxels into memory that is at hand, read them, read its truth planes."""
+    """The floor: write a frame's voxels into allocated memory, read them, read its truth planes."""
 
     def __init__(self, grid: LabelGrid) -> None:
         self._inflated = np.random.default_rng(0).integers(0, CLASSES, grid.voxels, np.uint8)
@@ -78,6 +80,6 @@ class ByteMoving:
 @njit(nogil=True)
 def _read(words: Words) -> np.uint64:
     seen = np.uint64(0)
-    for at in range(words.size):  # by index: a loop over the words themselves is no vector code, and thrice as slow
+    for at in range(words.size):  # by index: a loop over the words themselves is not vectorised, and three times slower
         seen |= words[at]
     return seen

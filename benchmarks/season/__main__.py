@@ -1,10 +1,10 @@
 """A whole season on the embedded platform: `python -m benchmarks.season [--teams 30] [--submissions 600]`.
 
-The platform is started as `stone serve` starts it and is spoken to over HTTP only. 30 teams send 600 submissions of
-varied quality, some of them broken, within a quota that the administrator raises; three times everything is scored
-again (by repaired labels, by another metric, by labels repaired once more) while submissions go on, and the board is
-switched. At the end `recompute_board.py`, which imports nothing of the platform, computes both boards from the kept
-confusions, and every board that was shown before a switch must still be what `as_of` shows.
+The platform is started like `stone serve` and used over HTTP only. 30 teams send 600 submissions of varied quality,
+some of them broken, within a quota that the administrator raises. Three times everything is scored again (with repaired
+labels, another metric, and labels repaired once more) while submissions continue, and the board is switched. At the end
+`recompute_board.py`, which imports nothing of the platform, computes both boards from the stored confusions. Every
+board shown before a switch must still equal its `as_of` board.
 """
 
 import argparse
@@ -42,7 +42,7 @@ NO_LIMITS = ApiSettings(port=0, requests_per_minute=10**7, sign_ins_per_minute=1
 
 @dataclass
 class SeasonProgress:
-    """A season under way: who plays, and what was seen of it."""
+    """A running season: its players, and its observations."""
 
     season: Season
     teams: Sequence[SeasonTeam]
@@ -54,12 +54,12 @@ class SeasonProgress:
     moves: list[dict[str, Any]] = field(default_factory=list)
 
     def play(self, plays: Sequence[Play]) -> None:
-        """Submit these, some at a time, and wait for none of them."""
+        """Submit these, several at a time, without waiting for results."""
         with ThreadPoolExecutor(CLIENTS) as pool:
             list(pool.map(self._submit, plays))
 
     def settle(self) -> None:
-        """Wait until everything is settled; then withdraw and hide what is to be."""
+        """Wait until everything is settled; then withdraw and hide the planned submissions."""
         wait_until(lambda: not set(self.season.states().values()) & {"queued", "scoring"})
         states = self.season.states()
         for submission_id, play in self.sent.items():
@@ -68,7 +68,7 @@ class SeasonProgress:
         self.sent.clear()
 
     def rescore(self, asked: dict[str, str], meanwhile: Sequence[Play]) -> None:
-        """Score all by another evaluation version while others submit, read what that changes, switch the board."""
+        """Score all with another evaluation version during submissions, read the changes, switch the board."""
         base = f"/admin/phases/{self.season.phase_id}/rescores"
         address = f"{base}/{self.season.admin.create(base, {**asked, 'reason': 'labels mended'})['id']}"
         self.play(meanwhile)
@@ -83,7 +83,7 @@ class SeasonProgress:
         self.season.admin.send("POST", f"{address}/activate", json={"reason": "as announced"}, headers=match)
 
     def new_truth(self, dataset: str) -> str:
-        """The id of a further ground truth, once it is ready."""
+        """Return the id of a further ground truth, once it is ready."""
         asked = {"dataset": dataset, "reason": "labels mended"}
         base = f"/admin/phases/{self.season.phase_id}/ground-truths"
         truth_id = str(self.season.admin.create(base, asked)["ground_truth"]["id"])
@@ -95,7 +95,7 @@ class SeasonProgress:
         wait_until(lambda: all(one["state"] == "ready" for one in self.season.admin.pages(base)))
 
     def recompute(self) -> str:
-        """Both boards, as served, held against the independent script; what it says. Raises `CalledProcessError`."""
+        """Compare both served boards with the independent script; return its output. Raises `CalledProcessError`."""
         boards: dict[str, Any] = {name: self.season.board(name) for name in ("all", "best")}
         (self.folder / "boards.json").write_text(json.dumps(boards))
         for row in boards["all"]["rows"]:
@@ -107,7 +107,7 @@ class SeasonProgress:
         return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
 
     def ties(self) -> str:
-        """How the entries of the last board are tied, or why nothing is said of it."""
+        """Return the tie groups of the last board, or the reason for their absence."""
         board: Any = self.season.board("all")
         groups = [row["tie_group"] for row in board["rows"] if row["standing"] == "ranked"]
         if not any(groups):
@@ -115,7 +115,7 @@ class SeasonProgress:
         return f"{len(set(groups))} groups of {len(groups)} entries, the largest of {max(map(groups.count, groups))}"
 
     def changed_past(self) -> int:
-        """How many of the boards before the switches are no longer what `as_of` shows."""
+        """Return how many of the boards before the switches differ from their `as_of` boards."""
         return sum(
             self.season.board("all", as_of=moment)[part] != shown[part]
             for moment, shown in self.boards
@@ -151,7 +151,7 @@ def main() -> None:
 
 
 def run_season(folder: Path, size: SeasonSize, workers: int = 2) -> Figures:
-    """The season on a fresh platform below `folder`; fails where a board is not what it must be."""
+    """Run the season on a fresh platform below `folder`; fails if a board is wrong."""
     settings = Settings(data_folder=folder / "data", workers=workers, api=NO_LIMITS)
     upgrade(settings)
     with closing(Database(settings)) as database:
@@ -173,7 +173,7 @@ def run_season(folder: Path, size: SeasonSize, workers: int = 2) -> Figures:
 
 
 def play_season(course: SeasonProgress, plan: Sequence[Play]) -> None:
-    """Four quarters; after each of the first three everything is scored again while the next one is played."""
+    """Play four quarters; after each of the first three everything is scored again during the next one."""
     quarter = -(-len(plan) // 4)
     first, *rest = (plan[at : at + quarter] for at in range(0, len(plan), quarter))
     course.play(first)
@@ -185,7 +185,7 @@ def play_season(course: SeasonProgress, plan: Sequence[Play]) -> None:
 
 
 def wait_until(claim: Any) -> None:
-    """Until it is so. Raises `TimeoutError`."""
+    """Wait until the claim is true. Raises `TimeoutError`."""
     end_s = time.monotonic() + PATIENCE_S
     while not claim():
         if time.monotonic() > end_s:

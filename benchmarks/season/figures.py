@@ -1,4 +1,4 @@
-"""Figures of a season: costs and outcome, read from the rows of its jobs once it is over."""
+"""Figures of a season: costs and outcome, read from the rows of its jobs at its end."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -21,7 +21,7 @@ QUEUE = JobSpec(OPENING).queue
 
 @dataclass(frozen=True)
 class Figures:
-    """`cpu_s` by kind of job; `waited_s` from finalised to begun, of every submission; `changed_past` must be 0."""
+    """`cpu_s` by kind of job; `waited_s` from finalised to started, of every submission; `changed_past` must be 0."""
 
     lasted_s: float
     states: Mapping[str, int]

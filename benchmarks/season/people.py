@@ -1,6 +1,6 @@
 """Users and teams of a simulated season, created over HTTP.
 
-**Conventions.** Whoever acts does so with a token of their own.
+**Conventions.** Every user acts with their own token.
 """
 
 from collections.abc import Sequence
@@ -19,12 +19,12 @@ MODALITIES = ("C", "L", "C+L", "C+R", "C+L+R")
 
 
 def silent(stage: str, done: int, total: int) -> None:
-    """The progress that tells nobody."""
+    """Default progress function; does nothing."""
 
 
 @dataclass(frozen=True)
 class SentSubmission:
-    """A submission on its way; `granted` says that the team had to be granted a scoring for it."""
+    """A sent submission; `granted` is whether the team needed a grant for it."""
 
     id: str
     granted: bool
@@ -32,7 +32,7 @@ class SentSubmission:
 
 @dataclass(frozen=True)
 class SeasonTeam:
-    """A team of two, and how each of them reaches the platform."""
+    """A team of two, and the API of each member."""
 
     id: str
     name: str
@@ -43,14 +43,14 @@ class SeasonTeam:
 
 @dataclass(frozen=True)
 class Season:
-    """The platform under test, as its administrator sees it, and the phase that everything is about."""
+    """The platform under test with its administrator's API, and the season's phase."""
 
     admin: Api
     phase_id: str
     address: str
 
     def found_team(self, number: int) -> SeasonTeam:
-        """A team of two; the second joins by invitation."""
+        """Create a team of two; the second joins by invitation."""
         captain, member = (_person(self, f"{who}{number}") for who in ("captain", "member"))
         team = captain.create("/teams", {"name": f"Team {number:02d}"})
         secret = captain.send("POST", f"/teams/{team['id']}/invitations", json={}).json()["secret"]
@@ -58,7 +58,7 @@ class Season:
         return SeasonTeam(team["id"], team["name"], MODALITIES[number % len(MODALITIES)], captain, member)
 
     def submit(self, by: tuple[SeasonTeam, Api], zipped: Path, method: str, kind: str = "entry") -> SentSubmission:
-        """Announce, upload, finalise; a team without a scoring left is refused first and granted one then."""
+        """Create, upload and finalise a submission; a team without quota is refused first and then gets a grant."""
         team, api = by
         local = hashed(zipped, silent)
         said = {"team_id": team.id, "method": method, "modality": team.modality, "kind": kind}
@@ -81,12 +81,12 @@ class Season:
         return answer
 
     def states(self) -> dict[str, str]:
-        """The state of every submission of the phase."""
+        """Return the state of every submission of the phase."""
         return {one["id"]: one["state"] for one in self.admin.pages("/submissions", phase_id=self.phase_id)}
 
 
 def open_season(admin: Api, dataset: str, scorings: int) -> Season:
-    """A benchmark with one hidden phase, `scorings` of a team a week, and its first ground truth under way."""
+    """Create a benchmark with one hidden phase, `scorings` per team and week, and start its first ground truth."""
     phase = {"name": "test", "part": "test", "is_hidden": True, "scorings_per_window": scorings}
     asked = {"name": "season", "dataset": dataset, "phases": [phase], "reason": "a season"}
     phase_id = admin.create("/admin/benchmarks", asked)["phases"][0]["id"]
@@ -104,7 +104,7 @@ def _finalise(api: Api, draft_id: str, upload_id: str) -> None:
 
 
 def signed_in(url: str, name: str, password: str) -> Api:
-    """The platform as this user, by a token that they issue after signing in as a browser does."""
+    """Return the API for this user, with a token issued after a browser's sign-in."""
     with httpx.Client(base_url=f"{url}/api/v1", trust_env=False, timeout=60.0) as browser:
         opened = browser.post("/sessions", json={"name": name, "password": password}).raise_for_status().json()
         csrf = {"X-CSRF-Token": opened["csrf_token"]}

@@ -1,7 +1,7 @@
-"""The script of a simulated season, drawn from its seed: who submits, withdraws or cheats.
+"""The script of a simulated season, drawn from its seed: submissions, withdrawals and cheats.
 
-**Conventions.** A play's levels are the quality of each of its frames, 0 the best. Teams get better as the season goes
-on. One team probes: it sends nearly the same again and again; another copies what a third has sent.
+**Conventions.** A play's levels are the quality of each of its frames, 0 the best. Teams improve during the season. One
+team probes with nearly equal submissions; another copies a third team's submission.
 """
 
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ INVALID_RATIO, WITHDRAWN_RATIO, HIDDEN_RATIO = 0.04, 0.03, 0.01
 
 @dataclass(frozen=True)
 class Play:
-    """One submission: by which team, by its captain or its member, and what becomes of it afterwards."""
+    """One submission: its team, its sender (captain or member), and its later fate."""
 
     number: int
     team: int
@@ -32,7 +32,7 @@ class Play:
 
 
 def plan_of(size: SeasonSize) -> tuple[Play, ...]:
-    """Every play of the season, in the order in which they are begun."""
+    """Return every play of the season, in the order of their starts."""
     return tuple(_plays(size, np.random.default_rng(size.seed)))
 
 
@@ -58,11 +58,11 @@ def _plays(size: SeasonSize, random: np.random.Generator) -> Iterator[Play]:
 
 
 def _levels(random: np.random.Generator, level: float, frames: int) -> tuple[int, ...]:
-    """About this level, another for each frame."""
+    """Return levels around this one, drawn for each frame."""
     return tuple(np.clip(np.rint(level + random.normal(0, 1, frames)), 0, LEVELS - 1).astype(int).tolist())
 
 
 def _probe(levels: tuple[int, ...], turn: int) -> tuple[int, ...]:
-    """The same with one frame a little otherwise."""
+    """Return the levels with one frame slightly changed."""
     place = turn % len(levels)
     return tuple((level + 1) % LEVELS if index == place else level for index, level in enumerate(levels))

@@ -1,7 +1,7 @@
-"""Recomputes both boards of a folder from the kept confusions: `python benchmarks/season/recompute_board.py FOLDER`.
+"""Recompute both boards of a folder from the stored confusions: `python benchmarks/season/recompute_board.py FOLDER`.
 
-`boards.json` holds the boards `all` and `best` as they were served to an administrator, `<submission>.npz` the counts
-of each. Imports nothing of the platform. Exit code 1 where order, ranks or any ratio is another.
+`boards.json` contains the boards `all` and `best` as served to an administrator, `<submission>.npz` the counts of each.
+The program imports nothing of the platform. Exit code 1 if order, ranks or any ratio differs.
 """
 
 import json

@@ -1,9 +1,9 @@
-"""The world of a season: a test part of a few sequences in three versions of the dataset, and predictions of all sorts.
+"""The world of a season: a test split of a few sequences in three versions of the dataset, and varied predictions.
 
-**Conventions.** Versions are laid down by rows before the platform is served, with the same frames and other labels.
-Predictions lie between the labels and what a network would make of them (`benchmarks/grids.py`): at quality k of
-`LEVELS` so much of a frame, in patches, is the network's. A submission picks a quality for each frame, so that no two
-are alike, and no grid is drawn twice.
+**Conventions.** Versions are inserted as rows before the platform starts, with the same frames and other labels.
+Predictions are mixtures of the labels and a network's output (`benchmarks/grids.py`): quality k of `LEVELS` determines
+the network's share of a frame, in patches. A submission picks a quality for each frame, so that all submissions differ,
+and no grid is drawn twice.
 """
 
 import zipfile
@@ -26,13 +26,13 @@ from testing.worlds import made, published
 
 LEVELS = 8
 VERSIONS = ("stone-1.0", "stone-1.1", "stone-1.2")
-CORRECTED_RATIO = 0.03  # of each frame, from one version to the next
+CORRECTED_RATIO = 0.03  # corrected share of each frame per version
 CONDITIONS = (("quarry", "day"), ("farmland", "dusk"), ("forest", "night"), ("lake", "day"))
 
 
 @dataclass(frozen=True)
 class SeasonSize:
-    """How large a season is."""
+    """The size of a season."""
 
     teams: int = 30
     submissions: int = 600
@@ -49,7 +49,7 @@ class Predictions:
     npz: dict[str, tuple[bytes, ...]]
 
     def pack(self, path: Path, levels: Iterable[int], spoil: str = "") -> Path:
-        """A zip of one prediction a frame; `spoil` leaves one out (`missing`) or breaks one (`broken`)."""
+        """Write a zip of one prediction per frame; `spoil` leaves one out (`missing`) or breaks one (`broken`)."""
         with zipfile.ZipFile(path, "w") as archive:
             for number, (token, level) in enumerate(zip(self.npz, levels, strict=True)):
                 content = self.npz[token][level]
@@ -61,7 +61,7 @@ class Predictions:
 
 
 def build_season_world(platform: Platform, size: SeasonSize) -> Predictions:
-    """Three versions whose test part has `size.sequences` sequences; the predictions are for the frames of all."""
+    """Create three versions whose test split has `size.sequences` sequences; return predictions for all frames."""
     with platform.database.transaction() as session:
         owner_id = users.create_user(session, "surveyor", "curator").id
     drawn = [list(frames(size.frames, size.seed + number)) for number in range(size.sequences)]
@@ -73,7 +73,7 @@ def build_season_world(platform: Platform, size: SeasonSize) -> Predictions:
             made.labels(platform, sequence, seed=f"{name} {number} ".encode(), contents=contents)
         published.dataset(platform, owner_id, {"test": [one["id"] for one in facts]}, name)
         truths = [_corrected(of, 100 * version + k) for k, of in enumerate(truths)]
-    with platform.database.transaction() as session:  # the runs that the labels are said to come from
+    with platform.database.transaction() as session:  # the labels' source runs
         session.execute(update(Job).where(Job.state == "queued").values(state="succeeded"))
     return Predictions(dict(_predictions(facts, drawn, size.seed)))
 
@@ -88,7 +88,7 @@ def _sequence(platform: Platform, owner_id: str, number: int) -> dict[str, str]:
 
 
 def _corrected(labels: list[Grid], seed: int) -> list[Grid]:
-    """The labels with patches of them repaired."""
+    """Return the labels with repaired patches."""
     patches = (_patches(seed, place) < CORRECTED_RATIO for place in range(len(labels)))
     mended = (np.where(grid > 0, grid % 3 + 1, 0).astype(np.uint8) for grid in labels)
     return [
@@ -110,7 +110,7 @@ def _predictions(
 
 
 def _patches(seed: int, place: int) -> NDArray[np.float64]:
-    """Ranks in [0, 1) over the squares of a frame, alike for neighbours: where they are below q is q of the frame."""
+    """Return ranks in [0, 1) over the squares of a frame, similar for neighbours: the share of ranks below q is q."""
     field = fractal(np.random.default_rng((seed, place)), 256, 1.6, 60)
     ranks = np.empty(field.size)
     ranks[np.argsort(field, axis=None)] = np.arange(field.size) / field.size

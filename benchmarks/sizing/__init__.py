@@ -1,1 +1,1 @@
-"""What recordings and submissions cost a platform, so that a machine can be sized for more of them."""
+"""The platform's costs of recordings and submissions, for sizing machines."""

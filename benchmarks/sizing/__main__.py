@@ -1,8 +1,8 @@
 """Seconds, memory, disk and rows of a recording and of a submission: `python -m benchmarks.sizing [--frames 300 900]`.
 
-Each is measured at two sizes on fresh platforms with PostgreSQL, which gives what one costs and what each of its frames
-does; told are an hour of recording in drives of ten minutes, 50,000 frames of it, and a season of 600 submissions to a
-phase of 5,000 frames. Takes some minutes and 8 GB of disk.
+Each is measured at two sizes on fresh platforms with PostgreSQL, which gives the fixed cost and the cost per frame. The
+program prints the costs of an hour of recording in drives of ten minutes, of 50,000 frames, and of a season. A season
+has 600 submissions to a phase of 5,000 frames. It takes several minutes and 8 GB of disk.
 """
 
 import argparse

@@ -1,7 +1,7 @@
-"""Costs that grow by the frame: measured at two sizes, told for any.
+"""Costs that grow with the frames: measured at two sizes, extrapolated to any.
 
-**Conventions.** A cost is a number by what is counted, all of one thing: `CPU s`, `database rows`, `labels MB`. Of two
-sizes follow what each thing costs once and what each of its frames costs; nothing is fitted beyond them.
+**Conventions.** A cost is a number by its name: `CPU s`, `database rows`, `labels MB`. Two sizes give the fixed cost
+and the cost per frame; no other model is fitted.
 """
 
 from collections.abc import Mapping
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class MeasuredCosts:
-    """What one thing of so many frames cost."""
+    """The costs of one object with this number of frames."""
 
     frames: int
     costs: Mapping[str, float]
@@ -18,20 +18,20 @@ class MeasuredCosts:
 
 @dataclass(frozen=True)
 class CostLine:
-    """Costs of one thing: `once[what] + frames * each_frame[what]`."""
+    """Costs of one object: `once[what] + frames * each_frame[what]`."""
 
     once: Mapping[str, float]
     each_frame: Mapping[str, float]
 
     def of(self, frames: float, things: float = 1.0) -> Mapping[str, float]:
-        """The costs of so many things that have so many frames together."""
+        """Return the costs of `things` objects with `frames` frames together."""
         return {what: things * self.once[what] + frames * self.each_frame[what] for what in self.once}
 
 
 def line_through(small: MeasuredCosts, large: MeasuredCosts) -> CostLine:
-    """The line through two sizes; what would cost less than nothing once costs nothing.
+    """Return the line through two sizes; a negative fixed cost becomes 0.
 
-    Raises `ValueError` where the second has no more frames than the first.
+    Raises `ValueError` if the second has no more frames than the first.
     """
     further = large.frames - small.frames
     if further <= 0:

@@ -1,4 +1,4 @@
-"""What a platform holds: rows and bytes of its database, bytes of its store by what they are, and of its disk."""
+"""A platform's holdings: rows and bytes of its database, bytes of its store by kind, and of its disk."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ DATABASE_BYTES = {
 
 @dataclass(frozen=True)
 class PlatformHoldings:
-    """Rows by table, `database_bytes` with indexes, `stored_bytes` by what they are, and processor time of all jobs."""
+    """Rows by table, `database_bytes` with indexes, `stored_bytes` by kind, and processor time of all jobs."""
 
     rows: Mapping[str, int]
     database_bytes: int
@@ -29,7 +29,7 @@ class PlatformHoldings:
     cpu_s: float
 
     def costs_since(self, earlier: "PlatformHoldings") -> dict[str, float]:
-        """What was added since `earlier`."""
+        """Return the additions since `earlier`."""
         kinds = dict.fromkeys([*earlier.stored_bytes, *self.stored_bytes])
         stored = {what: self.stored_bytes.get(what, 0) - earlier.stored_bytes.get(what, 0) for what in kinds}
         return {
@@ -41,7 +41,7 @@ class PlatformHoldings:
 
 
 def holdings_of(platform: Platform) -> PlatformHoldings:
-    """Of a platform as it is now."""
+    """Return the present holdings of a platform."""
     with platform.database.reading() as session:
         rows = {
             table.name: int(session.scalar(select(func.count()).select_from(table)) or 0)
@@ -53,7 +53,7 @@ def holdings_of(platform: Platform) -> PlatformHoldings:
 
 
 def bytes_below(folder: Path) -> int:
-    """Of all files there are; one that goes meanwhile counts nothing."""
+    """Return the bytes of all files; a file that vanishes meanwhile counts 0."""
     total = 0
     for path in folder.rglob("*"):
         try:
@@ -65,7 +65,7 @@ def bytes_below(folder: Path) -> int:
 
 
 def _stored_bytes(session: Session) -> Mapping[str, int]:
-    """Of every blob. Names of artefacts and formats of exports say what a file is."""
+    """Return the bytes of every blob by kind, from the names of artefacts and formats of exports."""
     stored = Counter[str]()
     for name, size in session.execute(select(Artefact.name, Artefact.size_bytes)):
         stored["labels" if name.startswith("labels/") else "map and tables"] += size

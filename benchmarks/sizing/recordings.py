@@ -1,7 +1,7 @@
-"""What one recording costs: brought to a fresh platform, labelled, its playback made.
+"""The cost of one recording: uploaded to a fresh platform, labelled, with its playback.
 
-**Conventions.** Full rig: 128 × 1800 rays and six cameras at 10 Hz, simulated once and kept. Wall seconds are those of
-this machine with so many workers; the disk is the platform's folder, store and scratch files together.
+**Conventions.** Full rig: 128 × 1800 rays and six cameras at 10 Hz, simulated once and stored. Wall seconds are of this
+machine with this number of workers; the disk is the platform's folder, store and scratch files together.
 """
 
 import itertools
@@ -39,7 +39,7 @@ PLAYBACK_WITHIN_S = 3600.0
 
 @dataclass(frozen=True)
 class RecordingCosts:
-    """Costs that grow by the frame, and the most that was held at once: memory of each program, disk."""
+    """Costs that grow with the frames, and peaks: memory of each program, disk."""
 
     measured: MeasuredCosts
     most_bytes: dict[str, int]
@@ -47,7 +47,7 @@ class RecordingCosts:
 
 @dataclass
 class DiskWatch:
-    """The most that lay below a folder, looked at every second."""
+    """The maximum of the bytes below a folder, sampled every second."""
 
     folder: Path
     most_bytes: int = 0
@@ -69,7 +69,7 @@ class DiskWatch:
 
 
 def simulated_rig(folder: Path, frames: int) -> Path:
-    """The bag of so many frames, from an earlier run where there is one."""
+    """Return the bag of `frames` frames, from an earlier run if it exists."""
     bag = folder / f"rig-{CHANNELS}x{COLUMNS}-{frames}.mcap"
     if not bag.exists():
         folder.mkdir(parents=True, exist_ok=True)
@@ -88,7 +88,7 @@ def simulated_rig(folder: Path, frames: int) -> Path:
 
 
 def recording_costs(bag: Path, frames: int, workers: int) -> RecordingCosts:
-    """Bring the bag to a fresh platform on PostgreSQL and wait until nothing is left to do."""
+    """Upload the bag to a fresh platform on PostgreSQL and wait until all jobs have ended."""
     with TemporaryDirectory(dir=bag.parent) as folder, database_url("postgres") as url:
         data = Path(folder)
         settings = Settings(data_folder=data, workers=workers, database=DatabaseSettings(url), api=ApiSettings(port=0))
@@ -105,7 +105,7 @@ def recording_costs(bag: Path, frames: int, workers: int) -> RecordingCosts:
 
 
 def _brought_and_labelled(running: RunningPlatform, bag: Path) -> dict[str, float]:
-    """Wall seconds until it is registered, until its labels stand, and until its playback does, each from the last."""
+    """Return the wall seconds of registration, of labelling, and of playback."""
     moments_s = [time.perf_counter()]
     with Api(Server(running.url, running.keys.token)) as api:
         sequence = ensure_sequence(api, "recorded")
@@ -121,7 +121,7 @@ def _brought_and_labelled(running: RunningPlatform, bag: Path) -> dict[str, floa
 
 
 def _await_rest(running: RunningPlatform) -> None:
-    """Until no job waits or runs. Raises `TimeoutError`."""
+    """Wait until no job waits or runs. Raises `TimeoutError`."""
     end_s = time.monotonic() + PLAYBACK_WITHIN_S
     unfinished = select(func.count()).select_from(Job).where(Job.finished_ns.is_(None))
     while True:

@@ -1,4 +1,4 @@
-"""What one submission costs: sent to a fresh platform with a hidden phase of so many frames, and scored."""
+"""The cost of one submission: sent to a fresh platform with a hidden phase of a given number of frames, and scored."""
 
 import time
 from contextlib import closing
@@ -24,7 +24,7 @@ SEQUENCES = 2
 
 
 def submission_costs(frames: int, submissions: int, workers: int) -> MeasuredCosts:
-    """The mean over so many submissions, sent one after another; `frames` is a multiple of `SEQUENCES`."""
+    """Return the mean over `submissions` submissions, sent one after another; `frames` is a multiple of `SEQUENCES`."""
     size = SeasonSize(teams=1, sequences=SEQUENCES, frames=frames // SEQUENCES, scorings=2 * submissions)
     with TemporaryDirectory() as folder, database_url("postgres") as url:
         settings = Settings(
@@ -49,7 +49,7 @@ def submission_costs(frames: int, submissions: int, workers: int) -> MeasuredCos
 
 
 def _packed(predictions: Predictions, folder: Path, submissions: int) -> list[Path]:
-    """Files of like quality, each of other frames' levels."""
+    """Return files of similar quality, each with other levels of its frames."""
     chance = np.random.default_rng(1)
     levels = [chance.integers(0, LEVELS, len(predictions.npz)).tolist() for _ in range(submissions)]
     return [predictions.pack(folder / f"{number}.zip", of_one) for number, of_one in enumerate(levels)]

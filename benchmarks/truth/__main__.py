@@ -1,11 +1,11 @@
-"""Labels against five worlds whose truth is known: `python -m benchmarks.truth [--casts 64 16-noisy …]`.
+"""Labels against five worlds with known truth: `python -m benchmarks.truth [--casts 64 16-noisy …]`.
 
-Per seed a world of 64 × 900 rays is simulated and labelled with each profile, as `stone label` does, and once more
-with profile `paper` in one cube without a seam. What no profile changes (the mesh, the occupied voxels, T) is measured
-once. The same worlds are then cast with 32 and 16 channels and the ranges of a real LiDAR (dropouts, mixed pixels,
-rain), and with rocks, bushes and tall grass within reach of the track, without the labels in one cube. The labels do
-not see the truth. Worlds, labels and figures are kept in `--folder`; `--table` prints the figures that are there once
-more. `--seeds`, `--seconds`: which worlds, how long.
+Per seed a world of 64 × 900 rays is simulated and labelled with each profile, like `stone label`, and once more with
+profile `paper` in one cube without a seam. Figures that no profile changes (the mesh, the occupied voxels, T) are
+measured once. The same worlds are then cast with 32 and 16 channels and the ranges of a real LiDAR (dropouts, mixed
+pixels, rain). They are also cast with rocks, bushes and tall grass close to the track, without the labels in one cube.
+Labelling does not use the truth. Worlds, labels and figures are stored in `--folder`; `--table` prints the stored
+figures again. `--seeds` and `--seconds` select the worlds and their length.
 """
 
 import argparse
@@ -41,13 +41,13 @@ NOISY, BESIDE = "-noisy", "-beside"
 CASTS = ("64", "32-noisy", "16-noisy", "64-beside")
 PROFILES: tuple[Profile, ...] = ("paper", "local", "field")
 WORKERS = 2
-UNTILED = TilingParameters(cube_cells=1024)  # 204.8 m, of which 201.6 m core: one holds a run of a minute
+UNTILED = TilingParameters(cube_cells=1024)  # 204.8 m with a core of 201.6 m: one cube contains a run of a minute
 COARSEST_LATTICE_M = 0.8  # a brick of observed voxels; a shift by multiples keeps every lattice of the map
 
 
 @dataclass(frozen=True)
 class Cast:
-    """The worlds as one LiDAR sees them: `name` is its channels, and whether its ranges are a real one's."""
+    """The worlds as one LiDAR measures them: `name` is its channels, and whether its ranges are realistic."""
 
     name: str
     folder: Path
@@ -72,14 +72,14 @@ class Cast:
         return f"labels of {self.seconds:g} s worlds against their truth: {self.channels} channels{noise}"
 
     def named(self, stem: str) -> Path:
-        """A file or folder of this cast's own; those of 64 channels without noise have plain names."""
+        """Return a file or folder of this cast's own; casts of 64 channels without noise have plain names."""
         return self.folder / (stem if self.name == CASTS[0] else f"{self.name}-{stem}")
 
     def figures_file(self, seed: int) -> Path:
         return self.named(f"figures-{seed}-{self.seconds:g}s.json")
 
     def drive(self, seed: int) -> Drive:
-        """The drive of this seed, simulated where it is not there yet."""
+        """Return the drive of this seed, simulated if it is missing."""
         options = SimulateOptions(self.seconds, seed, self.channels, cameras=False, range_noise=self.is_noisy)
         options = replace(options, beside_track=self.is_beside)
         return simulated(self.named(f"world-{seed}-{self.seconds:g}s.mcap"), options)
@@ -106,7 +106,7 @@ def main() -> None:
 
 
 def _figures(cast: Cast, seed: int) -> dict[str, Figures]:
-    """Every figure of one world, by profile."""
+    """Return every figure of one world, by profile."""
     drive = cast.drive(seed)
     figures, folders = dict[str, Figures](), dict[str, Path]()
     for profile in PROFILES:
@@ -127,7 +127,7 @@ def _figures(cast: Cast, seed: int) -> dict[str, Figures]:
 
 
 def _untiled_measured(drive: Drive, labels: Path, untiled: Path) -> Figures:
-    """How the labels of profile `paper` differ from those made in one cube."""
+    """Return the differences of the labels of profile `paper` from the labels in one cube."""
     record = _labelled(_amid_cube(drive), untiled, replace(parameters_for("paper"), tiling=UNTILED))
     seam = seam_counts(drive, labels, untiled)
     ious = [judged(drive, one).iou or 0.0 for one in (labels, untiled)]
@@ -140,7 +140,7 @@ def _untiled_measured(drive: Drive, labels: Path, untiled: Path) -> Figures:
 
 
 def simulated(bag: Path, options: SimulateOptions) -> Drive:
-    """The drive of these options, from an earlier run where there is one."""
+    """Return the drive of these options, from an earlier run if it exists."""
     truth_dir = bag.with_suffix(".truth")
     if not (bag.exists() and truth_dir.exists()):
         simulate(bag, options, truth_dir)
@@ -149,7 +149,7 @@ def simulated(bag: Path, options: SimulateOptions) -> Drive:
 
 
 def _amid_cube(drive: Drive) -> Drive:
-    """The same run moved to the middle of an untiled cube: the map begins where four of them meet."""
+    """Return the same run moved to the middle of an untiled cube, because the map begins at a corner of four cubes."""
     frames = drive.sequence.frames
     track = frames.map_from_ego.translation_m[:, :2]
     core_m = replace(parameters_for("paper"), tiling=UNTILED).core_m
@@ -160,14 +160,14 @@ def _amid_cube(drive: Drive) -> Drive:
 
 
 def _labelled(drive: Drive, folder: Path, parameters: LabelParameters) -> Figures:
-    """Label into `folder`; what the report says of how it went."""
+    """Label into `folder`; return the figures of the report."""
     record = label(drive.sequence, drive.sweeps, folder, LabelOptions(parameters, WORKERS)).as_record()
     differing = record["profiles"]["differing_share"]
     return {"frames": record["frames"], "tiles": record["map"]["tiles"], "profiles_differ": differing}
 
 
 def _labels_measured(drive: Drive, labels: Path) -> Figures:
-    """What depends on the classes, and so on the profile."""
+    """Return the figures that depend on the classes, and so on the profile."""
     verdict, walker = judged(drive, labels), walker_counts(drive, labels)
     return {
         **{name: getattr(verdict, name) for name in ("iou", "danger", "recall", "everything_iou")},
@@ -177,7 +177,7 @@ def _labels_measured(drive: Drive, labels: Path) -> Figures:
 
 
 def _map_measured(drive: Drive, labels: Path) -> Figures:
-    """What does not: the mesh, which voxels are occupied, and T."""
+    """Return the figures that do not: the mesh, the occupied voxels, and T."""
     mesh, poses = read_mesh(labels / "mesh.ply"), (drive.sequence.frames.map_from_ego, drive.world_from_ego())
     errors = surface_errors(mesh, poses, drive.truth)
     footprint, evidence = footprint_counts(drive, labels), evidence_counts(drive, labels)

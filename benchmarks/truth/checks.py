@@ -1,7 +1,7 @@
-"""Checks of a simulated run's labels, beside the verdict: footprint, evidence, the walker, seams.
+"""Checks of a simulated run's labels beside the verdict: footprint, evidence, the walker, seams.
 
 **Conventions.** A label grid is placed by the exact pose of its frame, never by the estimated one, so the origin and
-the drift of the map do not matter. Counts add over frames; ratios are read once, where they are shown.
+the drift of the map do not matter. Counts add over frames; ratios are computed once, for display.
 """
 
 from dataclasses import dataclass
@@ -27,29 +27,29 @@ from stone_base.label_grid import PAPER
 
 FOOTPRINT_BAND_M = 0.15
 EVIDENCE_M, THINNED_M = 0.4, 0.05
-# A vertex lies within the trim (0.2 m) of a point, a map voxel's centre within half a diagonal (0.173 m) of its vertex,
-# a grid voxel's centre within another of the map's: what is farther from all points is surface nobody measured.
+# A vertex lies within the trim (0.2 m) of a point. A map voxel's centre is within half a diagonal (0.173 m) of its
+# vertex, a grid voxel's centre within another of the map's. Surface farther from all points is unmeasured.
 REACH_M = 0.55
 JUDGED_EVERY, EVIDENCE_EVERY, WALKER_EVERY, SEAM_EVERY = 5, 15, 15, 10
-# Below, grass stands and the ground's own voxels lie; beside an obstacle, its own surface.
+# Below, there is grass and the ground's own voxels; beside an obstacle, its own surface.
 WALKER_ABOVE_M, OBSTACLE_CLEAR_M = 0.5, 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """One simulated run as the platform read it, and the truth about it."""
+    """One simulated run as read by the platform, and its truth."""
 
     sequence: Sequence
     sweeps: SweepSource
     truth: SimulationTruth
 
     def world_from_ego(self) -> SE3:
-        """The exact poses (N,) of the frames."""
+        """Return the exact poses (N,) of the frames."""
         poses = [self.truth.map_from_ego(stamp_ns).wxyz_xyz for stamp_ns in self.sequence.frames.stamps_ns.tolist()]
         return SE3(np.stack(poses))
 
     def semantics(self, labels: Path, index: int) -> Grid:
-        """The labels of frame `index` in the label set `labels`."""
+        """Return the labels of frame `index` in the label set `labels`."""
         path = labels / "gts" / self.sequence.name / self.sequence.frames.tokens[index] / "labels.npz"
         with np.load(path, allow_pickle=False) as archive:
             grid: Grid = archive["semantics"]
@@ -57,14 +57,14 @@ class Drive:
 
 
 def judged(drive: Drive, labels: Path) -> LabelVerdict:
-    """What `simulator.verdict` says of every `JUDGED_EVERY`-th frame."""
+    """Return the verdict of `simulator.verdict` over every `JUDGED_EVERY`-th frame."""
     poses, frames = drive.world_from_ego().as_matrix(), range(0, len(drive.sequence.frames), JUDGED_EVERY)
     counts = [judge_semantics(drive.semantics(labels, frame), drive.truth.judge, poses[frame]) for frame in frames]
     return LabelVerdict(len(counts), *np.sum(counts, axis=0).tolist())
 
 
 def grid_centres(index: NDArray[np.int64]) -> Array:
-    """Voxel centres (N, 3) in the ego frame."""
+    """Return voxel centres (N, 3) in the ego frame."""
     return np.asarray((index + 0.5) * VOXEL_M + np.asarray(PAPER.min_m))
 
 
@@ -73,9 +73,9 @@ class FootprintCounts:
     """Occupied voxels under the footprint, and those of them labelled T.
 
     `in_grid`: the voxel's own centre is under the footprint. `in_map`: so is the centre of the map voxel around it,
-    and that one holds surface (a vertex of the mesh). The labels are made in the map: an ego voxel takes the class of
-    the map voxel that holds its centre, whose own centre may lie up to half a diagonal (0.17 m) away and so beyond the
-    footprint; and where that one is empty, `stone.labels.grid` may have closed a gap with the class of another.
+    which has surface (a vertex of the mesh). The labels are made in the map: an ego voxel takes the class of the map
+    voxel around its centre. That voxel's own centre may be up to half a diagonal (0.17 m) away and so beyond the
+    footprint. If it is empty, `stone.labels.grid` may have closed a gap with the class of another.
     """
 
     in_grid: int
@@ -85,7 +85,7 @@ class FootprintCounts:
 
 
 def footprint_counts(drive: Drive, labels: Path) -> FootprintCounts:
-    """Over every `JUDGED_EVERY`-th frame, each at its own pose."""
+    """Return the counts over every `JUDGED_EVERY`-th frame, each at its own pose."""
     footprint = drive.sequence.calibration.footprint
     half = np.array([footprint.length_m / 2, footprint.width_m / 2, FOOTPRINT_BAND_M])
     index = np.argwhere(np.ones(PAPER.shape, np.bool_))
@@ -105,8 +105,11 @@ def footprint_counts(drive: Drive, labels: Path) -> FootprintCounts:
 
 @dataclass(frozen=True)
 class EvidenceCounts:
-    """Labelled voxels of the sampled frames: without a measured point within `REACH_M`, and `EVIDENCE_M`; without even
-    a ray within `EVIDENCE_M`."""
+    """Labelled voxels of the sampled frames.
+
+    Counts of voxels without a measured point within `REACH_M`, and within `EVIDENCE_M`; and without even a ray within
+    `EVIDENCE_M`.
+    """
 
     labelled: int
     beyond_reach: int
@@ -115,11 +118,11 @@ class EvidenceCounts:
 
 
 def evidence_counts(drive: Drive, labels: Path) -> EvidenceCounts:
-    """Is every labelled voxel of every `EVIDENCE_EVERY`-th frame within `EVIDENCE_M` of something the LiDAR measured?
+    """Count the labelled voxels of every `EVIDENCE_EVERY`-th frame beyond `EVIDENCE_M` of any LiDAR measurement.
 
     First against the points of all sweeps, thinned to `THINNED_M` (the reach is shortened by the half diagonal that
-    thinning may move a point, so a pass is a pass); what fails is tried against every ray, from the LiDAR at the
-    sweep's stamp to the unthinned point. Points of the robot itself are left out.
+    thinning may move a point, so a pass is a pass). Failures are tried against every ray, from the LiDAR at the sweep's
+    stamp to the unthinned point. Points of the robot itself are left out.
     """
     labelled, _ = _labelled_world(drive, labels)
     moved_m = THINNED_M * np.sqrt(3) / 2
@@ -130,9 +133,9 @@ def evidence_counts(drive: Drive, labels: Path) -> EvidenceCounts:
 
 
 def invented_counts(drive: Drive, labels: Path, clean: Drive) -> tuple[int, ...]:
-    """Labelled voxels of every `EVIDENCE_EVERY`-th frame, by class, with no point of `clean` within `REACH_M`.
+    """Return labelled voxels of every `EVIDENCE_EVERY`-th frame, by class, with no point of `clean` within `REACH_M`.
 
-    `clean` is the same drive through the same world, seen without noise.
+    `clean` is the same drive through the same world without noise.
     """
     labelled, classes = _labelled_world(drive, labels)
     distance, _ = cKDTree(_thinned_points(clean)).query(labelled, distance_upper_bound=REACH_M)
@@ -140,7 +143,9 @@ def invented_counts(drive: Drive, labels: Path, clean: Drive) -> tuple[int, ...]
 
 
 def _labelled_world(drive: Drive, labels: Path) -> tuple[Array, Grid]:
-    """Centres (N, 3) in the world of the labelled voxels of every `EVIDENCE_EVERY`-th frame, and their classes (N,)."""
+    """Return the world centres (N, 3) of the labelled voxels of every `EVIDENCE_EVERY`-th frame, and their classes
+    (N,).
+    """
     world_from_ego = drive.world_from_ego()
     centres, classes = [], []
     for frame in range(0, len(world_from_ego), EVIDENCE_EVERY):
@@ -152,7 +157,7 @@ def _labelled_world(drive: Drive, labels: Path) -> tuple[Array, Grid]:
 
 
 def points_ego(drive: Drive, frame: int) -> Array:
-    """The points (N, 3) of a frame's sweep in its ego frame, without the robot's own."""
+    """Return the points (N, 3) of a frame's sweep in its ego frame, without the robot's own."""
     calibration = drive.sequence.calibration
     points_lidar, nearest_m = drive.sweeps.sweep(frame).points_lidar, SelectionParameters().min_range_m
     kept = world_points(points_lidar, calibration.ego_from_lidar, calibration.self_boxes_ego, nearest_m)
@@ -178,7 +183,7 @@ def _without_ray(drive: Drive, centres_world: Array) -> int:
 
 @njit(cache=True, nogil=True)
 def _is_passed(centres, sensor, points):  # type: ignore[no-untyped-def]
-    """Does any of the segments sensor → point come within `EVIDENCE_M` of each centre (N,)?"""
+    """Return whether any of the segments sensor → point comes within `EVIDENCE_M` of each centre (N,)."""
     passed = np.zeros(len(centres), np.bool_)
     for c in range(len(centres)):
         x, y, z = centres[c, 0] - sensor[0], centres[c, 1] - sensor[1], centres[c, 2] - sensor[2]
@@ -193,17 +198,20 @@ def _is_passed(centres, sensor, points):  # type: ignore[no-untyped-def]
 
 @dataclass(frozen=True)
 class WalkerCounts:
-    """Labelled voxels where the walker was and nothing else stands, by class T, P, N; and how many voxels that is."""
+    """Labelled voxels in the walker's former space without another surface, by class T, P, N; and the number of such
+    voxels.
+    """
 
     voxels: int
     labelled: tuple[int, int, int]
 
 
 def walker_counts(drive: Drive, labels: Path) -> WalkerCounts:
-    """Over every `WALKER_EVERY`-th frame, in the space the walker swept through in the whole run.
+    """Return the counts over every `WALKER_EVERY`-th frame, in the space that the walker swept through in the whole
+    run.
 
-    A voxel is counted when its centre comes within half a voxel of the walker at the middle of a sweep, more than
-    `WALKER_ABOVE_M` above the true ground and farther than `OBSTACLE_CLEAR_M` from every obstacle.
+    A voxel is counted when its centre comes within half a voxel of the walker at the middle of a sweep. It must also be
+    more than `WALKER_ABOVE_M` above the true ground and farther than `OBSTACLE_CLEAR_M` from every obstacle.
     """
     truth, stamps_ns = drive.truth, drive.sequence.frames.stamps_ns
     walker = walker_ahead(truth.trajectory, truth)
@@ -227,7 +235,7 @@ def walker_counts(drive: Drive, labels: Path) -> WalkerCounts:
 
 @dataclass(frozen=True)
 class SeamCounts:
-    """Voxels occupied in either of two label sets; in both, with another class; in one of them only."""
+    """Voxels occupied in either of two label sets; in both, with another class; in only one."""
 
     occupied: int
     class_differs: int
@@ -235,7 +243,7 @@ class SeamCounts:
 
 
 def seam_counts(drive: Drive, labels: Path, others: Path) -> SeamCounts:
-    """Over every `SEAM_EVERY`-th frame."""
+    """Return the counts over every `SEAM_EVERY`-th frame."""
     total = np.zeros(3, np.int64)
     for frame in range(0, len(drive.sequence.frames), SEAM_EVERY):
         ours, theirs = drive.semantics(labels, frame), drive.semantics(others, frame)

@@ -1,9 +1,9 @@
-"""How far the mesh is from the true ground: slope and roughness at its vertices.
+"""The errors of the mesh relative to the true ground: slope and roughness at its vertices.
 
-**Conventions.** Errors are read at the vertices that are ground: within `GROUND_BAND_M` of the true height and at least
-`OBJECT_MARGIN_M` in plan from every obstacle (rock, bush, trunk, wall; grass stays in). The truth is the true ground
-seen at the same places: the mesh's vertices moved up or down onto it, with the same triangles and the same neighbours,
-so both are at one scale and relief that the mesh rightly resolves is no error.
+**Conventions.** Errors are taken at ground vertices: within `GROUND_BAND_M` of the true height and at least
+`OBJECT_MARGIN_M` in plan from every obstacle (rock, bush, trunk, wall; grass is included). The truth is the true ground
+at the same positions: the mesh's vertices moved vertically onto it, with the same triangles and neighbours. So both
+have one scale, and relief that the mesh resolves correctly is no error.
 """
 
 from dataclasses import dataclass
@@ -33,11 +33,11 @@ class SurfaceErrors:
 
 
 def surface_errors(mesh: Mesh, poses: tuple[SE3, SE3], truth: SimulationTruth) -> SurfaceErrors:
-    """Errors of the mesh; `poses` are `map_from_ego` and the exact `world_from_ego` (N,).
+    """Return the errors of the mesh; `poses` are `map_from_ego` and the exact `world_from_ego` (N,).
 
-    Slope is that of the area-weighted mean of a vertex' faces, roughness Eq. 3 over its `neighbours` nearest vertices,
-    of every `ROUGHNESS_EVERY`-th vertex whose neighbours are all ground. A vertex goes from the map into the world
-    through the ego frame of the nearest frame in plan.
+    Slope is of the area-weighted mean of a vertex' faces, roughness Eq. 3 over its `neighbours` nearest vertices, for
+    every `ROUGHNESS_EVERY`-th vertex whose neighbours are all ground. A vertex goes from the map into the world through
+    the ego frame of the nearest frame in plan.
     """
     map_from_ego, world_from_ego = poses
     _, nearest = cKDTree(map_from_ego.translation_m[:, :2]).query(mesh.vertices_map[:, :2])
@@ -61,20 +61,20 @@ def _roughness_errors(vertices: Array, true_vertices: Array, is_ground: NDArray[
 
 
 def _roughness(near: Array) -> Array:
-    """Eq. 3 of neighbourhoods (n, k, 3), log m²."""
+    """Return Eq. 3 of neighbourhoods (n, k, 3), log m²."""
     off = near - near.mean(axis=1, keepdims=True)
     mean_square = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", off, off) / near.shape[1])[:, 0]
     return np.asarray(np.log(np.maximum(mean_square, TerrainParameters().roughness_floor_m2)))
 
 
 def read_mesh(path: Path) -> Mesh:
-    """The mesh that `services.labeler.map.ply` wrote."""
+    """Return the mesh written by `services.labeler.map.ply`."""
     mesh = open_mesh(path)
     return Mesh(mesh.vertices["xyz"].astype(np.float64), mesh.faces["indices"].astype(np.int32))
 
 
 def area_normals(mesh: Mesh) -> Array:
-    """Unit normals (V, 3), faces weighted by their area (the labels weight them equally); zero without a face."""
+    """Return unit normals (V, 3), faces weighted by area (the labels weight them equally); zero without a face."""
     a, b, c = (mesh.vertices_map[mesh.triangles[:, corner]] for corner in range(3))
     doubled = np.cross(b - a, c - a)
     rows = mesh.triangles.T.ravel()
@@ -85,7 +85,7 @@ def area_normals(mesh: Mesh) -> Array:
 
 
 def near_obstacles(xy: Array, obstacles: NDArray[np.void], margin_m: float) -> NDArray[np.bool_]:
-    """Which points (N, 2) lie within `margin_m` of an obstacle's side, or inside it."""
+    """Return which points (N, 2) are within `margin_m` of an obstacle's side, or inside it."""
     near = np.zeros(len(xy), np.bool_)
     tree = cKDTree(xy)
     for obstacle in obstacles:

@@ -1,4 +1,4 @@
-"""The figures of `benchmarks.truth` as a table: a row each, a column per world, the profiles beside each other."""
+"""The figures of `benchmarks.truth` as a table: a row per figure, a column per world, profiles side by side."""
 
 from collections.abc import Mapping
 
@@ -9,7 +9,7 @@ from benchmarks.truth.checks import EVIDENCE_EVERY, EVIDENCE_M, JUDGED_EVERY, RE
 
 Figures = dict[str, float]
 
-# key, what it is, how it prints, what is expected of `paper`, `local` and `field`
+# key, meaning, format, and the expectations of `paper`, `local` and `field`
 ROWS = (
     ("frames", "frames", ".0f", ""),
     ("iou", f"IoU of T ∪ P with drivable ground, every {JUDGED_EVERY}th frame", ".3f", "≥ 0.80 | ≥ 0.84 | ≥ 0.93"),

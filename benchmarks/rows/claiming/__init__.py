@@ -1,5 +1,5 @@
-"""What a job costs the database, what a thousand claiming processes get of one, and how many workers that carries.
+"""The database cost of a job, the throughput of a thousand claiming processes, and the number of workers per database.
 
-`server_log` reads the transactions out of PostgreSQL's log, `counting` labels a recording on a real platform, `sharing`
-has many processes claim at once, `forecast` is fed with both.
+`server_log` reads the transactions from PostgreSQL's log, `counting` labels a recording on a real platform, `sharing`
+runs many claiming processes at once, `forecast` uses the results of both.
 """

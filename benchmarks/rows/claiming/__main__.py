@@ -1,10 +1,10 @@
-"""What a job costs the database, and how many workers that carries: `python -m benchmarks.rows.claiming COMMAND`.
+"""The database cost of a job, and the workers per database: `python -m benchmarks.rows.claiming COMMAND`.
 
-`count` labels a simulated recording on a real platform (PostgreSQL, Redis, API, sweeper, workers) and reads from
-PostgreSQL's log what the workers asked for: transactions and statements a job, by what they were for; of another one,
-which is not logged, it takes the processor time. `share` has many processes claim empty jobs from one database.
-`foretell` simulates workers by the hundred with what both found, on a database with `--cores` of its own, and says
-where more of them help no more.
+`count` labels a simulated recording on a real platform (PostgreSQL, Redis, API, sweeper, workers) and reads the
+workers' requests from PostgreSQL's log: transactions and statements per job, by purpose. The processor time comes from
+another recording without logging. `share` runs many processes that claim empty jobs from one database. `foretell`
+simulates hundreds of workers with both results, on a database with `--cores` of its own, and prints the number beyond
+which more workers have no effect.
 """
 
 import argparse
@@ -54,7 +54,7 @@ def main() -> None:
 
 
 def _count(options: argparse.Namespace) -> None:
-    lengths = (WARM_UP_S, options.seconds, options.seconds + 1.0)  # a recording that was labelled is not labelled again
+    lengths = (WARM_UP_S, options.seconds, options.seconds + 1.0)  # a recording can be labelled only once
     bags = [recording(options.folder, seconds) for seconds in lengths]
     cost = counted(bags, options.workers, options.idle_s)
     options.json.parent.mkdir(parents=True, exist_ok=True)

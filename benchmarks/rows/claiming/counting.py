@@ -1,8 +1,8 @@
-"""What a real labelling asks of the database: a recording through API, sweeper and workers on a real PostgreSQL.
+"""The database requests of a real labelling: a recording through API, sweeper and workers on a real PostgreSQL.
 
-**Conventions.** Counted are the workers' own transactions, from the run's start to its end, and those of the same
-processes while they are idle. Playback is made too, so that a run has every kind of job. Writing each statement to its
-log costs PostgreSQL as much as running it: processor time is of a run of which nothing is logged.
+**Conventions.** Counts cover the workers' own transactions, from the run's start to its end, and those of the same
+processes while idle. Playback is created too, so that a run has every kind of job. Logging a statement costs PostgreSQL
+as much as running it, so processor time is measured in a run without logging.
 """
 
 import sys
@@ -49,7 +49,7 @@ START_S = 240.0
 
 @dataclass(frozen=True)
 class DatabaseLoad:
-    """What `processes` worker processes asked of the database within `lasted_s`: transactions and statements."""
+    """The requests of `processes` worker processes to the database within `lasted_s`: transactions and statements."""
 
     processes: int
     lasted_s: float
@@ -57,15 +57,15 @@ class DatabaseLoad:
     statements: dict[str, int]
 
     def transactions_per_s(self) -> float:
-        """Of one process."""
+        """Return the transactions per second of one process."""
         return sum(self.transactions.values()) / self.lasted_s / self.processes
 
 
 @dataclass(frozen=True)
 class RunCost:
-    """What a run of `job_s` (seconds each job was held) asked for, and what idle processes ask for.
+    """The requests of a run with `job_s` (seconds of each job), and of idle processes.
 
-    `cpu_s_a_job` is what the server's processes used that serve the workers, of another run, which was not logged.
+    `cpu_s_a_job` is the processor time of the server processes of the workers, from another run without logging.
     """
 
     idle: DatabaseLoad
@@ -79,10 +79,10 @@ class RunCost:
 
 
 def counted(bags: Sequence[Path], workers: int, idle_s: float) -> RunCost:
-    """Label the bags, one after the other, with so many worker processes; before the last two they idle for `idle_s`.
+    """Label the bags one after the other with `workers` worker processes; before the last two they idle for `idle_s`.
 
-    Those two are counted, the last one by its processor time: connections and prepared statements are warm then, as
-    those of a worker that has worked are.
+    The last two are counted, the last one by its processor time: connections and prepared statements are then warm, as
+    in a worker with history.
     """
     with running_postgres(**LOGGING) as postgres, _platform(postgres, workers) as (platform, url):
         with platform.database.transaction() as session:
@@ -101,7 +101,7 @@ def counted(bags: Sequence[Path], workers: int, idle_s: float) -> RunCost:
 
 
 def recording(folder: Path, seconds: float) -> Path:
-    """A simulated recording, made once."""
+    """Return a simulated recording, created once."""
     folder.mkdir(parents=True, exist_ok=True)
     bag = folder / f"claiming-{seconds:g}.mcap"
     if not bag.exists():
@@ -110,7 +110,7 @@ def recording(folder: Path, seconds: float) -> Path:
 
 
 def _uploaded(api: Api, bag: Path) -> Mapping[str, Any]:
-    """A sequence of its own, named after the bag."""
+    """Return a new sequence, named after the bag."""
     sequence = ensure_sequence(api, bag.stem.replace(".", "-"))
     pin_calibration(api, sequence, calibration_path(bag))
     add_recording(api, sequence, hashed_bag(bag, _silent), _silent)
@@ -118,14 +118,16 @@ def _uploaded(api: Api, bag: Path) -> Mapping[str, Any]:
 
 
 def _labelled(api: Api, sequence: Mapping[str, Any]) -> str:
-    """The id of the run that labelled it."""
+    """Return the id of the run that labelled it."""
     run_id: str = start_run(api, sequence, {})["id"]
     follow(api, run_id, _silent)
     return run_id
 
 
 def _cpu_s_unlogged(api: Api, postgres: PostgresServer, bag: Path, platform: Platform) -> tuple[float, int]:
-    """What the server used for the workers while they labelled the bag and no statement was logged, s; their jobs."""
+    """Return the server's processor time for the workers while they labelled the bag without logging, s; and their
+    jobs.
+    """
     sequence = _uploaded(api, bag)
     postgres.run("ALTER SYSTEM SET log_statement TO 'none'")
     postgres.run("SELECT pg_reload_conf()")
@@ -136,7 +138,7 @@ def _cpu_s_unlogged(api: Api, postgres: PostgresServer, bag: Path, platform: Pla
 
 @contextmanager
 def _loaded(postgres: PostgresServer, processes: int) -> Iterator[list[DatabaseLoad]]:
-    """A list that holds, after the end, what the workers asked for meanwhile."""
+    """Yield a list that contains, after the end, the workers' requests during the block."""
     found: list[DatabaseLoad] = []
     with postgres.log.open(errors="replace") as log:
         log.seek(0, 2)
@@ -151,7 +153,7 @@ def _loaded(postgres: PostgresServer, processes: int) -> Iterator[list[DatabaseL
 
 
 def _cpu_s_for(program: str, postgres: PostgresServer) -> float:
-    """Processor time of the server's processes that serve a program, s; to the nanosecond, since it is little."""
+    """Return the processor time of the server's processes for a program, s; to the nanosecond, since it is little."""
     with psycopg.connect(postgres.url()) as connection:
         asked = "SELECT pid FROM pg_stat_activity WHERE application_name = %s"
         pids = [row[0] for row in connection.execute(asked, [program]).fetchall()]
@@ -160,7 +162,7 @@ def _cpu_s_for(program: str, postgres: PostgresServer) -> float:
 
 @contextmanager
 def _platform(postgres: PostgresServer, workers: int) -> Iterator[tuple[Platform, str]]:
-    """A platform of separate processes, each known to the database by its name; and the address of its API."""
+    """Yield a platform of separate processes, each with its name in the database; and the address of its API."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="stone-claiming-")))
         redis = stack.enter_context(running_redis())

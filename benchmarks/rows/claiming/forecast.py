@@ -1,10 +1,9 @@
-"""How many workers one database carries: a simulation in discrete events, fed with `count` and `share`.
+"""The number of workers per database: a discrete-event simulation with the results of `count` and `share`.
 
-**Conventions.** The queue never runs dry. A worker goes through its jobs one after the other; each is of the length of
-a measured one and asks the database `visits` times, evenly spread. The database has `cores` of its own, each of which
-serves one transaction after the other, each for the same processor time; that a transaction waits for a lock or for a
-disk is left out. Beside that it is told of presence and beaten for by every keeper, which writes what its busy workers
-say, but at most once every `progress_s`. Workers of a machine have a core each.
+**Conventions.** The queue never runs dry. A worker runs its jobs one after the other; each has the length of a measured
+job and `visits` transactions, evenly spread. The database has `cores` of its own. Each core serves one transaction
+after the other, all with the same processor time; waits for locks and disks are left out. Every lease keeper also sends
+presence and its busy workers' heartbeats, at most once every `progress_s`. Workers of a machine have a core each.
 """
 
 import heapq
@@ -21,7 +20,7 @@ LIVENESS = "liveness of a connection"
 
 @dataclass(frozen=True)
 class JobDemand:
-    """What jobs ask of the database: transactions a job, beats a busy second, presence a second of a keeper."""
+    """The demand of jobs: transactions per job, heartbeats per busy second, presence per second of a keeper."""
 
     job_s: tuple[float, ...]
     visits: float
@@ -31,8 +30,10 @@ class JobDemand:
 
 @dataclass(frozen=True)
 class WorkerFleet:
-    """`workers`, of which `shared` have one keeper that takes a turn every `turn_s`, and the database that they ask:
-    its cores, and the processor time of a transaction."""
+    """`workers` and their database; `shared` workers have one keeper with a cycle of `turn_s`.
+
+    The database has its cores, and the processor time of a transaction.
+    """
 
     workers: int
     shared: int
@@ -43,7 +44,7 @@ class WorkerFleet:
 
 @dataclass(frozen=True)
 class FleetPace:
-    """What is done: jobs a second; shares of the workers' time in jobs, and of the database's."""
+    """The throughput: jobs per second; shares of the workers' time in jobs, and of the database's."""
 
     workers: int
     jobs_per_s: float
@@ -52,9 +53,10 @@ class FleetPace:
 
 
 def demand_of(cost: Mapping[str, Any], *, is_shared: bool) -> JobDemand:
-    """By the JSON of `count`. The question whether a connection lives is counted to what follows it.
+    """Return the demand from the JSON of `count`. A connection's liveness check is counted to the following
+    transaction.
 
-    Heartbeats are the keeper's where it is shared; else they are counted to the job, most of which they begin and end.
+    Heartbeats are the keeper's if it is shared; otherwise they are counted to the job.
     """
     times, idle, job_s = cost["run"]["transactions"], cost["idle"], cost["job_s"]
     asked = sum(times.values()) / max(1, sum(times.values()) - times.get(LIVENESS, 0))
@@ -66,9 +68,9 @@ def demand_of(cost: Mapping[str, Any], *, is_shared: bool) -> JobDemand:
 
 
 def transaction_s(cost: Mapping[str, Any], share: Mapping[str, Any]) -> float:
-    """PostgreSQL's processor time of a transaction, s: the mean of the labelling.
+    """Return PostgreSQL's processor time per transaction, s: the mean of the labelling.
 
-    Claims and ends cost what the claiming processes paid for theirs, where that is more: they are many at once.
+    Claims and ends cost as much as in the claiming processes, if that is more: they are many at once.
     """
     times = cost["run"]["transactions"]
     total, claims = sum(times.values()), sum(times.get(name, 0) for name in CLAIMS)
@@ -78,12 +80,12 @@ def transaction_s(cost: Mapping[str, Any], share: Mapping[str, Any]) -> float:
 
 
 def pace(demand: JobDemand, fleet: WorkerFleet, lasting_s: float = 60.0, seed: int = 1) -> FleetPace:
-    """What so many workers do within `lasting_s`, after a fifth of it as a start."""
+    """Return the throughput of the workers within `lasting_s`, after a fifth of it as a start."""
     return _Simulation(demand, fleet, random.Random(seed)).run(lasting_s)
 
 
 def carried(paces: Sequence[FleetPace]) -> float:
-    """How many workers at the pace of the first the best one is worth: where the curve bends."""
+    """Return the best throughput in workers at the pace of the first: the bend of the curve."""
     first = paces[0]
     return max(one.jobs_per_s for one in paces) / (first.jobs_per_s / first.workers)
 
@@ -121,14 +123,14 @@ class _Simulation:
         heapq.heappush(self._events, (at_s, self._number, kind, who))
 
     def _served(self, now_s: float) -> float:
-        """When a transaction that comes now is done, by the core that is free first."""
+        """Return the end of a transaction that arrives now, on the core that is free first."""
         done_s = max(self._free_s[0], now_s) + self._fleet.transaction_s
         heapq.heapreplace(self._free_s, done_s)
         self._busy_s += self._fleet.transaction_s
         return done_s
 
     def _work(self, now_s: float, worker: int) -> None:
-        """One visit, then the part of the job that belongs to it."""
+        """Run one visit, then the following part of the job."""
         part_s = self._chance.choice(self._demand.job_s) / self._demand.visits
         self._jobs += 1.0 / self._demand.visits
         self._worked_s += part_s
@@ -139,7 +141,7 @@ class _Simulation:
         self._at(now_s + 1.0 / self._demand.presence_per_s, "presence", worker)
 
     def _beat(self, now_s: float, keeper: int) -> None:
-        """As often as its workers have something to say, each of which holds a job; together, once a turn at most."""
+        """Send the heartbeats of a keeper's busy workers together, at most once per cycle."""
         self._served(now_s)
         fleet = self._fleet
         members = min(fleet.shared, fleet.workers - keeper * fleet.shared)

@@ -1,8 +1,8 @@
-"""Transactions read from PostgreSQL's log, each with its statements and what it was for.
+"""Transactions read from PostgreSQL's log, each with its statements and purpose.
 
-**Conventions.** The server logs every statement (`LOGGING`), each line begun by the program's name (`PGAPPNAME`) and
-the process that served it. A statement outside BEGIN and COMMIT is a transaction of its own. BEGIN, COMMIT and ROLLBACK
-are statements too: each is a round trip.
+**Conventions.** The server logs every statement (`LOGGING`); each line begins with the program's name (`PGAPPNAME`) and
+the server process. A statement outside BEGIN and COMMIT is a transaction of its own. BEGIN, COMMIT and ROLLBACK are
+statements too: each is a round trip.
 """
 
 import re
@@ -28,21 +28,21 @@ OTHER = "work of the job"
 
 @dataclass(frozen=True)
 class LoggedTransaction:
-    """What one connection did from BEGIN to its end."""
+    """One connection's statements from BEGIN to its end."""
 
     program: str
     statements: tuple[str, ...]
 
     @property
     def purpose(self) -> str:
-        """The first of `PURPOSES` that any of its statements shows, else the work itself."""
+        """The first of `PURPOSES` that matches any of its statements, else the work itself."""
         inner = [sql for sql in self.statements if sql not in ("BEGIN", *ENDS)]
         found = (name for name, sign in PURPOSES if any(re.search(sign, sql) for sql in inner))
         return next(found, OTHER)
 
 
 def transactions(lines: Iterable[str]) -> Iterator[LoggedTransaction]:
-    """Every transaction that ended within these lines."""
+    """Yield every transaction that ended within these lines."""
     opened: dict[str, list[str]] = {}
     for program, server, sql in _statements(lines):
         if sql.startswith("BEGIN"):
@@ -56,7 +56,7 @@ def transactions(lines: Iterable[str]) -> Iterator[LoggedTransaction]:
 
 
 def _statements(lines: Iterable[str]) -> Iterator[tuple[str, str, str]]:
-    """(program, server process, SQL) of each statement; a statement goes on over lines that begin with a tab."""
+    """Yield (program, server process, SQL) of each statement; continuation lines begin with a tab."""
     held: tuple[str, str, str] | None = None
     for line in lines:
         if line.startswith("\t") and held is not None:

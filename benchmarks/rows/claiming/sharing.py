@@ -1,7 +1,8 @@
-"""What many claiming processes get of one database: empty jobs, claimed and ended by the real code, as fast as it goes.
+"""The throughput of many claiming processes on one database: empty jobs, claimed and ended by the real code at full
+speed.
 
-**Conventions.** Processes and database share the machine, so a database of its own gives more. Each process has one
-connection, as a worker's has one for its jobs. Counted is what PostgreSQL counted (`pg_stat_database`).
+**Conventions.** Processes and database share the machine, so a separate database has a higher throughput. Each process
+has one connection, like a worker for its jobs. Counts are PostgreSQL's (`pg_stat_database`).
 """
 
 import logging
@@ -29,12 +30,12 @@ from testing.servers.postgres import PostgresServer, running_postgres
 QUEUE, KIND = "ingest", "ingest.nothing"
 OWNERS, JOBS_A_RUN = 8, 40
 START_S = 15.0
-"""What processes load and prepare at their first jobs is not the database's share."""
+"""Excludes the loading and preparation of processes at their first jobs."""
 
 
 @dataclass(frozen=True)
 class DatabaseShare:
-    """What `processes` got within `lasted_s`; `database_cpu_s` is what PostgreSQL used for it."""
+    """The throughput of `processes` within `lasted_s`; `database_cpu_s` is PostgreSQL's processor time."""
 
     processes: int
     lasted_s: float
@@ -44,7 +45,7 @@ class DatabaseShare:
 
 
 def shared(processes: int, lasted_s: float, runs: int) -> DatabaseShare:
-    """Have so many processes claim for so long from a queue of so many runs."""
+    """Let `processes` processes claim for `lasted_s` from a queue of `runs` runs."""
     options = {"max_connections": str(processes + 50), "shared_buffers": "256MB"}
     with tempfile.TemporaryDirectory() as folder, running_postgres(**options) as postgres:
         settings = Settings(data_folder=Path(folder), database=DatabaseSettings(postgres.url(), pool_size=1))
@@ -54,7 +55,7 @@ def shared(processes: int, lasted_s: float, runs: int) -> DatabaseShare:
         platform.database.close()
         pids = [_claiming(settings) for _ in range(processes)]
         time.sleep(START_S)
-        _analyse(platform)  # statements on attempts were planned while there was none
+        _analyse(platform)  # statements on attempts were planned for an empty table
         before, cpu_s, begun, begun_s = (
             _transactions(postgres),
             _cpu_s(postgres),
@@ -85,13 +86,13 @@ def _fill(platform: Platform, runs: int) -> None:
 
 
 def _analyse(platform: Platform) -> None:
-    """As a database that lives does by itself."""
+    """Update the statistics, as a database in use does automatically."""
     with platform.database.transaction() as session:
         session.execute(text("ANALYZE"))
 
 
 def _claiming(settings: Settings) -> int:
-    """A process that runs jobs until it is killed; its pid."""
+    """Start a process that runs jobs until it is killed; return its pid."""
     if (pid := os.fork()) != 0:
         return pid
     try:
@@ -121,7 +122,7 @@ def _transactions(postgres: PostgresServer) -> int:
 
 
 def _cpu_s(postgres: PostgresServer) -> float:
-    """Processor time of the server and of all its processes, those that ended included, s."""
+    """Return the processor time of the server and of all its processes, including ended ones, s."""
     server = psutil.Process(postgres.pid)
     alive = sum(sum(child.cpu_times()[:2]) for child in server.children())
     return float(sum(server.cpu_times()[:4]) + alive)
