@@ -105,7 +105,7 @@ def shown(path: str, taken: RouteTimes, floor: np.ndarray) -> tuple[str, ...]:
 @contextmanager
 def serving(settings: Settings) -> Iterator[tuple[int, int]]:
     """Yield the port and process id of the API's own process."""
-    told = {
+    environment = {
         "STONE_DATA_FOLDER": str(settings.root),
         "STONE_DATABASE__URL": settings.database.url,
         "STONE_BROKER__URL": settings.broker.url,
@@ -114,7 +114,7 @@ def serving(settings: Settings) -> Iterator[tuple[int, int]]:
     with socket.create_server(("127.0.0.1", 0)) as listening, open(settings.root / "api.log", "wb") as log:
         command = [sys.executable, "-m", "services.runtime.embedded.api_process", str(listening.fileno()), "2"]
         descriptors = (listening.fileno(),)
-        process = subprocess.Popen(command, env=os.environ | told, pass_fds=descriptors, stdout=log, stderr=log)
+        process = subprocess.Popen(command, env=os.environ | environment, pass_fds=descriptors, stdout=log, stderr=log)
         try:
             yield listening.getsockname()[1], process.pid
         finally:

@@ -54,9 +54,9 @@ def main(labels: Path) -> None:
         print(f"{low:>2} to {high:<2}  {len(mask):>7}  ", "  ".join(f"{figure:6.1%}" for figure in figures + rest))
 
 
-def overlap(one: Mask, other: Mask) -> float:
+def overlap(ours: Mask, theirs: Mask) -> float:
     """Return the intersection over union."""
-    return float((one & other).sum() / max((one | other).sum(), 1))
+    return float((ours & theirs).sum() / max((ours | theirs).sum(), 1))
 
 
 def sight_of(source: LabelledSequence, frame: int) -> Sight:

@@ -54,8 +54,10 @@ def _pairs() -> Table:
         table.add_column(column, justify="left" if column in ("colours", "vision") else "right")
     for name, triple in TRIPLES.items():
         for vision in VISIONS:
-            found = [difference(a, b, vision) for a, b in combinations(triple, 2)]
-            table.add_row(name if vision == "normal" else "", vision, *(f"{x:.1f}" for x in (*found, min(found))))
+            distances = [difference(a, b, vision) for a, b in combinations(triple, 2)]
+            table.add_row(
+                name if vision == "normal" else "", vision, *(f"{x:.1f}" for x in (*distances, min(distances)))
+            )
     return table
 
 
@@ -63,8 +65,8 @@ def _lit() -> Table:
     table = _by_triple("Least CIEDE2000 between classes in light and shade, any vision", "light")
     for name, (least, most) in LIGHT_RANGES.items():
         lights = np.linspace(least, most, STEPS)
-        found = (least_of_pairs(triple, lights) for triple in TRIPLES.values())
-        table.add_row(f"{name} ({least:.2f}–{most:.2f})", *(f"{x:.1f}" for x in found))
+        distances = (least_of_pairs(triple, lights) for triple in TRIPLES.values())
+        table.add_row(f"{name} ({least:.2f}–{most:.2f})", *(f"{x:.1f}" for x in distances))
     return table
 
 
@@ -72,8 +74,8 @@ def _grounds() -> Table:
     title = "Least CIEDE2000 from what lies under or over a class, any vision (T / P / N)"
     table = _by_triple(title, "ground or mark")
     for name, ground in GROUNDS.items():
-        found = ([least_difference(colour, ground) for colour in triple] for triple in TRIPLES.values())
-        table.add_row(name, *(" / ".join(f"{x:.0f}" for x in row) for row in found))
+        distances = ([least_difference(colour, ground) for colour in triple] for triple in TRIPLES.values())
+        table.add_row(name, *(" / ".join(f"{x:.0f}" for x in row) for row in distances))
     return table
 
 

@@ -72,7 +72,7 @@ def main() -> None:
     parser.add_argument("--table", action="store_true", help="only print what was measured before")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
-    chosen = {name: one for name, one in DECISIONS.items() if name.startswith(tuple(options.only or ("",)))}
+    chosen = {name: decision for name, decision in DECISIONS.items() if name.startswith(tuple(options.only or ("",)))}
     for seed in options.seeds:
         figures = _measured(options, (options.seconds, seed), chosen)
         _show(f"one decision otherwise, {options.seconds:g} s, seed {seed}", figures)

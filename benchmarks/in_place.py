@@ -130,12 +130,12 @@ def _row(bag: Path, read_bytes: int, stored_bytes: int, brought: Brought) -> Ite
 
 def _stored_bytes(folder: Path) -> int:
     files = (path.stat() for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
-    return sum({(one.st_dev, one.st_ino): one.st_size for one in files}.values())
+    return sum({(stat.st_dev, stat.st_ino): stat.st_size for stat in files}.values())
 
 
 def _fetched_bytes(platform: Platform) -> int:
     with platform.database.reading() as session:
-        return sum(one.facts["read_bytes"] for one in session.scalars(select(JobLine).filter_by(event="fetched")))
+        return sum(line.facts["read_bytes"] for line in session.scalars(select(JobLine).filter_by(event="fetched")))
 
 
 def _forget(path: Path) -> None:
@@ -150,8 +150,8 @@ def _cached_bytes(path: Path) -> int:
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as mapped:
         view = np.frombuffer(mapped, np.uint8)
         pages = np.zeros(-(-len(view) // PAGE_BYTES), np.uint8)
-        place, found = ctypes.c_void_p(view.ctypes.data), ctypes.c_void_p(pages.ctypes.data)
-        if ctypes.CDLL(None, use_errno=True).mincore(place, ctypes.c_size_t(len(view)), found):
+        address, residency = ctypes.c_void_p(view.ctypes.data), ctypes.c_void_p(pages.ctypes.data)
+        if ctypes.CDLL(None, use_errno=True).mincore(address, ctypes.c_size_t(len(view)), residency):
             raise OSError(ctypes.get_errno(), "mincore")
         del view
         return int((pages & 1).sum()) * PAGE_BYTES

@@ -118,8 +118,10 @@ def pages_of(demo_server: PageServer, cookie: dict[str, str]) -> list[tuple[str,
     """Return (shape, path) of one page of each shape, in the order of the shapes."""
     header = {"Cookie": "; ".join(f"{name}={value}" for name, value in cookie.items())}
     with httpx.Client(base_url=demo_server.url, timeout=60.0) as client:
-        found = {one.shape: one.path for one in crawled(client, header) if one.is_page and "/api/" not in one.path}
-    return sorted(found.items())
+        path_of = {
+            page.shape: page.path for page in crawled(client, header) if page.is_page and "/api/" not in page.path
+        }
+    return sorted(path_of.items())
 
 
 def page_figures(chromium: Browser, url: str, cookie: dict[str, str], turns: int) -> list[str]:

@@ -49,13 +49,13 @@ def per_frame_poisson(bag: Path, calibration: Path, frames: int, folder: Path) -
         fuse(run, part)
     cloud = _aggregated(run)
     chosen = np.linspace(0, len(sequence.frames) - 1, frames).round().astype(int)
-    taken, found = list[float](), list[int]()
+    taken, voxels = list[float](), list[int]()
     for index in chosen:
         before = used_cpu_s()
         pose = sequence.frames.map_from_ego[int(index)]
-        found.append(int(sandboxed(partial(_frame_voxels, cloud, pose, run.sensor_ego), LIMITS)))
+        voxels.append(int(sandboxed(partial(_frame_voxels, cloud, pose, run.sensor_ego), LIMITS)))
         taken.append(used_cpu_s() - before)
-    return PerFrame(tuple(taken), tuple(found))
+    return PerFrame(tuple(taken), tuple(voxels))
 
 
 def _aggregated(run: LabelRun) -> NDArray[np.float64]:

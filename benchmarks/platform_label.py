@@ -123,10 +123,10 @@ def _read(platform: Platform, root_id: str, workers: int) -> PlatformRunMeasurem
         cpu_s = dict(
             session.execute(select(JobAttempt.job_id, func.sum(JobAttempt.cpu_s)).group_by(JobAttempt.job_id)).all()
         )
-    place = {row.id: number for number, row in enumerate(rows)}
+    number_of = {row.id: number for number, row in enumerate(rows)}
     needed = defaultdict(list)
     for job_id, needed_id in needs:
-        needed[job_id].append(place[needed_id])
+        needed[job_id].append(number_of[needed_id])
     jobs, lister = [], -1
     for number, row in enumerate(rows):
         follows = tuple(needed[row.id]) or ((lister,) if lister >= 0 else ())
@@ -154,8 +154,8 @@ def _show(runs: list[PlatformRunMeasurement], recorded_s: float) -> None:
     _show_stages(console, runs)
     for run in runs:
         chain = longest_chain(run.jobs)
-        told = " → ".join(f"{job.kind.partition('.')[2]} {job.cpu_s:.2f}" for job in chain)
-        console.print(f"longest chain with {run.workers}: {_chain_s(chain):.2f} s of processor time: {told}")
+        kinds = " → ".join(f"{job.kind.partition('.')[2]} {job.cpu_s:.2f}" for job in chain)
+        console.print(f"longest chain with {run.workers}: {_chain_s(chain):.2f} s of processor time: {kinds}")
     first, last = runs[0], runs[-1]
     if last.workers > first.workers:
         ideal = shortest_s(first.jobs, first.workers) / shortest_s(first.jobs, last.workers)

@@ -100,17 +100,17 @@ def rosbags_clouds(path: Path) -> float:
 def our_lists(path: Path) -> float:
     with open_bag(path) as bag:
         kind = next(topic.type for topic in bag.topics)
-        found = decode_radar(kind, bag.messages(LIST_TOPIC))
-    if len(found.range_m) != LISTS * 300:
-        raise SystemExit(f"{len(found.range_m)} detections were read, {LISTS * 300} were written")
+        detections = decode_radar(kind, bag.messages(LIST_TOPIC))
+    if len(detections.range_m) != LISTS * 300:
+        raise SystemExit(f"{len(detections.range_m)} detections were read, {LISTS * 300} were written")
     return 1.0
 
 
 def mcap_lists(path: Path) -> float:
     with path.open("rb") as file:
         decoded = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
-        for _, one in zip(range(PEER_LISTS), decoded, strict=False):
-            message = one.decoded_message
+        for _, item in zip(range(PEER_LISTS), decoded, strict=False):
+            message = item.decoded_message
             np.array([d.f_range for d in message.list_detections[: message.list_numofdetections]], np.float32)
     return PEER_LISTS / LISTS
 
@@ -150,8 +150,8 @@ def _rosbags(path: Path) -> Iterator[tuple[bytes, str]]:
 def _xyz(data: object) -> None:
     points = np.frombuffer(data, POINT)  # type: ignore[call-overload]
     out = np.empty((len(points), 3), np.float32)
-    for place, axis in enumerate("xyz"):
-        out[:, place] = points[axis]
+    for column, axis in enumerate("xyz"):
+        out[:, column] = points[axis]
 
 
 def _turn(way: Callable[[Path], float], path: Path) -> ReadTurn:

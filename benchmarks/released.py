@@ -77,12 +77,12 @@ def measure_index(path: Path) -> None:
 
 
 def measure_fit(name: str, what: ReleasedDataset, stated: StatedLayout = UNSTATED) -> None:
-    """Print the share with the given layout, and with the best other one."""
+    """Print the share with the given layout, and with the best other layout."""
     with TemporaryDirectory() as folder:
         index = read_dataset(write_released_zip(Path(folder) / "twin.zip", what), stated)
         fit = measured_fit(index, list(index.sequences), OWN_CLASSES)
     for kind, shares in (("own frame", fit.own), ("frame near by", fit.pairs)):
-        best = max((one for one in shares if one != STATED), key=lambda one: shares[one])
+        best = max((layout for layout in shares if layout != STATED), key=lambda layout: shares[layout])
         print(f"{name:32} {kind:14} {shares[STATED]:8.2%}   {best}: {shares[best]:.2%}")
 
 

@@ -180,12 +180,12 @@ def _tried(act: Act, ground: Ground) -> bytes:
 
 @contextmanager
 def _ground() -> Iterator[Ground]:
-    with tempfile.TemporaryDirectory(prefix="stone-reach-") as place:
-        folder, beside = Path(place, "folder"), Path(place, "beside")
+    with tempfile.TemporaryDirectory(prefix="stone-reach-") as root:
+        folder, beside = Path(root, "folder"), Path(root, "beside")
         folder.mkdir()
         beside.mkdir()
         victim = subprocess.Popen([sys.executable, "-S", "-c", "import signal; signal.pause()"])
-        ground = Ground(folder, Path(place, "given"), beside / "foreign", victim.pid)
+        ground = Ground(folder, Path(root, "given"), beside / "foreign", victim.pid)
         for path in (ground.own, ground.given, ground.foreign):
             path.write_bytes(b"stays")
             path.chmod(0o600)

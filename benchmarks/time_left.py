@@ -71,16 +71,16 @@ class LabellingTrace:
     spent: dict[str, list[float]]
     recorded_s: float
 
-    def look_at(self, place: float) -> RunGlance:
+    def look_at(self, share: float) -> RunGlance:
         """Return the first sample at or after this share of the run."""
-        return next((look for look in self.looks if look.at_s >= place * self.total_s), self.looks[-1])
+        return next((look for look in self.looks if look.at_s >= share * self.total_s), self.looks[-1])
 
-    def error(self, place: float) -> float:
+    def error(self, share: float) -> float:
         """Return |estimate − truth| / truth at this share of the run; 1 without an estimate."""
-        look = self.look_at(place)
+        look = self.look_at(share)
         truth_s = self.total_s - look.at_s
-        told = look.estimated_s()
-        return 1.0 if told is None or truth_s <= 0 else abs(told - truth_s) / truth_s
+        estimate_s = look.estimated_s()
+        return 1.0 if estimate_s is None or truth_s <= 0 else abs(estimate_s - truth_s) / truth_s
 
 
 def main() -> None:
@@ -169,7 +169,7 @@ def _trace(
 def thinned(trace: LabellingTrace) -> dict[str, Any]:
     """Return the trace as JSON, with a sample every `KEPT_S` and at the shown shares."""
     kept, next_s = list[RunGlance](), 0.0
-    shown = {trace.look_at(place).at_s for place in PLACES}
+    shown = {trace.look_at(share).at_s for share in PLACES}
     for look in trace.looks:
         if look.at_s >= next_s or look.at_s in shown:
             kept.append(look)
@@ -184,8 +184,8 @@ def recorded(value: Any) -> Any:
     if isinstance(value, LabellingTrace | RunGlance | Pace):
         return {field.name: recorded(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, RunWorkload | StageWork | RunningJob):
-        return {name: recorded(one) for name, one in value._asdict().items()}
-    return [recorded(one) for one in value] if isinstance(value, tuple) else value
+        return {name: recorded(item) for name, item in value._asdict().items()}
+    return [recorded(item) for item in value] if isinstance(value, tuple) else value
 
 
 def read_traces(path: Path) -> list[LabellingTrace]:
@@ -212,10 +212,10 @@ def _read_work(record: dict[str, Any]) -> RunWorkload:
 def _show(traces: Sequence[LabellingTrace]) -> None:
     console = Console()
     table = Table(title=f"time left, load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
-    for column in ("run", "total s", *(f"at {place:.0%}: told, true s, error" for place in PLACES), "history"):
+    for column in ("run", "total s", *(f"at {share:.0%}: told, true s, error" for share in PLACES), "history"):
         table.add_column(column, justify="right")
     for number, trace in enumerate(traces, 1):
-        cells = [_cell(trace, place) for place in PLACES]
+        cells = [_cell(trace, share) for share in PLACES]
         history = "yes" if trace.looks[0].pace.seconds else "no"
         table.add_row(str(number), f"{trace.total_s:.0f}", *cells, history)
     console.print(table)
@@ -224,9 +224,9 @@ def _show(traces: Sequence[LabellingTrace]) -> None:
         print(f'    "{kind}": {seconds:.2f},')
 
 
-def _cell(trace: LabellingTrace, place: float) -> str:
-    look = trace.look_at(place)
-    return f"{look.estimated_s()}, {trace.total_s - look.at_s:.0f}, {trace.error(place):.0%}"
+def _cell(trace: LabellingTrace, share: float) -> str:
+    look = trace.look_at(share)
+    return f"{look.estimated_s()}, {trace.total_s - look.at_s:.0f}, {trace.error(share):.0%}"
 
 
 def _typical(traces: Sequence[LabellingTrace]) -> Iterable[tuple[str, float]]:

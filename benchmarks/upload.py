@@ -156,23 +156,23 @@ def table_of(clocks: dict[str, UploadTimes], size_bytes: int) -> Table:
 
 
 @contextmanager
-def upload_rig(place: str) -> Iterator[dict[str, Any]]:
-    """Yield the settings of the place, by group."""
+def upload_rig(target: str) -> Iterator[dict[str, Any]]:
+    """Yield the settings of the target, by group."""
     in_store = {"uploads": UploadSettings(backend="store")}
-    if place == "s3":
+    if target == "s3":
         with running_s3() as server:
             yield {**in_store, "store": server.settings()}
     else:
-        yield in_store if place == "store" else {}
+        yield in_store if target == "store" else {}
 
 
 def main() -> None:
-    asked = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    asked.add_argument("--mib", type=int, default=1024)
-    asked.add_argument("--turns", type=int, default=3)
-    asked.add_argument("--folder", type=Path, default=None, help="where to write; a temporary folder if not given")
-    asked.add_argument("--place", choices=["folder", "store", "s3"], default="folder", help="where uploads lie")
-    chosen = asked.parse_args()
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--mib", type=int, default=1024)
+    parser.add_argument("--turns", type=int, default=3)
+    parser.add_argument("--folder", type=Path, default=None, help="where to write; a temporary folder if not given")
+    parser.add_argument("--place", choices=["folder", "store", "s3"], default="folder", help="where uploads lie")
+    chosen = parser.parse_args()
     with TemporaryDirectory(prefix="stone-bench-", dir=chosen.folder) as name, upload_rig(chosen.place) as groups:
         folder = Path(name)
         settings = Settings(data_folder=folder / "data", **groups)

@@ -109,7 +109,7 @@ def main() -> None:
 
 def run_of(voxels: int) -> Run:
     """Return the run whose first frame has about `voxels` voxels."""
-    return min((Run(2, reach) for reach in np.arange(4.0, 30.0, 2.0)), key=lambda one: abs(_count(one) - voxels))
+    return min((Run(2, reach) for reach in np.arange(4.0, 30.0, 2.0)), key=lambda run: abs(_count(run) - voxels))
 
 
 def _count(run: Run) -> int:
@@ -162,13 +162,13 @@ def first_voxels(context: BrowserContext, sequence_id: str, openings: int) -> It
 def measured(context: BrowserContext, shown: tuple[dict[str, Any], str], pictures: int) -> Iterator[tuple[str, str]]:
     """Yield rows of the table for this sequence with the cameras "off" or with "labels"."""
     (made, cameras), page = shown, context.new_page()
-    said = SAID_OF_CAMERAS[cameras]
+    cameras_text = SAID_OF_CAMERAS[cameras]
     page.route("**/whole/*", lambda route: route.fulfill(path=WHOLE / route.request.url.rpartition("/")[2]))
     opened(page, made["id"], cameras)
     given = {"pictures": pictures, "token": made["tokens"][0]}
-    yield f"canvas, {said}", asked(page, CANVAS)
-    yield f"step to the next frame, {said}", milliseconds(asked(page, STEPS, given))
-    yield f"pictures a second, {said}", rates(asked(page, MEASURE, given))
+    yield f"canvas, {cameras_text}", asked(page, CANVAS)
+    yield f"step to the next frame, {cameras_text}", milliseconds(asked(page, STEPS, given))
+    yield f"pictures a second, {cameras_text}", rates(asked(page, MEASURE, given))
     if cameras == "off":
         yield from compared(page, given)
         return

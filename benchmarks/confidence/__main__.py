@@ -87,9 +87,14 @@ def _judged(source: Source, folder: Path) -> tuple[Array, NDArray[np.bool_], Arr
     return confidence, voxels.is_kept == voxels.is_drivable, voxels.weight / voxels.weight.sum()
 
 
-def _cells(found: Reliability) -> tuple[str, ...]:
-    low = f"{100 * found.lowest[0]:.1f} % claimed, {100 * found.lowest[1]:.1f} % right"
-    return f"{found.voxels:,}", f"{100 * found.tenths:.1f} points", f"{100 * found.bins:.0f} points", low
+def _cells(reliability: Reliability) -> tuple[str, ...]:
+    low = f"{100 * reliability.lowest[0]:.1f} % claimed, {100 * reliability.lowest[1]:.1f} % right"
+    return (
+        f"{reliability.voxels:,}",
+        f"{100 * reliability.tenths:.1f} points",
+        f"{100 * reliability.bins:.0f} points",
+        low,
+    )
 
 
 if __name__ == "__main__":

@@ -27,12 +27,12 @@ def fitted(drives: Sequence[JudgedVoxels]) -> Curves:
         designs.append(np.hstack([hinges(columns[name], curve) for name, curve in CURVES.properties.items()]))
         truths.append(drive.is_drivable[kept].astype(np.float64))
         weights.append(weight / weight.sum())
-    found = _regressed(np.vstack(designs), np.concatenate(truths), np.concatenate(weights))
+    coefficients = _regressed(np.vstack(designs), np.concatenate(truths), np.concatenate(weights))
     properties, at = {}, 1
     for name, curve in CURVES.properties.items():
-        properties[name] = replace(curve, weights=_rounded(found[at : at + len(curve.knots)]))
+        properties[name] = replace(curve, weights=_rounded(coefficients[at : at + len(curve.knots)]))
         at += len(curve.knots)
-    curves = replace(CURVES, intercept=_rounded(found[:1])[0], properties=properties)
+    curves = replace(CURVES, intercept=_rounded(coefficients[:1])[0], properties=properties)
     return replace(curves, p_right=_side(drives, curves, is_n=False), n_right=_side(drives, curves, is_n=True))
 
 
@@ -46,8 +46,8 @@ def _side(drives: Sequence[JudgedVoxels], curves: Curves, is_n: bool) -> Curve:
         truths.append((drive.is_drivable[of_side] != is_n).astype(np.float64))
         weights.append(drive.weight[of_side] / drive.weight.sum())
     curve = curves.n_right if is_n else curves.p_right
-    found = _regressed(hinges(np.concatenate(odds), curve), np.concatenate(truths), np.concatenate(weights))
-    return replace(curve, weights=_rounded(found[1:]), start=_rounded(found[:1])[0])
+    coefficients = _regressed(hinges(np.concatenate(odds), curve), np.concatenate(truths), np.concatenate(weights))
+    return replace(curve, weights=_rounded(coefficients[1:]), start=_rounded(coefficients[:1])[0])
 
 
 def _thinned(drive: JudgedVoxels) -> tuple[NDArray[np.int64], Array]:
@@ -66,16 +66,16 @@ def _regressed(hinged: Array, truth: Array, weight: Array) -> Array:
     weight = weight / weight.mean()
     ridge = np.full(design.shape[1], RIDGE)
     ridge[0] = 0.0
-    found = np.zeros(design.shape[1])
+    coefficients = np.zeros(design.shape[1])
     for _ in range(STEPS):
-        probability = 1.0 / (1.0 + np.exp(-np.clip(design @ found, -30.0, 30.0)))
+        probability = 1.0 / (1.0 + np.exp(-np.clip(design @ coefficients, -30.0, 30.0)))
         curvature = weight * probability * (1.0 - probability) + 1e-9
-        slope = design.T @ (weight * (truth - probability)) - ridge * found
+        slope = design.T @ (weight * (truth - probability)) - ridge * coefficients
         step = np.linalg.solve((design * curvature[:, None]).T @ design + np.diag(ridge), slope)
-        found = found + step * min(1.0, LONGEST_STEP / np.abs(step).max())
+        coefficients = coefficients + step * min(1.0, LONGEST_STEP / np.abs(step).max())
         if np.abs(step).max() < 1e-4:
             break
-    return np.asarray(found / scale)
+    return np.asarray(coefficients / scale)
 
 
 def _rounded(weights: Array) -> tuple[float, ...]:

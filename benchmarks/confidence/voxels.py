@@ -67,8 +67,8 @@ class OutsideVoxels:
 
     def voxels(self, folder: Path) -> JudgedVoxels:
         """Return the voxels of the drive; its ideal ranges are stored in the folder."""
-        with TemporaryDirectory(dir=folder) as place:
-            bag, calibration, data = self.drive.record(folder, self.fault, Path(place) / "recording")
+        with TemporaryDirectory(dir=folder) as temporary:
+            bag, calibration, data = self.drive.record(folder, self.fault, Path(temporary) / "recording")
             sequence, sweeps = open_sequence(bag, calibration, "outside")
             truth = self.drive.truth
             poses = world_from_ego(truth, sequence.frames.stamps_ns, data.ego_from_lidar)
@@ -83,9 +83,9 @@ class SimulatedVoxels:
 
     @property
     def name(self) -> str:
-        one = self.options
-        further = [name for name in ("range_noise", "beside_track") if getattr(one, name)]
-        return " ".join((f"simulated-{one.seed}-{one.channels}-{one.seconds:g}s", *further))
+        options = self.options
+        further = [name for name in ("range_noise", "beside_track") if getattr(options, name)]
+        return " ".join((f"simulated-{options.seed}-{options.channels}-{options.seconds:g}s", *further))
 
     def voxels(self, folder: Path) -> JudgedVoxels:
         """Return the voxels of the drive; its recording is stored in the folder."""
@@ -108,7 +108,7 @@ def _voxels(sequence: Sequence, sweeps: SweepSource, poses: Array, judge: Judge)
     """Return the voxels of a run whose ego frames have these poses (F, 4, 4) in the world."""
     map_from_ego = sequence.frames.map_from_ego.as_matrix()
     world_from_map, near = poses @ np.linalg.inv(map_from_ego), cKDTree(map_from_ego[:, :2, 3])
-    found = list[tuple[Array, ...]]()
+    frames_columns = list[tuple[Array, ...]]()
     names: tuple[str, ...] = ()
     with TemporaryDirectory() as scratch:
         run = LabelRun(sequence, sweeps, parameters_for(CALIBRATED), Path(scratch))
@@ -126,8 +126,8 @@ def _voxels(sequence: Sequence, sweeps: SweepSource, poses: Array, judge: Judge)
             weight = np.count_nonzero((away < GRID_HALF_M).all(axis=2), axis=1)
             judged = (codes > 0) & (tile.classes != TRAVERSABLE) & (weight > 0)
             columns = (np.column_stack(list(properties.values())), codes == 1, tile.classes == POTENTIAL, weight)
-            found.append(tuple(column[judged] for column in columns))
-    return JudgedVoxels(names, *map(np.concatenate, zip(*found, strict=True)))
+            frames_columns.append(tuple(column[judged] for column in columns))
+    return JudgedVoxels(names, *map(np.concatenate, zip(*frames_columns, strict=True)))
 
 
 def _vehicle_judge(truth: SimulationTruth) -> Judge:

@@ -103,11 +103,11 @@ def _timed(client: httpx.Client, path: str, requests: int) -> tuple[str, ...]:
 
 def plans(platform: Platform, client: httpx.Client, path: str) -> Iterator[str]:
     """Yield each statement of the page, shortened, and the steps of its query plan."""
-    with _statements(platform) as said:
+    with _statements(platform) as statements:
         client.get(path).raise_for_status()
     dialect = platform.database.engine.dialect.name
     with platform.database.engine.connect() as connection:
-        for statement, parameters in said:
+        for statement, parameters in statements:
             if not statement.lstrip().startswith("SELECT"):
                 continue
             yield f"\n{' '.join(statement.split())[:200]}"
@@ -117,13 +117,13 @@ def plans(platform: Platform, client: httpx.Client, path: str) -> Iterator[str]:
 
 @contextmanager
 def _statements(platform: Platform) -> Iterator[list[tuple[str, Any]]]:
-    said = list[tuple[str, Any]]()
+    statements = list[tuple[str, Any]]()
 
     def note(_connection: Any, _cursor: Any, statement: str, parameters: Any, *_: Any) -> None:
-        said.append((statement, parameters))
+        statements.append((statement, parameters))
 
     event.listen(platform.database.engine, "before_cursor_execute", note)
-    yield said
+    yield statements
     event.remove(platform.database.engine, "before_cursor_execute", note)
 
 

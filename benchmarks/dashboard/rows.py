@@ -56,13 +56,13 @@ def _run(number: int, runs: int, sequence: SequenceRow, at_ns: int) -> Iterator[
     made_ns = at_ns - (runs - number) * 6 * SECOND_NS
     root_id = new_id()
     yield _row(root_id, root_id, "sequence.process", state, sequence, made_ns, len(STAGES) + 1)
-    for place, kind in enumerate(STAGES):
-        child = _row(new_id(), root_id, kind, _state(state, place), sequence, made_ns, place + 1)
-        yield child | {"queue": kind.partition(".")[0], "needs_left": int(child["state"] == "queued" and place > 0)}
+    for position, kind in enumerate(STAGES):
+        child = _row(new_id(), root_id, kind, _state(state, position), sequence, made_ns, position + 1)
+        yield child | {"queue": kind.partition(".")[0], "needs_left": int(child["state"] == "queued" and position > 0)}
 
 
 def _row(
-    job_id: str, root_id: str, kind: str, state: str, sequence: SequenceRow, made_ns: int, place: int
+    job_id: str, root_id: str, kind: str, state: str, sequence: SequenceRow, made_ns: int, position: int
 ) -> dict[str, Any]:
     is_over, has_begun = state in ("succeeded", "failed", "cancelled"), state != "queued"
     return {
@@ -81,18 +81,18 @@ def _row(
         "done": 11 if state == "running" else 0,
         "total": 40 if state == "running" else 0,
         "created_ns": made_ns,
-        "started_ns": made_ns + (place - 1) * 2 * SECOND_NS if has_begun else None,
-        "finished_ns": made_ns + place * 2 * SECOND_NS if is_over else None,
+        "started_ns": made_ns + (position - 1) * 2 * SECOND_NS if has_begun else None,
+        "finished_ns": made_ns + position * 2 * SECOND_NS if is_over else None,
         "failure_code": LOST["failure_code"] if state == "failed" else "",
         "failure": LOST["failure"] if state == "failed" else "",
     }
 
 
-def _state(of_run: str, place: int) -> str:
+def _state(of_run: str, position: int) -> str:
     """Return the state of a job of the run; runs fail or are still running at their last job but one."""
-    if of_run in ("succeeded", "queued") or place < len(STAGES) - 2:
+    if of_run in ("succeeded", "queued") or position < len(STAGES) - 2:
         return "queued" if of_run == "queued" else "succeeded"
-    return of_run if place == len(STAGES) - 2 else {"running": "queued"}.get(of_run, "cancelled")
+    return of_run if position == len(STAGES) - 2 else {"running": "queued"}.get(of_run, "cancelled")
 
 
 def _worker(number: int, name: str, at_ns: int, is_silent: bool) -> Worker:

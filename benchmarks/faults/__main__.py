@@ -33,7 +33,7 @@ def main() -> int:
     (options.folder / "outcomes.json").write_text(json.dumps(made, indent=1) + "\n")
     before: Outcomes = json.loads(options.before.read_text()) if options.before else {}
     Console(width=200, soft_wrap=True).print(shown(made, before), markup=False, highlight=False)
-    return int(any(goes_through(one) for of_drive in made.values() for one in of_drive.values()))
+    return int(any(goes_through(outcome) for of_drive in made.values() for outcome in of_drive.values()))
 
 
 def _options() -> argparse.Namespace:
@@ -58,19 +58,19 @@ def _outcomes(drives: list[SoundDrive], options: argparse.Namespace) -> Outcomes
     """Return the outcomes by drive and fault."""
     clean = {drive.name: sound(drive, options.folder / f"sound-{drive.name}") for drive in drives}
     runs = [(drive, fault) for drive in drives for fault in FAULTS if drive.has(fault) and options.only in fault.name]
-    found: dict[tuple[str, str], dict[str, Any]] = {}
+    outcomes: dict[tuple[str, str], dict[str, Any]] = {}
     with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
-        asked = {
+        futures = {
             pool.submit(outcome_of, drive, fault.name, clean[drive.name].grids): (drive, fault) for drive, fault in runs
         }
-        for done, future in enumerate(as_completed(asked), 1):
-            drive, fault = asked[future]
-            found[drive.name, fault.name] = future.result()
-            print(f"\r{done} of {len(asked)} runs", end="", file=sys.stderr, flush=True)
+        for done, future in enumerate(as_completed(futures), 1):
+            drive, fault = futures[future]
+            outcomes[drive.name, fault.name] = future.result()
+            print(f"\r{done} of {len(futures)} runs", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
     return {
         drive.name: {"": row_of_sound(drive, clean[drive.name])}
-        | {fault.name: found[drive.name, fault.name] for fault in FAULTS if (drive.name, fault.name) in found}
+        | {fault.name: outcomes[drive.name, fault.name] for fault in FAULTS if (drive.name, fault.name) in outcomes}
         for drive in drives
     }
 

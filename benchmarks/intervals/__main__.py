@@ -40,7 +40,7 @@ MOST_FRAMES = 3_000_000  # limit per row; rows of many frames have fewer trials
 class ScopeCounts:
     """Counts over the trials of a row, in one scope."""
 
-    said: int = 0
+    stated: int = 0
     covered: int = 0
     compared: int = 0
     missed: int = 0
@@ -60,7 +60,7 @@ class BoardTrials:
     world: CorrelatedWorld
     entries: int
     trials: int
-    said: int
+    stated: int
     here: int
     split: int
 
@@ -80,16 +80,16 @@ def measured(world: CorrelatedWorld, trials: int, seed: int) -> IntervalRow:
             "new_place": (anywhere, 0.0),
         }
         for scope, counts in row.of_scope.items():
-            found = estimates(values[0], spectra[0], scope)[MIOU]
+            estimate = estimates(values[0], spectra[0], scope)[MIOU]
             of_both = estimates(values[0] - values[1], spectra[0].minus(spectra[1]), scope)[MIOU]
-            _count(counts, found, of_both, truths[scope])
+            _count(counts, estimate, of_both, truths[scope])
     return row
 
 
-def _count(counts: ScopeCounts, found: object, of_both: object, truth: tuple[float, float]) -> None:
-    if isinstance(found, Estimate):
-        low, high = found.ratio_interval()
-        counts.said += 1
+def _count(counts: ScopeCounts, estimate: object, of_both: object, truth: tuple[float, float]) -> None:
+    if isinstance(estimate, Estimate):
+        low, high = estimate.ratio_interval()
+        counts.stated += 1
         counts.covered += low <= truth[0] <= high
     if isinstance(of_both, Estimate):
         low, high = of_both.interval()
@@ -100,18 +100,20 @@ def _count(counts: ScopeCounts, found: object, of_both: object, truth: tuple[flo
 def boards(world: CorrelatedWorld, entries: int, trials: int, seed: int) -> BoardTrials:
     """Return boards whose entries are all equally good on this ground."""
     random = np.random.default_rng([seed, entries, *world.frames_of_sequence])
-    said = here = split = 0
+    stated = here = split = 0
     for _ in range(trials):
         drawn = trial(world, random, entries)
         values = np.array([ratios(confusions.sum(axis=0))[MIOU] for confusions in drawn.confusions])
         spectra = [ratio_spectra(confusions, world.frames_of_sequence) for confusions in drawn.confusions]
         order = np.argsort(-values)
-        found = surely_above(values[order], board_spectra([entry_spectra(spectra[place], MIOU) for place in order]))
-        if found is not None:
-            said += 1
-            here += found.scope == "these_places"
-            split += bool(found.above.any())
-    return BoardTrials(world, entries, trials, said, here, split)
+        separation = surely_above(
+            values[order], board_spectra([entry_spectra(spectra[index], MIOU) for index in order])
+        )
+        if separation is not None:
+            stated += 1
+            here += separation.scope == "these_places"
+            split += bool(separation.above.any())
+    return BoardTrials(world, entries, trials, stated, here, split)
 
 
 def worlds() -> Iterator[CorrelatedWorld]:
@@ -169,23 +171,23 @@ def show(rows: Sequence[IntervalRow], of_boards: Sequence[BoardTrials]) -> None:
     table = Table(title="Boards of equal entries: said in / by these places in / any two told apart, in per cent")
     for column in ("sequences × frames", "memory", "entries", "boards", "told apart"):
         table.add_column(column, justify="left" if column == "sequences × frames" else "right")
-    for one in of_boards:
-        shares = ((one.said, one.trials), (one.here, one.trials), (one.split, one.said))
+    for trials in of_boards:
+        shares = ((trials.stated, trials.trials), (trials.here, trials.trials), (trials.split, trials.stated))
         figures = " / ".join(_share(*share) for share in shares)
-        table.add_row(_name(one.world), f"{one.world.memory:g}", str(one.entries), str(one.trials), figures)
+        table.add_row(_name(trials.world), f"{trials.world.memory:g}", str(trials.entries), str(trials.trials), figures)
     console.print(table)
 
 
 def _summary(scope: Scope, rows: Sequence[IntervalRow]) -> str:
     """Return a summary of all rows, the worst rows, and the rows that miss the aims significantly."""
     counts = [row.of_scope[scope] for row in rows]
-    spoken = [row for row in rows if row.of_scope[scope].said > SPEAKS * row.trials]
-    least = min((row.of_scope[scope].covered / row.of_scope[scope].said for row in spoken), default=float("nan"))
-    said, compared = sum(one.said for one in counts), sum(one.compared for one in counts)
-    covered, missed = sum(one.covered for one in counts), sum(one.missed for one in counts)
+    spoken = [row for row in rows if row.of_scope[scope].stated > SPEAKS * row.trials]
+    least = min((row.of_scope[scope].covered / row.of_scope[scope].stated for row in spoken), default=float("nan"))
+    stated, compared = sum(count.stated for count in counts), sum(count.compared for count in counts)
+    covered, missed = sum(count.covered for count in counts), sum(count.missed for count in counts)
     beyond = [_name(row.world) for row in rows if _is_beyond(row.of_scope[scope])]
     return (
-        f"{scope.replace('_', ' ')}, all rows: {_share(covered, said)} % of {said} intervals cover, at the least "
+        f"{scope.replace('_', ' ')}, all rows: {_share(covered, stated)} % of {stated} intervals cover, at the least "
         f"{100 * least:.1f} % of a row that speaks in more than {100 * SPEAKS:.0f} % of trials; "
         f"{_share(missed, compared)} % of {compared} differences are missed; below 93 % or above 6 % by more than "
         f"chance (p < {CHANCE:g} a row): {', '.join(beyond) or 'none'}"
@@ -193,7 +195,7 @@ def _summary(scope: Scope, rows: Sequence[IntervalRow]) -> str:
 
 
 def _is_beyond(counts: ScopeCounts) -> bool:
-    low = binom.cdf(counts.covered, counts.said, 0.93) if counts.said else 1.0
+    low = binom.cdf(counts.covered, counts.stated, 0.93) if counts.stated else 1.0
     apart = binom.sf(counts.missed - 1, counts.compared, 0.06) if counts.compared else 1.0
     return bool(min(low, apart) < CHANCE)
 
@@ -206,10 +208,10 @@ def _name(world: CorrelatedWorld) -> str:
 
 
 def _percents(counts: ScopeCounts, trials: int) -> str:
-    if not counts.said and not counts.compared:
+    if not counts.stated and not counts.compared:
         return "silent"
-    covered, missed = _share(counts.covered, counts.said), _share(counts.missed, counts.compared)
-    return f"{_share(counts.said, trials)} / {covered} / {missed}"
+    covered, missed = _share(counts.covered, counts.stated), _share(counts.missed, counts.compared)
+    return f"{_share(counts.stated, trials)} / {covered} / {missed}"
 
 
 def _share(part: int, whole: int) -> str:
@@ -237,7 +239,7 @@ def main() -> None:
             for entries in (2, 20)
             if options.only in _name(world)
         ]
-        show([one.result() for one in rows], [one.result() for one in of_boards])
+        show([future.result() for future in rows], [future.result() for future in of_boards])
 
 
 def _trials(world: CorrelatedWorld, most: int) -> int:

@@ -123,9 +123,9 @@ def _plan(options: argparse.Namespace, running: RunningPlatform, world: World, s
 
 def clients(folder: Path, plan: LoadPlan) -> dict[str, Any]:
     """Return the clients' log from a process of their own."""
-    said, out = folder / "plan.json", folder / "noted.json"
-    said.write_text(json.dumps(asdict(plan)))
-    subprocess.run([sys.executable, "-m", "benchmarks.load.clients", said, out], check=True)
+    plan_file, out = folder / "plan.json", folder / "noted.json"
+    plan_file.write_text(json.dumps(asdict(plan)))
+    subprocess.run([sys.executable, "-m", "benchmarks.load.clients", plan_file, out], check=True)
     noted: dict[str, Any] = json.loads(out.read_text())
     return noted
 
@@ -235,9 +235,9 @@ def _show_quarters(noted: dict[str, Any], watch: MemoryWatch) -> None:
     names = list(watch.used_s)
     columns = ("quarter", "requests/s", "p50 ms", "p99 ms", *names)
     table = Table(*columns, title="by quarter of the time; of programs CPU ms a request")
-    for number, one in enumerate(quarters(noted["begun_s"], noted["waited_s"], watch), 1):
-        waited = (f"{one.requests_per_s:.0f}", f"{one.p50_ms:.0f}", f"{one.p99_ms:.0f}")
-        table.add_row(str(number), *waited, *(f"{one.cpu_ms[name]:.2f}" for name in names))
+    for number, quarter in enumerate(quarters(noted["begun_s"], noted["waited_s"], watch), 1):
+        waited = (f"{quarter.requests_per_s:.0f}", f"{quarter.p50_ms:.0f}", f"{quarter.p99_ms:.0f}")
+        table.add_row(str(number), *waited, *(f"{quarter.cpu_ms[name]:.2f}" for name in names))
     CONSOLE.print(table)
 
 

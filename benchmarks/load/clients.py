@@ -129,10 +129,10 @@ class Client:
         outgoing.write(f"{method} {PREFIX}{path} HTTP/1.1\r\n{head}\r\n".encode() + body)
         await outgoing.drain()
         status, *rest = (await incoming.readuntil(b"\r\n\r\n")).decode("latin-1").split("\r\n")
-        found = {name.lower(): value.strip() for name, _, value in (line.partition(":") for line in rest if line)}
-        size = int(found.get("content-length", 0))
+        fields = {name.lower(): value.strip() for name, _, value in (line.partition(":") for line in rest if line)}
+        size = int(fields.get("content-length", 0))
         content = await incoming.readexactly(size) if size and method != "HEAD" else b""
-        return LoadReply(int(status.split()[1]), found, content)
+        return LoadReply(int(status.split()[1]), fields, content)
 
 
 async def read(client: Client, chance: random.Random) -> None:
@@ -168,14 +168,14 @@ async def submit(client: Client, chance: random.Random) -> None:
     begun_s = time.perf_counter()
     while True:
         await asyncio.sleep(POLL_S)
-        found = (await client.ask("submit: look", "GET", f"/submissions/{submission_id}", (200,))).json()
-        if found["state"] == "scored":
+        submission = (await client.ask("submit: look", "GET", f"/submissions/{submission_id}", (200,))).json()
+        if submission["state"] == "scored":
             client.noted.scored += 1
             client.noted.waited_s["submit: until scored"].append(time.perf_counter() - begun_s)
             client.noted.begun_s["submit: until scored"].append(begun_s)
             return
-        if found["state"] not in ("queued", "scoring"):
-            raise UnexpectedError(f"submission ended {found['state']}: {found}")
+        if submission["state"] not in ("queued", "scoring"):
+            raise UnexpectedError(f"submission ended {submission['state']}: {submission}")
 
 
 async def send_submission(client: Client, chance: random.Random) -> str:
@@ -184,8 +184,8 @@ async def send_submission(client: Client, chance: random.Random) -> str:
     digest = sha256(content).hexdigest()
     draft = {"team_id": client.team, "method": f"load {chance.random()}", "modality": "L", "sha256": digest}
     made = await _post(client, "submit: draft", f"/phases/{client.plan.phase_id}/submissions", draft | _size(content))
-    said = {"filename": "guess.zip", "purpose": "submission", "target_id": made["id"], "sha256": digest}
-    path, here_bytes = await _announce(client, len(content), said, "submit: announce")
+    metadata = {"filename": "guess.zip", "purpose": "submission", "target_id": made["id"], "sha256": digest}
+    path, here_bytes = await _announce(client, len(content), metadata, "submit: announce")
     if here_bytes < len(content):  # existing bytes are not sent again
         patch, rest = {**BYTES, "Upload-Offset": str(here_bytes)}, content[here_bytes:]
         await client.ask("submit: PATCH of the file", "PATCH", path, (204, 200), headers=patch, body=rest)
@@ -198,10 +198,10 @@ def _size(content: bytes) -> dict[str, int]:
 
 
 async def _announce(
-    client: Client, size: int, said: Mapping[str, str], what: str = "upload: announce"
+    client: Client, size: int, fields: Mapping[str, str], what: str = "upload: announce"
 ) -> tuple[str, int]:
     """Return the upload's path, and the number of its bytes on the server."""
-    metadata = ",".join(f"{key} {base64.b64encode(value.encode()).decode()}" for key, value in said.items())
+    metadata = ",".join(f"{key} {base64.b64encode(value.encode()).decode()}" for key, value in fields.items())
     headers = {**TUS, "Upload-Length": str(size), "Upload-Metadata": metadata}
     answer = await client.ask(what, "POST", "/uploads", (201,), headers=headers)
     return "/uploads/" + answer.headers["location"].rpartition("/")[2], int(answer.headers["upload-offset"])
@@ -243,8 +243,10 @@ async def all_live(plan: LoadPlan) -> LoadLog:
 
 def main() -> None:
     plan_path, out_path = map(Path, sys.argv[1:])
-    said = json.loads(plan_path.read_text())
-    plan = LoadPlan(**{**said, "captains": tuple(map(tuple, said["captains"])), "secrets": tuple(said["secrets"])})
+    record = json.loads(plan_path.read_text())
+    plan = LoadPlan(
+        **{**record, "captains": tuple(map(tuple, record["captains"])), "secrets": tuple(record["secrets"])}
+    )
     out_path.write_text(json.dumps(vars(asyncio.run(all_live(plan)))))
 
 

@@ -88,13 +88,13 @@ def main() -> None:
         torch.manual_seed(0)
         model = build_model(row.model)
         size = f"{sum(parameter.numel() for parameter in model.parameters()):,}"
-        said = []
+        cells = []
         for look in overfit(model, one_frame(row, world.export, options.folder / "overfit"), STEPS[name]):
-            said.append(f"{100 * look.miou:.1f} ({look.step}, {look.cpu_s:.0f})")
+            cells.append(f"{100 * look.miou:.1f} ({look.step}, {look.cpu_s:.0f})")
             if look.miou >= options.enough or look.cpu_s >= options.most:
                 break
-        table.add_row(name, " × ".join(map(str, row.model.lattice.shape)), size, "  ".join(said))
-        console.print(f"{name}: {size} parameters, {said[-1]}")
+        table.add_row(name, " × ".join(map(str, row.model.lattice.shape)), size, "  ".join(cells))
+        console.print(f"{name}: {size} parameters, {cells[-1]}")
     console.print(table)
 
 

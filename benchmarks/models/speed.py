@@ -64,16 +64,16 @@ def main() -> None:
     arguments.add_argument("--bag", type=Path, required=True)
     arguments.add_argument("--calibration", type=Path, required=True)
     arguments.add_argument("--frames", type=int, default=4)
-    said = arguments.parse_args()
+    options = arguments.parse_args()
     torch.set_num_threads(1)
-    sequence, _ = open_sequence(said.bag, said.calibration, "speed", SynchroniseOptions(is_hashed=False))
+    sequence, _ = open_sequence(options.bag, options.calibration, "speed", SynchroniseOptions(is_hashed=False))
     table = Table("row", *(f"{part}, CPU-s" for part in PARTS), "argmax equal")
     with TemporaryDirectory() as folder:
-        for number, name in enumerate(said.rows):
+        for number, name in enumerate(options.rows):
             run = Path(name) if Path(name).is_dir() else untrained_run(name, Path(folder) / str(number))
             loaded = loaded_run(run, "cpu")
-            store = RecordedStore(sequence, BagSamples(said.bag, sequence), loaded.row.inputs)
-            costs = frame_costs(loaded, store, range(4, 5 + said.frames), onnx_of(run, loaded))
+            store = RecordedStore(sequence, BagSamples(options.bag, sequence), loaded.row.inputs)
+            costs = frame_costs(loaded, store, range(4, 5 + options.frames), onnx_of(run, loaded))
             equal = f"{min(costs.equal):.6f}" if costs.equal else "—"
             table.add_row(loaded.row.name, *(costs.median(part) for part in PARTS), equal)
     Console(width=140).print(table)

@@ -59,7 +59,7 @@ class UnseenScores:
     def ratio(self, name: str, world: str | None = None) -> float:
         """Return the ratio of one world, or of all worlds' voxels together."""
         chosen = [self.confusions[world]] if world else list(self.confusions.values())
-        return scores_of(np.sum([np.array(one) for one in chosen], axis=0))[name] or 0.0
+        return scores_of(np.sum([np.array(counts) for counts in chosen], axis=0))[name] or 0.0
 
 
 def main() -> None:

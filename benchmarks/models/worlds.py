@@ -60,7 +60,7 @@ def _choose_frames(world: ModelWorld, every: int) -> None:
     tokens = [row["token"] for row in sorted(rows, key=lambda row: row["timestamp"])][::every]
     [sequence] = [path.name for path in (world.export / "gts").iterdir()]
     for token in tokens:
-        place = Path("gts") / sequence / token
-        (world.ground_truth / place).mkdir(parents=True)
-        shutil.copy(world.export / place / "labels.npz", world.ground_truth / place)
+        relative = Path("gts") / sequence / token
+        (world.ground_truth / relative).mkdir(parents=True)
+        shutil.copy(world.export / relative / "labels.npz", world.ground_truth / relative)
     write_manifest(world.manifest, Manifest({sequence: tuple(tokens)}))

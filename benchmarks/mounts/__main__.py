@@ -74,8 +74,8 @@ def _rows(drive: MountDrive, options: argparse.Namespace) -> dict[str, Any]:
     }
     grids: dict[str, Grids] = {ground: made.grids for ground, made in sound.items()}
     with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
-        asked = {wrong.name: pool.submit(row_of, drive, number, grids) for number, wrong in enumerate(WRONG)}
-        return {"": distances(drive, sound["auto"])} | {name: future.result() for name, future in asked.items()}
+        futures = {wrong.name: pool.submit(row_of, drive, number, grids) for number, wrong in enumerate(WRONG)}
+        return {"": distances(drive, sound["auto"])} | {name: future.result() for name, future in futures.items()}
 
 
 if __name__ == "__main__":

@@ -43,20 +43,20 @@ class MoverCounts:
 def mover_counts(busy: tuple[Drive, Path], clear: tuple[Drive, Path], movers: Sequence[Mover]) -> MoverCounts:
     """Return the counts of a drive and its labels, relative to the same drive without the movers."""
     drive, labels = busy
-    found, expected = _surface(drive, labels), _surface(*clear)
-    is_new, found_world = ~_touches(found, expected), _in_world(drive, found)
+    surface, expected = _surface(drive, labels), _surface(*clear)
+    is_new, found_world = ~_touches(surface, expected), _in_world(drive, surface)
     moments_ns = drive.sequence.frames.stamps_ns + _half_sweep_ns(drive)
-    is_left, is_parked = np.zeros(len(found), np.bool_), np.zeros(len(found), np.bool_)
+    is_left, is_parked = np.zeros(len(surface), np.bool_), np.zeros(len(surface), np.bool_)
     for mover in movers:
         for stamp_ns in moments_ns.tolist():
             is_there = mover.is_inside(found_world, stamp_ns, MARGIN_M)
             (is_parked if mover.route.is_standing(stamp_ns) else is_left)[is_there] = True
-    lost = expected[~_touches(expected, found)]
+    lost = expected[~_touches(expected, surface)]
     standing = _standing_points(drive, movers, moments_ns)
     is_seen = np.isfinite(cKDTree(standing).query(expected, distance_upper_bound=SEEN_M)[0])
     is_lost = np.isfinite(cKDTree(standing).query(lost, distance_upper_bound=SEEN_M)[0])
     left, parked = int((is_new & is_left & ~is_parked).sum()), int((is_new & is_parked).sum())
-    return MoverCounts(len(found), left, parked, int(is_seen.sum()), int(is_lost.sum()))
+    return MoverCounts(len(surface), left, parked, int(is_seen.sum()), int(is_lost.sum()))
 
 
 def _surface(drive: Drive, labels: Path) -> Array:

@@ -39,9 +39,9 @@ def opened(row: str, bag: Path, calibration: Path) -> tuple[Sequence, SweepSourc
 def enter_advice(calibration: Path, sequence: Sequence) -> None:
     """Write the values of a sequence's findings CAL-433 and SYN-518 into a calibration file."""
     rig = json.loads(calibration.read_text())
-    sentences = " ".join(one.message for one in sequence.findings if one.code in ("CAL-433", "SYN-518"))
-    for _, sensor, place, turn in ENTRY.findall(sentences):
+    sentences = " ".join(finding.message for finding in sequence.findings if finding.code in ("CAL-433", "SYN-518"))
+    for _, sensor, position, turn in ENTRY.findall(sentences):
         entry = rig["sensors"][sensor]["lidar_from_sensor"] if sensor else rig["ego_from_lidar"]
-        entry["translation_m"] = [float(number) for number in place.split(",")]
+        entry["translation_m"] = [float(number) for number in position.split(",")]
         entry["rotation_wxyz"] = [float(number) for number in turn.split(",")]
     calibration.write_text(json.dumps(rig))

@@ -50,22 +50,22 @@ class Outcome:
 
 def measure(row: Row, folder: Path) -> Outcome:
     """Return the outcome of a row, and store it in the folder; its recording and labels are deleted."""
-    with TemporaryDirectory(dir=folder) as place:
-        outcome = _outcome(row, folder, Path(place))
+    with TemporaryDirectory(dir=folder) as temporary:
+        outcome = _outcome(row, folder, Path(temporary))
     row.kept_in(folder).write_text(json.dumps(outcome.__dict__, indent=1) + "\n")
     return outcome
 
 
-def _outcome(row: Row, folder: Path, place: Path) -> Outcome:
-    bag, calibration, _ = row.drive.record(folder, fault_of(row.fault), place / "recording")
+def _outcome(row: Row, folder: Path, scratch: Path) -> Outcome:
+    bag, calibration, _ = row.drive.record(folder, fault_of(row.fault), scratch / "recording")
     try:
         sequence, sweeps = opened(row.fault, bag, calibration)
         parameters = parameters_for(row.profile)  # type: ignore[arg-type]
-        record = label(sequence, sweeps, place / "labels", LabelOptions(parameters, WORKERS)).as_record()
+        record = label(sequence, sweeps, scratch / "labels", LabelOptions(parameters, WORKERS)).as_record()
     except StoneError as error:
         return Outcome(0, {}, (), error.code)
-    codes = tuple(sorted({one["code"] for one in record["findings"] if one["severity"] != "info"}))
-    verdict = judge_labels(place / "labels", row.drive.truth, sequence.calibration.ego_from_lidar.as_matrix())
+    codes = tuple(sorted({finding["code"] for finding in record["findings"] if finding["severity"] != "info"}))
+    verdict = judge_labels(scratch / "labels", row.drive.truth, sequence.calibration.ego_from_lidar.as_matrix())
     return Outcome(verdict.frames, dict(verdict.counts), codes)
 
 

@@ -36,7 +36,7 @@ def show(rows: Mapping[Key, Sequence[Outcome]]) -> None:
     missed = _table(*(f"{kind}" for kind in KINDS))
     bands = _table(*BANDS)
     for key, outcomes in rows.items():
-        labelled = [one for one in outcomes if not one.refused]
+        labelled = [outcome for outcome in outcomes if not outcome.refused]
         main.add_row(*key, *_cells(labelled), *_codes(outcomes))
         figures = added(labelled).figures()
         danger.add_row(*key, *(_cell(figures, f"danger {kind}", ".1%") for kind in KINDS))
@@ -56,7 +56,11 @@ def show(rows: Mapping[Key, Sequence[Outcome]]) -> None:
 def _cells(labelled: Sequence[Outcome]) -> list[str]:
     if not labelled:
         return [""] * (2 * len(AXES) + 2)
-    together, each, cells = added(labelled).figures(), [one.verdict().figures() for one in labelled], list[str]()
+    together, each, cells = (
+        added(labelled).figures(),
+        [outcome.verdict().figures() for outcome in labelled],
+        list[str](),
+    )
     for key, _, form, worst in AXES:
         values = [value for value in (figures[key] for figures in each) if value is not None]
         cells += [_cell(together, key, form), format(worst(values), form) if values else ""]
@@ -68,10 +72,12 @@ def _cells(labelled: Sequence[Outcome]) -> list[str]:
 
 def _codes(outcomes: Sequence[Outcome]) -> tuple[str, str]:
     """Return the findings, with the number of worlds of each, and likewise the refusals."""
-    findings = Counter(code for one in outcomes for code in one.findings)
-    refused = Counter(one.refused for one in outcomes if one.refused)
-    found, refusals = (" ".join(f"{code}×{n}" for code, n in sorted(one.items())) for one in (findings, refused))
-    return found, refusals
+    findings = Counter(code for outcome in outcomes for code in outcome.findings)
+    refused = Counter(outcome.refused for outcome in outcomes if outcome.refused)
+    codes, refusals = (
+        " ".join(f"{code}×{n}" for code, n in sorted(outcome.items())) for outcome in (findings, refused)
+    )
+    return codes, refusals
 
 
 def _table(*columns: str) -> Table:

@@ -25,13 +25,13 @@ from testing.outside.verdict import judge_grids
 
 def measure_variant(row: Row, folder: Path, parameters: LabelParameters) -> Outcome:
     """Return the outcome of a row's drive with these parameters instead of its profile's."""
-    place = kept_in(row, folder)
-    if not (place / "recording").exists():
-        row.drive.record(folder, fault_of(row.fault), place / "writing")
-        (place / "writing").rename(place / "recording")
-    sequence, sweeps = opened(row.fault, *recording_in(place / "recording"))
-    with TemporaryDirectory(dir=place) as labels:
-        run = LabelRun(sequence, sweeps, parameters, place, Path(labels))
+    kept = kept_in(row, folder)
+    if not (kept / "recording").exists():
+        row.drive.record(folder, fault_of(row.fault), kept / "writing")
+        (kept / "writing").rename(kept / "recording")
+    sequence, sweeps = opened(row.fault, *recording_in(kept / "recording"))
+    with TemporaryDirectory(dir=kept) as labels:
+        run = LabelRun(sequence, sweeps, parameters, kept, Path(labels))
         try:
             run = replace(run, scratch=_surfaces(run))
             run_stages(run, (REFERENCE, FRAMES))

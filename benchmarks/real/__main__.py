@@ -47,11 +47,13 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path(tempfile.gettempdir()) / "stone-real", help="where labels go")
     options = parser.parse_args()
     try:
-        found = described_recordings(options.folder)
+        recordings = described_recordings(options.folder)
     except StoneError as error:
         sys.exit(f"{error.code}: {error}")
-    chosen = [one for one in found if options.names is None or one.description.name in options.names]
-    if found and not chosen:
+    chosen = [
+        recording for recording in recordings if options.names is None or recording.description.name in options.names
+    ]
+    if recordings and not chosen:
         sys.exit(f"none of these is described: {', '.join(options.names)}")
     for described in chosen:
         _show_recording(described, options)
@@ -64,19 +66,19 @@ def described_recordings(folder: Path | None) -> list[Described]:
     """
     is_named = folder is not None or bool(os.environ.get(VARIABLE))
     chosen = folder or field_folder()
-    found = described_in(chosen) if chosen.is_dir() else []
-    if not found and is_named:
+    recordings = described_in(chosen) if chosen.is_dir() else []
+    if not recordings and is_named:
         raise NothingDescribedError(chosen, len(own_descriptions()))
-    if not found:
+    if not recordings:
         print(f"no real recordings on this machine: name a folder, or set {VARIABLE}")
-    return found
+    return recordings
 
 
 def _show_recording(described: Described, options: argparse.Namespace) -> None:
     rows: dict[tuple[str, str], Figures] = {}
     for option in options_of(described):
         if options.options is None or option.name in options.options:
-            for profile in (one for one in options.profiles if one in option.profiles):
+            for profile in (name for name in options.profiles if name in option.profiles):
                 rows[profile, option.name] = _row(described, (profile, option), options)
     show(f"{described.description.name}: {described.description.about}", rows)
 

@@ -112,11 +112,11 @@ def described_in(folder: Path) -> list[Described]:
     """
     paths = [path for path in sorted(folder.rglob(f"*{SUFFIX}")) if path.parent.resolve() != OURS.resolve()]
     theirs = [read_description(path, folder) for path in paths]
-    for one in theirs:
-        if not one.source.exists():
-            raise DescriptionError(one.path, f"{one.source} is not there")
+    for description in theirs:
+        if not description.source.exists():
+            raise DescriptionError(description.path, f"{description.source} is not there")
     ours = [read_description(path, folder) for path in own_descriptions()]
-    return _of_one_name_each([*(one for one in ours if one.source.exists()), *theirs])
+    return _of_one_name_each([*(description for description in ours if description.source.exists()), *theirs])
 
 
 def own_descriptions() -> list[Path]:
@@ -139,12 +139,12 @@ def read_description(path: Path, folder: Path) -> Described:
         raise DescriptionError(path, f"{where}: {first['msg']}") from None
 
 
-def _of_one_name_each(found: list[Described]) -> list[Described]:
-    """Return the descriptions. Raises `DescriptionError` if two have one name, as their labels would collide."""
+def _of_one_name_each(described: list[Described]) -> list[Described]:
+    """Return the descriptions. Raises `DescriptionError` if two have item name, as their labels would collide."""
     paths: dict[str, Path] = {}
-    for one in found:
-        name = one.description.name
+    for item in described:
+        name = item.description.name
         if name in paths:
-            raise DescriptionError(one.path, f"is called {name!r}, and so is {paths[name]}; give it another name")
-        paths[name] = one.path
-    return found
+            raise DescriptionError(item.path, f"is called {name!r}, and so is {paths[name]}; give it another name")
+        paths[name] = item.path
+    return described

@@ -16,6 +16,6 @@ def held_out_figures(run: LabelRun) -> Figures:
     """
     track, figures = HeldOutTrack(run, load_summaries(run)), Figures()
     for ratio in KNOWN_RATIOS:
-        for side, found in (("first", track.from_first(ratio)), ("last", track.from_last(ratio))):
-            figures[f"{side}_{ratio:g}"] = None if found is None else found.recall
+        for side, part in (("first", track.from_first(ratio)), ("last", track.from_last(ratio))):
+            figures[f"{side}_{ratio:g}"] = None if part is None else part.recall
     return figures

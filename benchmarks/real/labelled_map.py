@@ -45,10 +45,10 @@ def _tile(path: Path) -> tuple[Keys, NDArray[np.uint8]]:
     return keys_from_indices(indices), np.frombuffer(content, np.uint8, count, 8 + 12 * count)
 
 
-def disagreement(one: LabelledMap, other: LabelledMap) -> tuple[float | None, float | None]:
-    """Return shares of the voxels that both label: with another class, and N in only one of them."""
-    _, mine, theirs = np.intersect1d(one.keys, other.keys, assume_unique=True, return_indices=True)
-    ours, others = one.classes[mine], other.classes[theirs]
+def disagreement(first: LabelledMap, second: LabelledMap) -> tuple[float | None, float | None]:
+    """Return shares of the voxels that both label: with another class, and N in only first of them."""
+    _, mine, theirs = np.intersect1d(first.keys, second.keys, assume_unique=True, return_indices=True)
+    ours, others = first.classes[mine], second.classes[theirs]
     return share(ours != others), share((ours == NON_TRAVERSABLE) != (others == NON_TRAVERSABLE))
 
 

@@ -55,8 +55,8 @@ class WrittenLabels:
         """Return the classes of the voxels around frame `frame`."""
         path = self.folder / "gts" / self.sequence.name / self.sequence.frames.tokens[frame] / "labels.npz"
         with np.load(path, allow_pickle=False) as archive:
-            found: Grid = archive["semantics"]
-        return found
+            classes: Grid = archive["semantics"]
+        return classes
 
     def above_track(self, points_map: Array) -> tuple[Array, Array]:
         """Return the distance in plan (N,) to the track's nearest pose, and the height (N,) above its ego plane."""
@@ -65,9 +65,9 @@ class WrittenLabels:
 
     def is_flat(self, points_map: Array) -> Mask:
         """Return which points (N, 3) are, in plan, in an area that the description declares flat."""
-        said = self.described.description
-        inside = self.above_track(points_map)[0] < said.flat_beside_track_m
-        for polygon in said.flat_m:
+        description = self.described.description
+        inside = self.above_track(points_map)[0] < description.flat_beside_track_m
+        for polygon in description.flat_m:
             inside |= Outline(np.asarray(polygon)).contains_points(points_map[:, :2])
         return np.asarray(inside)
 

@@ -66,14 +66,14 @@ def opened(described: Described, options: SynchroniseOptions, track: str | None 
 
     Raises `DescriptionError` and what `open_sequence` raises.
     """
-    said = described.description
-    calibration = described.file(said.calibration)
-    if said.recording is not None:
-        return open_sequence(described.source, calibration, said.name, options)
+    description = described.description
+    calibration = described.file(description.calibration)
+    if description.recording is not None:
+        return open_sequence(described.source, calibration, description.name, options)
     rig, findings = read_calibration(calibration)
-    way = along(np.array(said.tracks_m[track] if track else [(0.0, 0.0)]))
-    frames = Frames(way.stamps_ns[:1], (frame_token(said.name, 0),), way.map_from_ego[:1])
-    sequence = Sequence(said.name, frames, (), rig, "stated", findings=findings, track=way)
+    way = along(np.array(description.tracks_m[track] if track else [(0.0, 0.0)]))
+    frames = Frames(way.stamps_ns[:1], (frame_token(description.name, 0),), way.map_from_ego[:1])
+    sequence = Sequence(description.name, frames, (), rig, "stated", findings=findings, track=way)
     points = _rows_of(described.source)
     return sequence, ScanSweeps(points[_is_return(points)])
 

@@ -31,11 +31,11 @@ def semantic_counts(labels: WrittenLabels, semantics: Semantics) -> Counts:
         points_ego = labels.sequence.calibration.ego_from_lidar @ points.astype(np.float64)
         index = np.floor((points_ego - PAPER.min_m) / VOXEL_M).astype(np.int64)
         inside = ((index >= 0) & (index < PAPER.shape)).all(axis=1)
-        found = labels.grid(_frame_of(labels, scan))[tuple(index[inside].T)]
+        classes = labels.grid(_frame_of(labels, scan))[tuple(index[inside].T)]
         kinds = kinds[inside]
-        judged = (found != TRAVERSABLE) | (not is_stated)
+        judged = (classes != TRAVERSABLE) | (not is_stated)
         for kind in np.unique(kinds).tolist():
-            here = np.bincount(found[judged & (kinds == kind)], minlength=4)
+            here = np.bincount(classes[judged & (kinds == kind)], minlength=4)
             totals[kind] = totals.get(kind, NOTHING) + here
     return totals
 
@@ -43,10 +43,10 @@ def semantic_counts(labels: WrittenLabels, semantics: Semantics) -> Counts:
 def _frame_of(labels: WrittenLabels, scan: LabelledScan) -> int:
     if scan.stamp_ns is None:
         return 0
-    found = np.flatnonzero(labels.sequence.frames.stamps_ns == scan.stamp_ns)
-    if len(found) == 0:
+    frames = np.flatnonzero(labels.sequence.frames.stamps_ns == scan.stamp_ns)
+    if len(frames) == 0:
         raise DescriptionError(labels.described.path, f"{scan.points}: no frame at stamp_ns {scan.stamp_ns}")
-    return int(found[0])
+    return int(frames[0])
 
 
 def agreement(counts: Counts, semantics: Semantics) -> Figures:

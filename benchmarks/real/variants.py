@@ -67,10 +67,10 @@ OPTIONS = (
 
 def options_of(described: Described) -> tuple[Option, ...]:
     """Return the options that fit the recording, in order."""
-    said = described.description
-    if said.scan is None:
+    description = described.description
+    if description.scan is None:
         return OPTIONS
-    return (Option(FOOTPRINT_ALONE), *(Option(f"track: {name}", track=name) for name in said.tracks_m))
+    return (Option(FOOTPRINT_ALONE), *(Option(f"track: {name}", track=name) for name in description.tracks_m))
 
 
 def rows_of_pass(kind: Passes, frames: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

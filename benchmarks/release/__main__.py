@@ -75,13 +75,13 @@ def compare(folder: Path, searched: Searched, out: Path, workers: int) -> dict[S
     for bag in bags:
         try:
             pair = paired(bag, index, out)
-            found = _compare_bag(pair, searched, out, workers)
+            agreements = _compare_bag(pair, searched, out, workers)
         except StoneError as error:
             if bag == bags[-1] and not compared:
                 raise
             print(f"{bag.name} is left out: {error.code}: {error}", file=sys.stderr)
             continue
-        total = {one: total[one] + agreement if compared else agreement for one, agreement in found.items()}
+        total = {key: total[key] + agreement if compared else agreement for key, agreement in agreements.items()}
         compared.append((bag, pair.name))
     show_settings(f"{counted(len(compared), 'bag')}, {len(total)} settings, the closest first", total)
     setting, agreement = ordered(total)[0]
@@ -94,14 +94,14 @@ def _compare_bag(pair: ReleasedPair, searched: Searched, out: Path, workers: int
     show_pair(pair)
     _grid_in(out, pair.name).write_text(grid_text(pair.reach))
     with tempfile.TemporaryDirectory(dir=out) as scratch, Workers(workers) as processes:
-        found, variants = search(pair, searched, processes, Path(scratch))
-        closest = ordered(found)[0][0]
+        agreements, variants = search(pair, searched, processes, Path(scratch))
+        closest = ordered(agreements)[0][0]
         variant = variants[replace(closest, kept=Kept())]
         picture = out / f"{pair.name}.png"
         picture.write_bytes(_picture(pair, variant))
         print(f"  {picture}: a frame from above, A ours (all voxels) and B theirs, by the setting closest in this bag")
         show_findings(findings_of(variant, processes))
-    return found
+    return agreements
 
 
 def _grid_in(out: Path, name: str) -> Path:
@@ -110,9 +110,9 @@ def _grid_in(out: Path, name: str) -> Path:
 
 def _picture(pair: ReleasedPair, variant: Variant) -> bytes:
     """Return the frame in the middle of the compared frames."""
-    place = len(pair.rows) // 2
-    classes, is_known = released_labels(pair, place)
-    return comparison_picture(variant.frame(place), (classes, is_known.astype(np.uint8)))
+    middle = len(pair.rows) // 2
+    classes, is_known = released_labels(pair, middle)
+    return comparison_picture(variant.frame(middle), (classes, is_known.astype(np.uint8)))
 
 
 def _show_command(setting: Setting, bag: Path, name: str, out: Path) -> None:

@@ -78,7 +78,7 @@ def dataset_in(folder: Path) -> DatasetIndex:
     """Return the dataset of a folder: a ZIP or tar in it, or unpacked. Raises `no_release`, a `DatasetFaultError`."""
     if not folder.is_dir():
         raise Refused("no_release", f"{folder} is no folder (is the path right?)")
-    archives = (one for one in sorted(folder.iterdir()) if one.suffix in (".zip", ".tar"))
+    archives = (file for file in sorted(folder.iterdir()) if file.suffix in (".zip", ".tar"))
     for path in (*archives, folder):
         try:
             return read_dataset(path)
@@ -94,16 +94,16 @@ def dataset_in(folder: Path) -> DatasetIndex:
 def bags_in(folder: Path) -> list[Path]:
     """Return the recordings in a folder, or in folders in it. Raises `no_release` if there is none."""
     inside = sorted(folder.iterdir())
-    folders = (one for one in inside if one.is_dir() and not is_recording(one))
-    found = [
-        one for one in (*inside, *(deep for one in folders for deep in sorted(one.iterdir()))) if is_recording(one)
+    folders = (path for path in inside if path.is_dir() and not is_recording(path))
+    bags = [
+        path for path in (*inside, *(deep for path in folders for deep in sorted(path.iterdir()))) if is_recording(path)
     ]
-    if not found:
+    if not bags:
         raise Refused(
             "no_release",
             f"{folder} holds no bag: one or more of the release's (a folder with metadata.yaml and a .db3) is expected",
         )
-    return found
+    return bags
 
 
 def paired(bag: Path, index: DatasetIndex, out: Path) -> ReleasedPair:
@@ -119,13 +119,13 @@ def paired(bag: Path, index: DatasetIndex, out: Path) -> ReleasedPair:
         options = SynchroniseOptions(ground="auto", is_hashed=False, is_checked=False)
         sequence, sweeps = sequence_in(opened, calibration_in(out, name), name, options)
     labelled = list(_labelled(index))
-    stamps_ns = np.array([one.stamps_ns[frame] for one, frame, _ in labelled], np.int64)
+    stamps_ns = np.array([item.stamps_ns[frame] for item, frame, _ in labelled], np.int64)
     rows, theirs = matched(sequence.frames.stamps_ns, stamps_ns)
     if not len(rows):
         raise _none_matched(bag, sequence, stamps_ns)
     chosen = [labelled[at] for at in theirs.tolist()]
     ours_m = (sequence.frames.map_from_ego[rows] @ sequence.calibration.ego_from_lidar).translation_m
-    theirs_m = np.array([(one.map_from_ego[frame] @ mount).translation_m for one, frame, _ in chosen])
+    theirs_m = np.array([(item.map_from_ego[frame] @ mount).translation_m for item, frame, _ in chosen])
     off_ns, apart_m = stamps_ns[theirs] - sequence.frames.stamps_ns[rows], np.linalg.norm(ours_m - theirs_m, axis=1)
     labels = tuple(span for *_, span in chosen)
     return ReleasedPair(name, sequence, sweeps, index.layout, mount, rows, labels, off_ns, apart_m)
@@ -139,11 +139,11 @@ def calibration_in(out: Path, name: str) -> Path:
 def _labelled(index: DatasetIndex) -> Iterator[tuple[DatasetSequence, int, ExportFileSpan]]:
     """Yield every frame with labels, and their file. Raises `no_release` if there is none."""
     is_any = False
-    for one in (one for one in index.sequences if one.is_labelled):
-        for frame in range(len(one)):
-            if (span := index.labels(one, frame)) is not None:
+    for sequence in (sequence for sequence in index.sequences if sequence.is_labelled):
+        for frame in range(len(sequence)):
+            if (span := index.labels(sequence, frame)) is not None:
                 is_any = True
-                yield one, frame, span
+                yield sequence, frame, span
     if not is_any:
         raise Refused(
             "no_release", f"{index.files.path.name} has no labels: gts/<scene>/<token>/labels.npz are expected"
@@ -168,7 +168,13 @@ def _mount(bag: Bag, index: DatasetIndex) -> SE3:
     mounts = _mounts(index.sequences)
     if len(mounts) > 1:
         begin_ns, end_ns = bag.start_ns - MARGIN_NS, bag.end_ns + MARGIN_NS
-        mounts = _mounts([one for one in index.sequences if one.stamps_ns[0] < end_ns and one.stamps_ns[-1] > begin_ns])
+        mounts = _mounts(
+            [
+                sequence
+                for sequence in index.sequences
+                if sequence.stamps_ns[0] < end_ns and sequence.stamps_ns[-1] > begin_ns
+            ]
+        )
     if len(mounts) != 1:
         raise Refused(
             "no_release",
@@ -180,8 +186,8 @@ def _mount(bag: Bag, index: DatasetIndex) -> SE3:
 
 def _mounts(sequences: Iterable[DatasetSequence]) -> list[SE3]:
     """Return the different mounts of the LiDAR, to 0.1 mm and 1e-4 of a rotation."""
-    mounts = [one.channels[LIDAR_CHANNEL].sensor.ego_from_sensor for one in sequences]
-    rounded = {tuple(np.round(one.as_matrix(), 4).ravel().tolist()): one for one in mounts}
+    mounts = [item.channels[LIDAR_CHANNEL].sensor.ego_from_sensor for item in sequences]
+    rounded = {tuple(np.round(item.as_matrix(), 4).ravel().tolist()): item for item in mounts}
     return list(rounded.values())
 
 

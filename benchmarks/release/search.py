@@ -89,7 +89,7 @@ class Agreement:
     @property
     def ratios(self) -> list[float]:
         """Return IoU_occ, IoU of T, P and N, and mIoU; NaN if undefined."""
-        return [float(one) for one in ratios(self.confusion.sum(axis=0))]
+        return [float(value) for value in ratios(self.confusion.sum(axis=0))]
 
     @property
     def rank(self) -> tuple[float, ...]:
@@ -108,9 +108,9 @@ class Variant:
     run: LabelRun
     reference: Reference
 
-    def frame(self, place: int) -> tuple[Grid, Grid]:
+    def frame(self, row: int) -> tuple[Grid, Grid]:
         """Return the classes of one frame, and its observed voxels."""
-        (labelled,) = labelled_frames(self.run, (place, place + 1), self.reference)
+        (labelled,) = labelled_frames(self.run, (row, row + 1), self.reference)
         return _array(labelled.payload, "semantics"), _array(labelled.payload, "mask_lidar")
 
 
@@ -138,25 +138,25 @@ def search(
     """
     base = LabelRun(pair.sequence, pair.sweeps, replace(parameters_for("paper"), grids=(pair.reach,)), scratch / "map")
     _do(workers, tasks_of(base, {FUSE}))
-    found, variants = dict[Setting, Agreement](), dict[Setting, Variant]()
+    agreements, variants = dict[Setting, Agreement](), dict[Setting, Variant]()
     for neighbours in searched.neighbours:
-        of_k = {one: _unreferred(base, one, scratch) for one in searched.settings(neighbours)}
+        of_k = {setting: _unreferred(base, setting, scratch) for setting in searched.settings(neighbours)}
         _do(workers, tasks_of(next(iter(of_k.values())), {SURFACE}))
-        made = {one: _variant(run, pair) for one, run in of_k.items()}
+        made = {setting: _variant(run, pair) for setting, run in of_k.items()}
         variants |= made
-        found |= _agreements(pair, made, searched.kept, workers)
-    return found, variants
+        agreements |= _agreements(pair, made, searched.kept, workers)
+    return agreements, variants
 
 
 def _unreferred(base: LabelRun, setting: Setting, scratch: Path) -> LabelRun:
     """Return the run of a setting, in a scratch shared by all settings of its k, with links to the fused points."""
-    place = scratch / f"k-{setting.neighbours}"
-    if not place.exists():
-        place.mkdir()
+    folder = scratch / f"k-{setting.neighbours}"
+    if not folder.exists():
+        folder.mkdir()
         for made in base.scratch.iterdir():
-            (place / made.name).symlink_to(made)
+            (folder / made.name).symlink_to(made)
     parameters = chosen_parameters(setting.profile, setting.choices, base.parameters.grids)
-    return replace(base, parameters=parameters, scratch=place)
+    return replace(base, parameters=parameters, scratch=folder)
 
 
 def _variant(run: LabelRun, pair: ReleasedPair) -> Variant:
@@ -177,7 +177,7 @@ def _agreements(
     ways = tuple(variants.values())
     tasks = [Task(("count", part), count_part, (pair, ways, kept, part)) for part in parts_of(ways[0].run)]
     parts = [done.value for _, done in workers.run(tasks)]
-    settings = (replace(one, kept=how) for one, how in product(variants, kept))
+    settings = (replace(variant, kept=how) for variant, how in product(variants, kept))
     return {
         setting: sum(of_part[1:], of_part[0])
         for setting, of_part in zip(settings, zip(*parts, strict=True), strict=True)
@@ -195,26 +195,26 @@ def count_part(pair: ReleasedPair, variants: Listing[Variant], kept: Listing[Kep
     confusions = np.zeros((len(ways), RINGS, CLASSES, CLASSES), np.int64)
     beyond, labelled = np.zeros((2, len(ways)), np.int64)
     returns = NearReturns(pair, variants[0].run.sequence)
-    frames = zip(*(labelled_frames(one.run, part, one.reference) for one in variants), strict=True)
-    for place, of_variants in enumerate(frames, part[0]):
-        classes, is_known = released_labels(pair, place)
+    frames = zip(*(labelled_frames(item.run, part, item.reference) for item in variants), strict=True)
+    for row, of_variants in enumerate(frames, part[0]):
+        classes, is_known = released_labels(pair, row)
         planes = truth_planes(classes, is_known, grid)
-        ours = [_array(one.payload, "semantics") for one in of_variants]
-        masks = returns.masks(place, np.any(ours, axis=0), kept, grid)
+        ours = [_array(item.payload, "semantics") for item in of_variants]
+        masks = returns.masks(row, np.any(ours, axis=0), kept, grid)
         for at, (variant, how) in enumerate(ways):
             own = np.where(masks[how], ours[variant], np.uint8(0))
             confusions[at] += frame_counts(own, planes).confusion
             labelled[at] += np.count_nonzero(own)
             beyond[at] += np.count_nonzero(own[~is_known])
     counts = zip(confusions, beyond.tolist(), labelled.tolist(), strict=True)
-    return [Agreement(*one) for one in counts]
+    return [Agreement(*item) for item in counts]
 
 
-def released_labels(pair: ReleasedPair, place: int) -> tuple[Grid, Mask]:
+def released_labels(pair: ReleasedPair, row: int) -> tuple[Grid, Mask]:
     """Return the released classes of a compared frame, and its known voxels."""
-    found = read_labels(pair.labels[place], layout=pair.layout)
-    seen = found.mask_lidar
-    return found.classes, np.ones(found.classes.shape, np.bool_) if seen is None else seen.astype(np.bool_)
+    labels = read_labels(pair.labels[row], layout=pair.layout)
+    seen = labels.mask_lidar
+    return labels.classes, np.ones(labels.classes.shape, np.bool_) if seen is None else seen.astype(np.bool_)
 
 
 def _array(payload: bytes, name: str) -> Any:
@@ -235,15 +235,15 @@ class NearReturns:
     def masks(self, place: int, is_asked: Mask, kept: Listing[Kept], grid: LabelGrid) -> dict[Kept, Mask]:
         """Return the voxels of the grid that each way keeps, among the given ones."""
         row, most = int(self._pair.rows[place]), max(how.sweeps for how in kept)
-        self._trees = {one: tree for one, tree in self._trees.items() if one >= row - most}
+        self._trees = {frame: tree for frame, tree in self._trees.items() if frame >= row - most}
         centres_ego = np.array(grid.min_m) + (np.argwhere(is_asked) + 0.5) * grid.voxel_m
         centres_map = self._compared.frames.map_from_ego[place] @ centres_ego
-        found = dict[Kept, Mask]()
+        masks = dict[Kept, Mask]()
         for how in kept:
-            found[how] = is_asked.copy()
+            masks[how] = is_asked.copy()
             if how.near_m is not None:
-                found[how][is_asked] = self._are_near(row, centres_map, how.near_m, how.sweeps)
-        return found
+                masks[how][is_asked] = self._are_near(row, centres_map, how.near_m, how.sweeps)
+        return masks
 
     def _are_near(self, row: int, centres_map: NDArray[np.float64], near_m: float, sweeps: int) -> Mask:
         is_near = np.zeros(len(centres_map), np.bool_)

@@ -21,9 +21,9 @@ RINGS_M = ("0 to 10 m", "10 to 20 m", "from 20 m")
 RATIOS = ("IoU_occ", "IoU_T", "IoU_P", "IoU_N", "mIoU")
 
 
-def ordered(found: Mapping[Setting, Agreement]) -> list[tuple[Setting, Agreement]]:
+def ordered(agreements: Mapping[Setting, Agreement]) -> list[tuple[Setting, Agreement]]:
     """Return the settings, the closest first."""
-    return sorted(found.items(), key=lambda one: one[1].rank)
+    return sorted(agreements.items(), key=lambda item: item[1].rank)
 
 
 def show_pair(pair: ReleasedPair) -> None:
@@ -35,7 +35,7 @@ def show_pair(pair: ReleasedPair) -> None:
         f"median distance of the LiDAR by the bag and by the tables is {apart_m:.3f} m. "
         f"The released ego origin is {pair.ours_from_theirs.translation_m[2]:.2f} m above the ground."
     )
-    codes = Counter(one.code for one in pair.sequence.excluded)
+    codes = Counter(finding.code for finding in pair.sequence.excluded)
     for code, frames in codes.items():
         print(f"  {code}: {frames} sweeps of the bag are no frames")
 
@@ -45,15 +45,15 @@ def show_findings(findings: Iterable[Finding]) -> None:
     by_code = dict[str, list[Finding]]()
     for finding in findings:
         by_code.setdefault(finding.code, []).append(finding)
-    for code, ones in sorted(by_code.items()):
-        times = f" ({len(ones)} times)" if len(ones) > 1 else ""
-        print(f"  {ones[0].severity} {code}{times}: {ones[0].message}")
+    for code, findings_of_code in sorted(by_code.items()):
+        times = f" ({len(findings_of_code)} times)" if len(findings_of_code) > 1 else ""
+        print(f"  {findings_of_code[0].severity} {code}{times}: {findings_of_code[0].message}")
 
 
-def show_settings(title: str, found: Mapping[Setting, Agreement]) -> None:
+def show_settings(title: str, agreements: Mapping[Setting, Agreement]) -> None:
     """Print a row for each setting, the closest first."""
     table = _table("profile", "height", "k", "α", "kept voxels", *RATIOS, "ours, unknown in theirs")
-    for setting, agreement in ordered(found):
+    for setting, agreement in ordered(agreements):
         height = "above local ground" if RULES[setting.profile].is_local else "absolute"
         shown = (setting.profile, height, str(setting.neighbours), f"{setting.alpha:g}", str(setting.kept))
         table.add_row(*shown, *map(_share, agreement.ratios), _share(agreement.beyond / max(agreement.labelled, 1)))
@@ -88,7 +88,7 @@ def ways_to_differ(confusion: NDArray[np.int64]) -> dict[str, float]:
 def _classes(confusion: NDArray[np.int64]) -> Sequence[float]:
     """Return the shares of T, P and N in the occupied voxels of the released labels."""
     occupied = confusion.sum(axis=1)[1:]
-    return [float(one) for one in occupied / max(int(occupied.sum()), 1)]
+    return [float(count) for count in occupied / max(int(occupied.sum()), 1)]
 
 
 def _share(value: float) -> str:

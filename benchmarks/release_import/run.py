@@ -46,12 +46,12 @@ def imported(data: Path, tar: Path, kills: int, seed: int = 1) -> ImportMeasurem
     made, chance = ImportMeasurement(), Random(seed)
     begun = time.perf_counter()
     with serving(data) as running, administrator(running) as api:
-        asked = send_dataset(api, tar, WISHES, ignore_progress)
+        accepted = send_dataset(api, tar, WISHES, ignore_progress)
     made.sent_s = time.perf_counter() - begun
-    begun, state = time.perf_counter(), dict[str, Any](asked)
+    begun, state = time.perf_counter(), dict[str, Any](accepted)
     while state["state"] not in ("succeeded", "failed", "cancelled"):
         with serving(data) as running, _memory_seen(running, made.most_mib):
-            state = _disturbed(running, str(asked["id"]), (made, kills, chance))
+            state = _disturbed(running, str(accepted["id"]), (made, kills, chance))
     if state["state"] != "succeeded":
         raise ImportFailedError(f"{state['state']}: {state['failure']}")
     made.wall_s, made.frames = time.perf_counter() - begun, int(state["frames"])
@@ -118,8 +118,8 @@ def _memory_seen(running: Serving, most_mib: dict[str, float]) -> Iterator[None]
 def _look(running: Serving, most_mib: dict[str, float], ended: Event) -> None:
     while not ended.wait(LOOK_S):
         with suppress(*GONE):
-            for one in running.descendants():
+            for process in running.descendants():
                 with suppress(*GONE):
-                    words = " ".join(one.cmdline())
+                    words = " ".join(process.cmdline())
                     role = next((role for role in ROLES if role in words), "other")
-                    most_mib[role] = max(most_mib.get(role, 0.0), one.memory_info().rss / MIB)
+                    most_mib[role] = max(most_mib.get(role, 0.0), process.memory_info().rss / MIB)

@@ -32,8 +32,8 @@ def scored(api: Api, dataset: SyntheticDataset, folder: Path) -> str:
     begun = time.perf_counter()
     api.create("/datasets", {"name": "release-1.0", "licence": "CC-BY-4.0", "reason": REASON})
     phase = {"name": "test", "part": "test", "mask": "lidar", "is_hidden": True, "scorings_per_window": 5}
-    asked = {"name": "release", "dataset": "release-1.0", "phases": [phase], "reason": REASON}
-    phase_id = api.create("/admin/benchmarks", asked)["phases"][0]["id"]
+    body = {"name": "release", "dataset": "release-1.0", "phases": [phase], "reason": REASON}
+    phase_id = api.create("/admin/benchmarks", body)["phases"][0]["id"]
     api.create(f"/admin/phases/{phase_id}/ground-truths", {"reason": REASON})
     while api.read("/benchmarks/release/phases/test")["active"] is None:
         time.sleep(LOOK_S)
@@ -77,9 +77,9 @@ def _counted(dataset: SyntheticDataset) -> dict[str, float]:
     for scene in _test_scenes(dataset):
         for frame in range(len(kinds)):
             times = len(range(frame, dataset.length(scene), len(kinds)))
-            truth, said = kinds[frame], kinds[(frame + 1) % len(kinds)]["semantics"]
+            truth, prediction = kinds[frame], kinds[(frame + 1) % len(kinds)]["semantics"]
             seen = truth["mask_lidar"] == 1
-            pairs = truth["semantics"][seen].astype(np.int64) * 4 + said[seen]
+            pairs = truth["semantics"][seen].astype(np.int64) * 4 + prediction[seen]
             confusion += times * np.bincount(pairs, minlength=16).reshape(4, 4)
     occupied = confusion[1:, 1:].sum() / (confusion.sum() - confusion[0, 0])
     t, p, n = (confusion[k, k] / (confusion[k].sum() + confusion[:, k].sum() - confusion[k, k]) for k in (1, 2, 3))

@@ -15,13 +15,13 @@ class ImportedWronglyError(Exception):
 
 def verified(api: Api, dataset: SyntheticDataset) -> str:
     """Return a summary of the comparison. Raises `ImportedWronglyError`."""
-    sequences = {one["name"]: one["id"] for one in api.pages("/sequences")}
+    sequences = {item["name"]: item["id"] for item in api.pages("/sequences")}
     if sorted(sequences) != sorted(dataset.names):
         raise ImportedWronglyError(f"sequences {sorted(sequences)}")
     published = [sha256(labels).hexdigest() for labels in dataset.labels]
     frames = compared = 0
     for scene, name in enumerate(dataset.names):
-        tokens = Counter(one["token"] for one in api.pages(f"/sequences/{sequences[name]}/frames"))
+        tokens = Counter(item["token"] for item in api.pages(f"/sequences/{sequences[name]}/frames"))
         if tokens != Counter(dataset.tokens(scene)):
             raise ImportedWronglyError(f"{name} has {tokens.total()} frames, {len(tokens)} of them different")
         frames += len(tokens)

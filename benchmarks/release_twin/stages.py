@@ -63,37 +63,37 @@ def stage(name: str, frames: int, data: Path) -> Iterator[None]:
 
 def _look(most_mib: dict[str, float], ended: Event) -> None:
     while True:
-        for one in psutil.Process().children(recursive=True):
+        for process in psutil.Process().children(recursive=True):
             with suppress(*GONE):
-                role = _role(one.cmdline())
-                most_mib[role] = max(most_mib.get(role, 0.0), one.memory_info().rss / MIB)
+                role = _role(process.cmdline())
+                most_mib[role] = max(most_mib.get(role, 0.0), process.memory_info().rss / MIB)
         if ended.wait(LOOK_S):
             return
 
 
 def _role(words: list[str]) -> str:
     """Return the role of a process: its module, a worker of a pool, or its first words."""
-    said = " ".join(words)
-    if "multiprocessing" in said:
+    line = " ".join(words)
+    if "multiprocessing" in line:
         return "a pool's worker"
     of_module = words[words.index("-m") + 1].rpartition(".")[2] if "-m" in words[:-1] else ""
     first = " ".join(words[1:3]).rpartition("/")[2]
-    return next((role for role in ROLES if role in said), of_module or first)
+    return next((role for role in ROLES if role in line), of_module or first)
 
 
 def _tree_cpu_s() -> float:
     total = sum(os.times()[:4])
-    for one in psutil.Process().children(recursive=True):
+    for process in psutil.Process().children(recursive=True):
         with suppress(*GONE):
-            total += sum(one.cpu_times()[:4])
+            total += sum(process.cpu_times()[:4])
     return total
 
 
 def _stored_bytes(folder: Path) -> int:
     sizes = dict[tuple[int, int], int]()
-    for place, _, names in os.walk(folder):
+    for parent, _, names in os.walk(folder):
         for name in names:
             with suppress(FileNotFoundError):
-                found = os.lstat(os.path.join(place, name))
-                sizes[found.st_dev, found.st_ino] = found.st_size
+                stat = os.lstat(os.path.join(parent, name))
+                sizes[stat.st_dev, stat.st_ino] = stat.st_size
     return sum(sizes.values())

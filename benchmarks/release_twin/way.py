@@ -71,16 +71,16 @@ class Way:
     def _import(self, api: Api) -> None:
         everything = self.frames(self.what.scenes)
         with stage("upload", everything, self.data):
-            asked = send_dataset(api, self.path, DatasetWishes("twin"), ignore_progress)
-        state = read_import(api, str(asked["id"]))
+            accepted = send_dataset(api, self.path, DatasetWishes("twin"), ignore_progress)
+        state = read_import(api, str(accepted["id"]))
         with stage("import: keep and index", everything, self.data):
             while state["scenes_total"] is None and state["state"] not in ENDED:
                 time.sleep(LOOK_S)
-                state = read_import(api, str(asked["id"]))
+                state = read_import(api, str(accepted["id"]))
         with stage("import: scenes and publication", everything, self.data):
             while state["state"] not in ENDED:
                 time.sleep(LOOK_S)
-                state = read_import(api, str(asked["id"]))
+                state = read_import(api, str(accepted["id"]))
         if state["state"] != "succeeded":
             raise ImportFailedError(str(state["failure"]))
         if self.has_playback:
@@ -91,10 +91,10 @@ class Way:
         everything = self.frames(self.what.scenes)
         with stage("splits: proposed by drive, put", everything, self.data):
             made = proposal(api, (splits.train, splits.val, splits.test), ())
-            body = {part: [one["sequence_id"] for one in made[part]] for part in ("train", "val", "test")}
+            body = {part: [item["sequence_id"] for item in made[part]] for part in ("train", "val", "test")}
             revision = api.read("/splits")["revision"]
-            asked = {"json": {**body, "reason": REASON}, "headers": {"If-Match": f'"{revision}"'}}
-            api.send("PUT", "/splits", **asked)
+            request = {"json": {**body, "reason": REASON}, "headers": {"If-Match": f'"{revision}"'}}
+            api.send("PUT", "/splits", **request)
         in_version = self.frames(splits.train + splits.val + splits.test)
         with stage("version published", in_version, self.data):
             api.create("/datasets", {"name": "twin-1.0", "licence": "CC-BY-NC-ND-4.0", "reason": REASON})
@@ -104,9 +104,9 @@ class Way:
     def _open_phase(self, api: Api, splits: TwinSplits) -> str:
         hidden = self.frames(splits.test)
         phase = {"name": "test", "part": "test", "mask": "lidar", "is_hidden": True, "scorings_per_window": 5}
-        asked = {"name": "twin", "dataset": "twin-1.0", "phases": [phase], "reason": REASON}
+        body = {"name": "twin", "dataset": "twin-1.0", "phases": [phase], "reason": REASON}
         with stage("hidden phase, its ground truth", hidden, self.data):
-            phase_id = str(api.create("/admin/benchmarks", asked)["phases"][0]["id"])
+            phase_id = str(api.create("/admin/benchmarks", body)["phases"][0]["id"])
             api.create(f"/admin/phases/{phase_id}/ground-truths", {"reason": REASON})
             while api.read("/benchmarks/twin/phases/test")["active"] is None:
                 time.sleep(LOOK_S)
@@ -153,15 +153,15 @@ def splits_of(what: ReleasedDataset) -> TwinSplits:
     drives = [
         range(first, min(first + what.drive_scenes, what.scenes)) for first in range(0, what.scenes, what.drive_scenes)
     ]
-    elsewhere = [one for one in drives if what.tables.location(one[0]) != what.tables.location(drives[-1][0])]
+    elsewhere = [drive for drive in drives if what.tables.location(drive[0]) != what.tables.location(drives[-1][0])]
     return TwinSplits(sum(map(len, elsewhere[1:])), len(elsewhere[0]), len(drives[-1]))
 
 
 def cpu_by_kind(data: Path) -> Sequence[str]:
     """Return the processor seconds of the jobs of each kind, as counted by the platform."""
-    asked = (
+    query = (
         "SELECT kind, count(DISTINCT jobs.id), sum(cpu_s) FROM jobs JOIN job_attempts ON job_id = id "
         "GROUP BY kind ORDER BY 3 DESC"
     )
     with closing(sqlite3.connect(f"file:{data / 'stone.sqlite3'}?mode=ro", uri=True)) as database:
-        return [f"  {kind}: {count} jobs, {cpu_s or 0:.1f} CPU s" for kind, count, cpu_s in database.execute(asked)]
+        return [f"  {kind}: {count} jobs, {cpu_s or 0:.1f} CPU s" for kind, count, cpu_s in database.execute(query)]

@@ -86,7 +86,7 @@ def main() -> None:
         answers = _answers(platform, amounts, options.repeats)
         sizes = sizes_of(platform.database.engine)
         platform.database.close()
-    record = {"amounts": asdict(amounts), "answers": [asdict(one) for one in answers], "sizes": sizes}
+    record = {"amounts": asdict(amounts), "answers": [asdict(answer) for answer in answers], "sizes": sizes}
     options.json.parent.mkdir(parents=True, exist_ok=True)
     options.json.write_text(json.dumps(record, indent=1) + "\n", "utf-8")
     sys.exit(_show(answers, sizes))
@@ -113,11 +113,11 @@ def _answers(platform: Platform, amounts: Amounts, repeats: int) -> list[Questio
         client.timeout = PATIENCE_S
         kit = Kit(platform, client, people, amounts)
         large = large_tables(connection)
-        found = []
+        answers = []
         for question in questions():
-            found.append(answered(kit, question, (connection, large), repeats))
-            Console(stderr=True).print(f"{found[-1].p95_ms:9.1f} ms  {question.name}  {' '.join(found[-1].faults)}")
-        return found
+            answers.append(answered(kit, question, (connection, large), repeats))
+            Console(stderr=True).print(f"{answers[-1].p95_ms:9.1f} ms  {question.name}  {' '.join(answers[-1].faults)}")
+        return answers
 
 
 def answered(kit: Kit, question: Question, at: tuple[Connection, frozenset[str]], repeats: int) -> QuestionTimes:
@@ -127,7 +127,7 @@ def answered(kit: Kit, question: Question, at: tuple[Connection, frozenset[str]]
     for number in range(repeats):
         with taken_down(kit.platform.database.engine) as statements:
             is_answered = _is_answered(kit, question, Random(number))
-        lasted_s.append(sum(one.lasted_s for one in statements) if is_answered else PATIENCE_S)
+        lasted_s.append(sum(item.lasted_s for item in statements) if is_answered else PATIENCE_S)
         for statement in statements:
             if statement.is_explained and statement.sql not in plans:
                 plans[statement.sql] = explained(connection, statement, large)
@@ -161,10 +161,15 @@ def sizes_of(engine: Engine) -> list[dict[str, Any]]:
 def _show(answers: list[QuestionTimes], sizes: list[dict[str, Any]]) -> int:
     """Print the results; return 1 after an unnecessary full scan of a large table."""
     console, table = Console(width=150), Table("question", "statements", "p50 ms", "p95 ms", "rows read", "read whole")
-    for one in answers:
-        faults = "; ".join(one.faults) + (f" ({one.bound})" if one.bound else "")
+    for answer in answers:
+        faults = "; ".join(answer.faults) + (f" ({answer.bound})" if answer.bound else "")
         table.add_row(
-            one.name, str(one.statements), f"{one.p50_ms:.2f}", f"{one.p95_ms:.2f}", str(one.rows_read), faults
+            answer.name,
+            str(answer.statements),
+            f"{answer.p50_ms:.2f}",
+            f"{answer.p95_ms:.2f}",
+            str(answer.rows_read),
+            faults,
         )
     console.print(table)
     held = Table("table", "rows", "table MB", "indexes MB", "bytes a row")
@@ -173,7 +178,7 @@ def _show(answers: list[QuestionTimes], sizes: list[dict[str, Any]]) -> int:
         megabytes = (f"{row[key] / 1e6:.0f}" for key in ("table_bytes", "index_bytes"))
         held.add_row(row["relname"], f"{row['rows']:,}", *megabytes, f"{both / row['rows']:.0f}")
     console.print(held)
-    missed = [one.name for one in answers if one.faults and not one.bound]
+    missed = [answer.name for answer in answers if answer.faults and not answer.bound]
     console.print(f"without an index: {missed or 'none'}")
     return 1 if missed else 0
 

@@ -58,7 +58,7 @@ def numbers(count: int) -> str:
 @contextmanager
 def without_indexes(connection: Connection, tables: tuple[str, ...]) -> Iterator[None]:
     """Drop all indexes except primary keys for the block; they are created again at the end, in memory and at once."""
-    found = connection.execute(
+    indexes = connection.execute(
         text(
             """SELECT indexname, indexdef, conname, tablename FROM pg_indexes
             LEFT JOIN pg_constraint ON conname = indexname AND contype IN ('p', 'u')
@@ -66,11 +66,11 @@ def without_indexes(connection: Connection, tables: tuple[str, ...]) -> Iterator
         ),
         {"tables": list(tables)},
     ).all()
-    for index, _made, constraint, table in found:
+    for index, _made, constraint, table in indexes:
         gone = f"ALTER TABLE {table} DROP CONSTRAINT {constraint}" if constraint else f"DROP INDEX {index}"
         connection.execute(text(gone))
     yield
-    for index, made, constraint, table in found:
+    for index, made, constraint, table in indexes:
         connection.execute(text(made))
         if constraint:
             connection.execute(text(f"ALTER TABLE {table} ADD CONSTRAINT {constraint} UNIQUE USING INDEX {index}"))

@@ -66,8 +66,8 @@ def explained(
 ) -> StatementPlan:
     """Return the plan of a statement; with `is_run` the statement is executed for it. The caller rolls back."""
     options = "ANALYZE, BUFFERS, FORMAT JSON" if is_run else "FORMAT JSON"
-    found = connection.exec_driver_sql(f"EXPLAIN ({options}) {statement.sql}", statement.parameters).scalar_one()
-    scans = list(_scans(found[0]["Plan"], is_ended=False))
+    plan = connection.exec_driver_sql(f"EXPLAIN ({options}) {statement.sql}", statement.parameters).scalar_one()
+    scans = list(_scans(plan[0]["Plan"], is_ended=False))
     faults = tuple(dict.fromkeys(fault for node, ended in scans if (fault := _fault(node, ended, large))))
     indexes = tuple(dict.fromkeys(node["Index Name"] for node, _ in scans if "Index Name" in node))
     return StatementPlan(statement.sql, faults, indexes, sum(_rows(node) for node, _ in scans) if is_run else None)

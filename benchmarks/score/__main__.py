@@ -93,20 +93,20 @@ def take_turns(opened: ScoreInputs, clocks: dict[str, ScoreTimes]) -> NDArray[np
     ours = (*unpacked, (PACKED, opened.pack.planes_of, 1), (PACKED_2, opened.pack.planes_of, 2))
     for part in np.array_split(np.array(data.tokens), TURNS):
         tokens = tuple(map(str, part))
-        found = []
+        counts = []
         for name, truth_of, threads in ours:
             with clocks[name].turn(len(tokens)):
-                found.append(opened.count(tokens, truth_of, threads).confusions)
+                counts.append(opened.count(tokens, truth_of, threads).confusions)
             with clocks[LIMIT].turn(len(tokens)):
                 opened.moving(data, tokens)
         with clocks[OCC3D].turn(LOOPED):
             slow = occ3d(opened.archive, data, tokens[:LOOPED])
         with clocks[PLAIN].turn(LOOPED):
             plain = opened.plain(opened.archive, tokens[:LOOPED])
-        totals = [confusions[:LOOPED].sum(axis=(0, 1)) for confusions in found] + [plain]
+        totals = [confusions[:LOOPED].sum(axis=(0, 1)) for confusions in counts] + [plain]
         if not all(np.array_equal(total, slow) for total in totals):
             raise SystemExit("the counts differ: the benchmark is void")
-        kept.append(found[0])
+        kept.append(counts[0])
     return np.concatenate(kept)
 
 
@@ -157,9 +157,9 @@ def verdicts(clocks: dict[str, ScoreTimes], peak: int) -> Table:
         row = [name, f"{bound} {limit:g} x"]
         for ours in (OURS, PACKED):
             quick, other = clocks[ours].median_ms, clocks[name].median_ms
-            found = quick / other if name == LIMIT else other / quick
-            is_met = found <= limit if name == LIMIT else found >= limit
-            row += [f"{found:.2f} x", "met" if is_met else "NOT met"]
+            ratio = quick / other if name == LIMIT else other / quick
+            is_met = ratio <= limit if name == LIMIT else ratio >= limit
+            row += [f"{ratio:.2f} x", "met" if is_met else "NOT met"]
         table.add_row(*row)
     row = ["peak memory", f"at most {MOST_MEMORY_BYTES / 1e6:.0f} MB", "", "", f"{peak / 1e6:.0f} MB"]
     table.add_row(*row, "met" if peak <= MOST_MEMORY_BYTES else "NOT met")

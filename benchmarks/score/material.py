@@ -65,7 +65,7 @@ def material(folder: Path, frame_count: int, grid: LabelGrid = PAPER) -> Materia
     """Create the inputs in this folder, with `frame_count` frames of the grid."""
     planes, files, corner = [], [], tuple(slice(side) for side in grid.shape)
     for index, pair in enumerate(frames(min(DISTINCT, frame_count))):
-        truth, prediction = (np.ascontiguousarray(one[corner]) for one in pair)
+        truth, prediction = (np.ascontiguousarray(grid_array[corner]) for grid_array in pair)
         mask = seen_by_lidar(truth)
         labels = {"semantics": truth, "mask_lidar": mask, "mask_camera": mask}
         (folder / f"{index}.npz").write_bytes(npz_bytes(labels))

@@ -84,15 +84,15 @@ class SeasonProgress:
 
     def new_truth(self, dataset: str) -> str:
         """Return the id of a further ground truth, once it is ready."""
-        asked = {"dataset": dataset, "reason": "labels mended"}
+        body = {"dataset": dataset, "reason": "labels mended"}
         base = f"/admin/phases/{self.season.phase_id}/ground-truths"
-        truth_id = str(self.season.admin.create(base, asked)["ground_truth"]["id"])
+        truth_id = str(self.season.admin.create(base, body)["ground_truth"]["id"])
         self.wait_for_truths()
         return truth_id
 
     def wait_for_truths(self) -> None:
         base = f"/admin/phases/{self.season.phase_id}/ground-truths"
-        wait_until(lambda: all(one["state"] == "ready" for one in self.season.admin.pages(base)))
+        wait_until(lambda: all(truth["state"] == "ready" for truth in self.season.admin.pages(base)))
 
     def recompute(self) -> str:
         """Compare both served boards with the independent script; return its output. Raises `CalledProcessError`."""
@@ -166,10 +166,12 @@ def run_season(folder: Path, size: SeasonSize, workers: int = 2) -> Figures:
         begun_s = time.perf_counter()
         play_season(course, plan_of(size))
         lasted_s = time.perf_counter() - begun_s
-        said, changed, ties = course.recompute(), course.changed_past(), course.ties()
+        recomputed, changed, ties = course.recompute(), course.changed_past(), course.ties()
         figures = figures_of(running.platform, season, lasted_s)
         close_all(season, course.teams)
-    return replace(figures, grants=course.grants, moves=course.moves, recomputed=said, changed_past=changed, ties=ties)
+    return replace(
+        figures, grants=course.grants, moves=course.moves, recomputed=recomputed, changed_past=changed, ties=ties
+    )
 
 
 def play_season(course: SeasonProgress, plan: Sequence[Play]) -> None:

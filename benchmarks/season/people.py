@@ -61,9 +61,9 @@ class Season:
         """Create, upload and finalise a submission; a team without quota is refused first and then gets a grant."""
         team, api = by
         local = hashed(zipped, silent)
-        said = {"team_id": team.id, "method": method, "modality": team.modality, "kind": kind}
+        fields = {"team_id": team.id, "method": method, "modality": team.modality, "kind": kind}
         file = {"sha256": local.sha256, "size_bytes": local.size_bytes}
-        draft_id = api.create(f"/phases/{self.phase_id}/submissions", {**said, **file})["id"]
+        draft_id = api.create(f"/phases/{self.phase_id}/submissions", {**fields, **file})["id"]
         upload_id = upload_file(api, local, Purpose("submission", draft_id), silent)
         try:
             _finalise(api, draft_id, upload_id)
@@ -82,20 +82,20 @@ class Season:
 
     def states(self) -> dict[str, str]:
         """Return the state of every submission of the phase."""
-        return {one["id"]: one["state"] for one in self.admin.pages("/submissions", phase_id=self.phase_id)}
+        return {item["id"]: item["state"] for item in self.admin.pages("/submissions", phase_id=self.phase_id)}
 
 
 def open_season(admin: Api, dataset: str, scorings: int) -> Season:
     """Create a benchmark with one hidden phase, `scorings` per team and week, and start its first ground truth."""
     phase = {"name": "test", "part": "test", "is_hidden": True, "scorings_per_window": scorings}
-    asked = {"name": "season", "dataset": dataset, "phases": [phase], "reason": "a season"}
-    phase_id = admin.create("/admin/benchmarks", asked)["phases"][0]["id"]
+    body = {"name": "season", "dataset": dataset, "phases": [phase], "reason": "a season"}
+    phase_id = admin.create("/admin/benchmarks", body)["phases"][0]["id"]
     admin.create(f"/admin/phases/{phase_id}/ground-truths", {"reason": "the first"})
     return Season(admin, phase_id, "/benchmarks/season/phases/test")
 
 
 def close_all(season: Season, teams: Sequence[SeasonTeam]) -> None:
-    for api in (season.admin, *(one for team in teams for one in (team.captain, team.member))):
+    for api in (season.admin, *(member_api for team in teams for member_api in (team.captain, team.member))):
         api.__exit__(None, None, None)
 
 
@@ -113,6 +113,6 @@ def signed_in(url: str, name: str, password: str) -> Api:
 
 
 def _person(season: Season, name: str) -> Api:
-    said = {"name": name, "role": "participant", "password": PASSWORD, "reason": "takes part"}
-    season.admin.create("/admin/users", said)
+    body = {"name": name, "role": "participant", "password": PASSWORD, "reason": "takes part"}
+    season.admin.create("/admin/users", body)
     return signed_in(season.admin.url, name, PASSWORD)

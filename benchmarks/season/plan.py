@@ -64,5 +64,5 @@ def _levels(random: np.random.Generator, level: float, frames: int) -> tuple[int
 
 def _probe(levels: tuple[int, ...], turn: int) -> tuple[int, ...]:
     """Return the levels with one frame slightly changed."""
-    place = turn % len(levels)
-    return tuple((level + 1) % LEVELS if index == place else level for index, level in enumerate(levels))
+    changed = turn % len(levels)
+    return tuple((level + 1) % LEVELS if index == changed else level for index, level in enumerate(levels))

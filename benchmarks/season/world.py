@@ -71,7 +71,7 @@ def build_season_world(platform: Platform, size: SeasonSize) -> Predictions:
         for number, (sequence, of_sequence) in enumerate(zip(facts, truths, strict=True)):
             contents = [_labels(grid) for grid in of_sequence]
             made.labels(platform, sequence, seed=f"{name} {number} ".encode(), contents=contents)
-        published.dataset(platform, owner_id, {"test": [one["id"] for one in facts]}, name)
+        published.dataset(platform, owner_id, {"test": [fact["id"] for fact in facts]}, name)
         truths = [_corrected(of, 100 * version + k) for k, of in enumerate(truths)]
     with platform.database.transaction() as session:  # the labels' source runs
         session.execute(update(Job).where(Job.state == "queued").values(state="succeeded"))
@@ -89,7 +89,7 @@ def _sequence(platform: Platform, owner_id: str, number: int) -> dict[str, str]:
 
 def _corrected(labels: list[Grid], seed: int) -> list[Grid]:
     """Return the labels with repaired patches."""
-    patches = (_patches(seed, place) < CORRECTED_RATIO for place in range(len(labels)))
+    patches = (_patches(seed, index) < CORRECTED_RATIO for index in range(len(labels)))
     mended = (np.where(grid > 0, grid % 3 + 1, 0).astype(np.uint8) for grid in labels)
     return [
         np.where(is_mended[..., None], new, old) for is_mended, new, old in zip(patches, mended, labels, strict=True)
@@ -100,18 +100,18 @@ def _predictions(
     facts: list[dict[str, str]], drawn: list[list[tuple[Grid, Grid]]], seed: int
 ) -> Iterator[tuple[str, tuple[bytes, ...]]]:
     for number, (sequence, of_sequence) in enumerate(zip(facts, drawn, strict=True)):
-        for place, (truth, predicted) in enumerate(of_sequence):
-            share = _patches(seed + 7919 * number, place)
+        for index, (truth, predicted) in enumerate(of_sequence):
+            share = _patches(seed + 7919 * number, index)
             grids = (np.where((share < (level + 1) / LEVELS)[..., None], predicted, truth) for level in range(LEVELS))
             yield (
-                frame_token(sequence["name"], made.stamp_of(place)),
+                frame_token(sequence["name"], made.stamp_of(index)),
                 tuple(npz_bytes({"semantics": grid}) for grid in grids),
             )
 
 
-def _patches(seed: int, place: int) -> NDArray[np.float64]:
+def _patches(seed: int, index: int) -> NDArray[np.float64]:
     """Return ranks in [0, 1) over the squares of a frame, similar for neighbours: the share of ranks below q is q."""
-    field = fractal(np.random.default_rng((seed, place)), 256, 1.6, 60)
+    field = fractal(np.random.default_rng((seed, index)), 256, 1.6, 60)
     ranks = np.empty(field.size)
     ranks[np.argsort(field, axis=None)] = np.arange(field.size) / field.size
     return ranks.reshape(field.shape)

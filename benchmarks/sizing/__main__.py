@@ -41,20 +41,20 @@ def _show_recordings(line: CostLine, counted: Mapping[str, float]) -> None:
     hour = line.of(HOUR_FRAMES, HOUR_FRAMES / DRIVE_FRAMES)
     many = line.of(MANY_FRAMES, MANY_FRAMES / DRIVE_FRAMES)
     table = Table("of a recording", "once", "1,000 frames", "an hour", f"{MANY_FRAMES:,} frames", title="recordings")
-    for what in (one for one in counted if line.once[one] or line.each_frame[one]):
+    for what in (name for name in counted if line.once[name] or line.each_frame[name]):
         figures = (line.once[what], 1000 * line.each_frame[what], hour[what], many[what])
         table.add_row(what, *(f"{figure:,.1f}" for figure in figures))
     CONSOLE.print(table)
 
 
 def _show_submissions(line: CostLine) -> None:
-    one = line.of(PHASE_FRAMES)
+    costs = line.of(PHASE_FRAMES)
     season = line.of(SEASON_SUBMISSIONS * PHASE_FRAMES, SEASON_SUBMISSIONS)
     table = Table(
         "of a submission", "once", "1,000 frames", f"{PHASE_FRAMES:,} frames", "a season", title="submissions"
     )
-    for what in (one for one in line.once if line.once[one] or line.each_frame[one]):
-        figures = (line.once[what], 1000 * line.each_frame[what], one[what], season[what])
+    for what in (name for name in line.once if line.once[name] or line.each_frame[name]):
+        figures = (line.once[what], 1000 * line.each_frame[what], costs[what], season[what])
         table.add_row(what, *(f"{figure:,.2f}" for figure in figures))
     CONSOLE.print(table)
 

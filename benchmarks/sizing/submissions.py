@@ -38,7 +38,7 @@ def submission_costs(frames: int, submissions: int, workers: int) -> MeasuredCos
             season = open_season(admin, VERSIONS[0], size.scorings)
             team = season.found_team(0)
             truths = f"/admin/phases/{season.phase_id}/ground-truths"
-            wait_until(lambda: all(one["state"] == "ready" for one in admin.pages(truths)))
+            wait_until(lambda: all(truth["state"] == "ready" for truth in admin.pages(truths)))
             before = holdings_of(running.platform)
             packed = _packed(predictions, Path(folder), submissions)
             waited_s = sum(_scored_after_s(season, team, path) for path in packed)

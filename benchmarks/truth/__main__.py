@@ -130,7 +130,7 @@ def _untiled_measured(drive: Drive, labels: Path, untiled: Path) -> Figures:
     """Return the differences of the labels of profile `paper` from the labels in one cube."""
     record = _labelled(_amid_cube(drive), untiled, replace(parameters_for("paper"), tiling=UNTILED))
     seam = seam_counts(drive, labels, untiled)
-    ious = [judged(drive, one).iou or 0.0 for one in (labels, untiled)]
+    ious = [judged(drive, folder).iou or 0.0 for folder in (labels, untiled)]
     return {
         "untiled_tiles": record["tiles"],
         "untiled_class_differs": seam.class_differs / seam.occupied,

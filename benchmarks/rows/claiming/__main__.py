@@ -63,16 +63,16 @@ def _count(options: argparse.Namespace) -> None:
 
 
 def _share(options: argparse.Namespace) -> None:
-    found = shared(options.processes, options.seconds, options.runs)
+    result = shared(options.processes, options.seconds, options.runs)
     options.json.parent.mkdir(parents=True, exist_ok=True)
-    options.json.write_text(json.dumps(asdict(found), indent=1) + "\n", "utf-8")
+    options.json.write_text(json.dumps(asdict(result), indent=1) + "\n", "utf-8")
     figures = {
-        "jobs/s": found.jobs / found.lasted_s,
-        "transactions/s": found.transactions / found.lasted_s,
-        "transactions a job": found.transactions / max(found.jobs, 1),
-        "ms of PostgreSQL's processor time a job": 1e3 * found.database_cpu_s / max(found.jobs, 1),
+        "jobs/s": result.jobs / result.lasted_s,
+        "transactions/s": result.transactions / result.lasted_s,
+        "transactions a job": result.transactions / max(result.jobs, 1),
+        "ms of PostgreSQL's processor time a job": 1e3 * result.database_cpu_s / max(result.jobs, 1),
     }
-    CONSOLE.print(f"{found.processes} processes for {found.lasted_s:.1f} s, load average {os.getloadavg()[0]:.1f}")
+    CONSOLE.print(f"{result.processes} processes for {result.lasted_s:.1f} s, load average {os.getloadavg()[0]:.1f}")
     for name, figure in figures.items():
         CONSOLE.print(f"{figure:10.2f} {name}")
 
@@ -87,9 +87,15 @@ def _foretell(options: argparse.Namespace) -> None:
     table = Table(title=f"a database of {of_database}; jobs of {sum(demand.job_s) / len(demand.job_s):.2f} s")
     for column in ("workers", "jobs a second", "runs an hour", "in jobs", "database"):
         table.add_column(column, justify="right")
-    for one in paces:
-        runs = one.jobs_per_s * 3600 / len(demand.job_s)
-        row = (f"{one.workers:,}", f"{one.jobs_per_s:.1f}", f"{runs:,.0f}", f"{one.busy:.0%}", f"{one.database:.0%}")
+    for rate in paces:
+        runs = rate.jobs_per_s * 3600 / len(demand.job_s)
+        row = (
+            f"{rate.workers:,}",
+            f"{rate.jobs_per_s:.1f}",
+            f"{runs:,.0f}",
+            f"{rate.busy:.0%}",
+            f"{rate.database:.0%}",
+        )
         table.add_row(*row)
     CONSOLE.print(table)
     CONSOLE.print(f"all of them do what {carried(paces):.0f} workers would at the pace of {paces[0].workers}")
@@ -102,7 +108,7 @@ def _show_count(cost: RunCost) -> None:
     table = Table(title=f"{title}, load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
     for column in ("what for", "transactions a job", "statements a job", "transactions/s of an idle process"):
         table.add_column(column, justify="left" if column == "what for" else "right")
-    for purpose, times in sorted(cost.run.transactions.items(), key=lambda one: -one[1]):
+    for purpose, times in sorted(cost.run.transactions.items(), key=lambda item: -item[1]):
         idle = cost.idle.transactions.get(purpose, 0) / cost.idle.lasted_s / cost.idle.processes
         per_job = (times / cost.jobs, cost.run.statements[purpose] / cost.jobs, idle)
         table.add_row(purpose, *(f"{figure:.2f}" for figure in per_job))

@@ -139,24 +139,24 @@ def _cpu_s_unlogged(api: Api, postgres: PostgresServer, bag: Path, platform: Pla
 @contextmanager
 def _loaded(postgres: PostgresServer, processes: int) -> Iterator[list[DatabaseLoad]]:
     """Yield a list that contains, after the end, the workers' requests during the block."""
-    found: list[DatabaseLoad] = []
+    loads: list[DatabaseLoad] = []
     with postgres.log.open(errors="replace") as log:
         log.seek(0, 2)
         begun_s = time.monotonic()
-        yield found
+        yield loads
         lasted_s = time.monotonic() - begun_s
-        of_workers = [one for one in transactions(log) if one.program == WORKER]
-    asked, statements = Counter(one.purpose for one in of_workers), Counter[str]()
-    for one in of_workers:
-        statements[one.purpose] += len(one.statements)
-    found.append(DatabaseLoad(processes, lasted_s, dict(asked), dict(statements)))
+        of_workers = [transaction for transaction in transactions(log) if transaction.program == WORKER]
+    purposes, statements = Counter(transaction.purpose for transaction in of_workers), Counter[str]()
+    for transaction in of_workers:
+        statements[transaction.purpose] += len(transaction.statements)
+    loads.append(DatabaseLoad(processes, lasted_s, dict(purposes), dict(statements)))
 
 
 def _cpu_s_for(program: str, postgres: PostgresServer) -> float:
     """Return the processor time of the server's processes for a program, s; to the nanosecond, since it is little."""
     with psycopg.connect(postgres.url()) as connection:
-        asked = "SELECT pid FROM pg_stat_activity WHERE application_name = %s"
-        pids = [row[0] for row in connection.execute(asked, [program]).fetchall()]
+        query = "SELECT pid FROM pg_stat_activity WHERE application_name = %s"
+        pids = [row[0] for row in connection.execute(query, [program]).fetchall()]
     return sum(int(Path(f"/proc/{pid}/schedstat").read_text("ascii").split()[0]) for pid in pids) / 1e9
 
 

@@ -59,9 +59,9 @@ def demand_of(cost: Mapping[str, Any], *, is_shared: bool) -> JobDemand:
     Heartbeats are the keeper's if it is shared; otherwise they are counted to the job.
     """
     times, idle, job_s = cost["run"]["transactions"], cost["idle"], cost["job_s"]
-    asked = sum(times.values()) / max(1, sum(times.values()) - times.get(LIVENESS, 0))
-    beats = sum(times.get(name, 0) for name in BEATS) * asked
-    visits = sum(count for name, count in times.items() if name not in (*BEATS, PRESENCE, LIVENESS)) * asked
+    ratio = sum(times.values()) / max(1, sum(times.values()) - times.get(LIVENESS, 0))
+    beats = sum(times.get(name, 0) for name in BEATS) * ratio
+    visits = sum(count for name, count in times.items() if name not in (*BEATS, PRESENCE, LIVENESS)) * ratio
     presence = sum(idle["transactions"].values()) / idle["lasted_s"] / (1 if is_shared else idle["processes"])
     of_job, of_keeper = (visits, beats) if is_shared else (visits + beats, 0.0)
     return JobDemand(tuple(job_s), of_job / len(job_s), of_keeper / sum(job_s), presence)
@@ -87,7 +87,7 @@ def pace(demand: JobDemand, fleet: WorkerFleet, lasting_s: float = 60.0, seed: i
 def carried(paces: Sequence[FleetPace]) -> float:
     """Return the best throughput in workers at the pace of the first: the bend of the curve."""
     first = paces[0]
-    return max(one.jobs_per_s for one in paces) / (first.jobs_per_s / first.workers)
+    return max(rate.jobs_per_s for rate in paces) / (first.jobs_per_s / first.workers)
 
 
 class _Simulation:

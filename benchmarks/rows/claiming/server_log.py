@@ -37,8 +37,8 @@ class LoggedTransaction:
     def purpose(self) -> str:
         """The first of `PURPOSES` that matches any of its statements, else the work itself."""
         inner = [sql for sql in self.statements if sql not in ("BEGIN", *ENDS)]
-        found = (name for name, sign in PURPOSES if any(re.search(sign, sql) for sql in inner))
-        return next(found, OTHER)
+        purposes = (name for name, sign in PURPOSES if any(re.search(sign, sql) for sql in inner))
+        return next(purposes, OTHER)
 
 
 def transactions(lines: Iterable[str]) -> Iterator[LoggedTransaction]:
@@ -70,6 +70,6 @@ def _statements(lines: Iterable[str]) -> Iterator[tuple[str, str, str]]:
 
 
 def _statement(line: str) -> tuple[str, str, str] | None:
-    said = _LINE.fullmatch(line)
-    sql = _STATEMENT.fullmatch(said["said"]) if said and said["level"] == "LOG" else None
-    return None if said is None or sql is None else (said["program"], said["server"], sql["sql"].strip())
+    match = _LINE.fullmatch(line)
+    sql = _STATEMENT.fullmatch(match["said"]) if match and match["level"] == "LOG" else None
+    return None if match is None or sql is None else (match["program"], match["server"], sql["sql"].strip())
