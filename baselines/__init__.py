@@ -8,6 +8,6 @@ platform, which runs without torch, imports nothing from here.
 import os
 
 # AMX (matrix tiles of newer Xeons) is disabled: with it oneDNN of torch 2.13 computes wrong bfloat16 convolutions of
-# few input channels (pytorch issues 169688 and 163347). oneDNN reads the variable at its first use, so it is set before
-# any model.
+# few input channels (pytorch issues 169688 and 163347). The variable is set before any model, because oneDNN reads it
+# at its first use.
 os.environ.setdefault("ONEDNN_MAX_CPU_ISA", "AVX512_CORE_BF16")

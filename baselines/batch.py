@@ -1,7 +1,7 @@
 """Inputs of a model for B frames, and its training targets.
 
 **Conventions.** The *grid frame* is the ego frame at the LiDAR's stamp (x forward, y left, z up), mirrored or rotated
-by `grid_from_ego` if training augments it; points and labels are already in it. Cameras are optical frames (x right, y
+by `grid_from_ego` if training augments it. Points and labels are already in it. Cameras are optical frames (x right, y
 down, z forward), pixels u right, v down, the centre of the first pixel (0, 0). Images are undistorted;
 `augmented_from_image` contains their resizing, cropping and mirroring. A model sees earlier sweeps, never later ones.
 """
@@ -24,7 +24,7 @@ class CameraViews:
     """Images of N cameras, and their poses relative to the ego frame.
 
     `images` (B, N, 3, H, W) float32, normalised by ImageNet's mean and deviation. `intrinsics` (B, N, 3, 3) of the
-    undistorted image before augmentation, `augmented_from_image` (B, N, 3, 3) affine, `ego_from_camera` (B, N, 4, 4)
+    undistorted image before augmentation, `augmented_from_image` (B, N, 3, 3) affine. `ego_from_camera` (B, N, 4, 4)
     from the camera at its exposure to the ego frame at the LiDAR's stamp. `depth_m` (B, N, H, W): the LiDAR's depth
     along z at a pixel of `images`, 0 without a return; only in training.
     """

@@ -197,8 +197,8 @@ def _stacked(matrices: Sequence[NDArray[np.float64]]) -> torch.Tensor:
     return torch.from_numpy(np.stack(matrices)).float()[None]
 
 
-# Targets of depth networks: the LiDAR's depth at pixels. Depth is along z of the optical frame, metres; of several
-# points at a pixel the nearest counts.
+# Targets of depth networks: the LiDAR's depth at pixels. Depth is along z of the optical frame, metres; the nearest of
+# several points at a pixel counts.
 
 
 def depth_picture(

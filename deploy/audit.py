@@ -25,18 +25,18 @@ PIP_AUDIT = ("--requirement", str(LOCK), "--no-deps", "--disable-pip", "--format
 
 @dataclass(frozen=True)
 class AdvisoryAnswer:
-    """The answer of one service: `faults` has one line per advisory; `unasked` is the reason for a missing answer."""
+    """The answer of one service: `faults` has one line per advisory; `failure` is the reason for a missing answer."""
 
     name: str
     faults: tuple[str, ...] = ()
-    asked: int = 0
-    unasked: str = ""
+    packages: int = 0
+    failure: str = ""
 
     def lines(self) -> list[str]:
-        if self.unasked:
-            return [f"{self.name}: NOT AUDITED: {self.unasked}"]
+        if self.failure:
+            return [f"{self.name}: NOT AUDITED: {self.failure}"]
         if not self.faults:
-            return [f"{self.name}: {self.asked} packages, no advisory"]
+            return [f"{self.name}: {self.packages} packages, no advisory"]
         return [f"{self.name}: {line}" for line in self.faults]
 
 
@@ -48,7 +48,7 @@ def main() -> int:
         sys.stdout.write("\n".join(verdict.lines()) + "\n")
     if any(verdict.faults for verdict in verdicts):
         return FAULTS
-    return UNASKED if any(verdict.unasked for verdict in verdicts) else CLEAN
+    return UNASKED if any(verdict.failure for verdict in verdicts) else CLEAN
 
 
 def _python(accepted: Mapping[str, str]) -> AdvisoryAnswer:
@@ -56,12 +56,12 @@ def _python(accepted: Mapping[str, str]) -> AdvisoryAnswer:
     program = shutil.which("pip-audit") or (str(beside) if beside.exists() else "")
     report = _report_of(program, PIP_AUDIT, Path())
     if isinstance(report, str):
-        return AdvisoryAnswer("python", unasked=report)
+        return AdvisoryAnswer("python", failure=report)
     packages = report.get("dependencies")
     if not isinstance(packages, list) or not packages:
-        return AdvisoryAnswer("python", unasked="pip-audit reported no package")
+        return AdvisoryAnswer("python", failure="pip-audit reported no package")
     if skipped := [f"{package['name']} ({package['skip_reason']})" for package in packages if "skip_reason" in package]:
-        return AdvisoryAnswer("python", unasked=f"{len(skipped)} packages were skipped, first {skipped[0]}")
+        return AdvisoryAnswer("python", failure=f"{len(skipped)} packages were skipped, first {skipped[0]}")
     known = [(package, fault) for package in packages for fault in package.get("vulns", ())]
     faults = [
         f"{package['name']} {package['version']}: {fault['id']}, "
@@ -75,10 +75,10 @@ def _python(accepted: Mapping[str, str]) -> AdvisoryAnswer:
 def _pages(accepted: Mapping[str, str]) -> AdvisoryAnswer:
     report = _report_of(shutil.which("npm") or "", ("audit", "--json", "--package-lock-only"), PAGES)
     if isinstance(report, str):
-        return AdvisoryAnswer("pages", unasked=report)
+        return AdvisoryAnswer("pages", failure=report)
     if "vulnerabilities" not in report:
         return AdvisoryAnswer(
-            "pages", unasked=str(report.get("message") or report.get("error") or "npm returned no result")[:300]
+            "pages", failure=str(report.get("message") or report.get("error") or "npm returned no result")[:300]
         )
     faults = [
         f"{name}: {via['title']} ({via['url'].rpartition('/')[2]}, {via['severity']})"

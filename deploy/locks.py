@@ -62,7 +62,7 @@ def needed(group: str) -> set[str]:
 
 
 def asked(group: str) -> list[Requirement]:
-    """Return the requirements of the dependency group and its included groups; `RUNTIME`: of the project and its
+    """Return the requirements of the dependency group and its included groups; for `RUNTIME` those of project and
     client.
     """
     projects = [tomllib.loads((ROOT / path).read_text("utf-8")) for path in PROJECTS]

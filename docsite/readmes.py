@@ -28,12 +28,12 @@ def included_pages() -> Mapping[str, str]:
 def relinked(text: str, source: str, page: str) -> str:
     """Return the text of the file `source` as the page `page` of the site."""
 
-    def led(found: re.Match[str]) -> str:
-        words, link, place = found.group(1), found.group(2), found.group(3) or ""
+    def led(match: re.Match[str]) -> str:
+        words, link, fragment = match.group(1), match.group(2), match.group(3) or ""
         if "://" in link:
-            return found.group(0)
+            return match.group(0)
         target = _page_of(posixpath.normpath(posixpath.join(posixpath.dirname(source), link)))
-        return f"[{words}]({posixpath.relpath(target, posixpath.dirname(page))}{place})" if target else words
+        return f"[{words}]({posixpath.relpath(target, posixpath.dirname(page))}{fragment})" if target else words
 
     return LINK.sub(led, text)
 

@@ -26,7 +26,7 @@ def _section(name: str) -> str:
     kind = getattr(sdk, name)
     parts = [f"## {name}\n", f"{_text(kind)}\n"]
     if is_dataclass(kind):
-        listed = ", ".join(code(f"{one.name}: {one.type}") for one in fields(kind) if not one.name.startswith("_"))
+        listed = ", ".join(code(f"{item.name}: {item.type}") for item in fields(kind) if not item.name.startswith("_"))
         parts.append(f"Fields: {listed}\n")
     else:
         parts.append(f"```\n{name}{_signature(kind.__init__)}\n```\n")
@@ -51,7 +51,7 @@ def _members(kind: type) -> Iterator[str]:
 def _signature(function: Callable[..., Any]) -> str:
     """Return the signature as in the source, without `self`."""
     signature = inspect.signature(function)
-    shown = [_in_words(one) for one in signature.parameters.values() if one.name != "self"]
+    shown = [_in_words(item) for item in signature.parameters.values() if item.name != "self"]
     returned = signature.return_annotation
     return str(signature.replace(parameters=shown, return_annotation=_Words(returned)))
 

@@ -63,9 +63,9 @@ def _own_rows() -> Iterator[tuple[str, str, str]]:
 
 
 def _group_rows(group: str, defaults: Any) -> Iterator[tuple[str, str, str]]:
-    for one in fields(defaults):
-        shown = _shown(one.name, getattr(defaults, one.name))
-        yield code(_variable(group, one.name)), code(_type_name(one.type)), shown
+    for item in fields(defaults):
+        shown = _shown(item.name, getattr(defaults, item.name))
+        yield code(_variable(group, item.name)), code(_type_name(item.type)), shown
 
 
 def _bound_rows() -> Iterator[tuple[str, str, str]]:

@@ -1,8 +1,8 @@
 """Every string that a page, an answer, a command or the docs can show: `python -m docsite.strings` lists them.
 
-**Conventions.** The sources are parsed, not run. The list contains the text of templates, literals of Python and
-TypeScript that contain a blank, docstrings shown to users (titles of errors, summaries of routes, help of commands) and
-lines of the docs. It also contains literals that only logs show.
+**Conventions.** The sources are parsed, not run. The list contains the text of templates, lines of the docs, and
+literals of Python and TypeScript that contain a blank. It also contains docstrings shown to users (titles of errors,
+summaries of routes, help of commands), and literals that only logs show.
 """
 
 import ast

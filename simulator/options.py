@@ -47,11 +47,11 @@ class SimulateOptions:
     (`simulator/scenery/movers.py`); `busy`: three walkers and two vehicles.
 
     The default compression lz4 nearly halves the bag at no measurable time, because packet stamps, rings and missing
-    returns repeat. zstd is smaller still, but costs more to write and twice as much to read.
+    returns repeat. The compression zstd is smaller, but costs more to write and twice as much to read.
 
     `camera_detail` is `coarse`, 80 × 50 rays per image, enlarged; `half`, a ray for every 2 × 2 pixels and a sensor's
-    noise; or `full`, a ray for each pixel: images for training, at a cost (docs/research/benchmarks.md). `illumination`
-    is a word of the platform.
+    noise; or `full`, a ray for each pixel. Full images suit training, at a cost (docs/research/benchmarks.md).
+    `illumination` is a word of the platform.
 
     `noise_ratio` scales the sensors' noise: 0 measures exactly, 1 is the paper's rig. `range_noise` adds the other
     disturbances of real LiDAR ranges (`simulator/sensors/lidar.py`). `beside_track` adds rocks and bushes close to the

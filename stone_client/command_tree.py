@@ -90,15 +90,15 @@ GROUPS = (
 )
 OWN: tuple[Place, ...] = (*places(HERE, PACKAGE, "validate", "baseline", "score", "explain"), *GROUPS, ADMIN)
 COMMANDS: tuple[Place, ...] = tuple(
-    place for panel in PANELS for place in (*platform_places(), *OWN) if place.panel == panel
+    entry for panel in PANELS for entry in (*platform_places(), *OWN) if entry.panel == panel
 )
 
 
-def leaves(found: Sequence[Place] = COMMANDS, path: tuple[str, ...] = ()) -> Iterator[tuple[str, CommandPlace]]:
+def leaves(listed: Sequence[Place] = COMMANDS, path: tuple[str, ...] = ()) -> Iterator[tuple[str, CommandPlace]]:
     """Yield every command below these places with its words, such as `dataset splits put`."""
-    for place in found:
-        here = (*path, place.word)
-        if isinstance(place, GroupPlace):
-            yield from leaves(place.places, here)
+    for entry in listed:
+        here = (*path, entry.word)
+        if isinstance(entry, GroupPlace):
+            yield from leaves(entry.places, here)
         else:
-            yield " ".join(here), place
+            yield " ".join(here), entry

@@ -117,7 +117,7 @@ class LazyCommands(MutableMapping[str, Command]):
     """Commands by word, in the order of their places; each is loaded at its first use."""
 
     def __init__(self, listed: Sequence[Place], given: MutableMapping[str, Command]) -> None:
-        self._places = {place.word: place for place in listed}
+        self._places = {entry.word: entry for entry in listed}
         self._loaded = dict(given)
 
     def __getitem__(self, word: str) -> Command:

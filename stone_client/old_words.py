@@ -1,7 +1,7 @@
 """Command and option words of release 0.1; each prints one line on stderr and runs the current command.
 
-**Conventions.** `OLD_WORDS` is the only table. The first matching row of an old word applies: a row with a flag matches
-if the flag is given, a row that needs an argument if an argument is given, any other row always.
+**Conventions.** `OLD_WORDS` is the only table. The first matching row of an old word applies. A row with a flag matches
+if the flag is given, a row that needs an argument if an argument is given; any other row always matches.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence

@@ -1,4 +1,4 @@
-"""Checks of a calibration file before labelling: by itself, and against a recording.
+"""Checks of a calibration file before labelling: the file alone, and against a recording.
 
 **Conventions.** The file is read as ingest reads it. With a recording, the run is synchronised as for labels, so that
 the ground and the cameras are measured by the same code. Only the findings about calibrations (`CAL-*`, and cameras

@@ -37,7 +37,7 @@ NOTE = (
 
 @dataclass(frozen=True)
 class CeilingPlan:
-    """How to halve, label and score a drive; `output` is a folder."""
+    """Settings to halve, label and score a drive; `output` is a folder."""
 
     output: Path
     by: Halving

@@ -3,8 +3,8 @@
 out(p) = Σ_k w_k · m_k(p) · x(stride·p + k + Δ_k(p)), x bilinear between pixels and 0 beyond the edge.
 
 **Conventions.** Taps run over rows, then columns; `conv_offset` returns (Δv, Δu) of each of the nine, then the nine
-logits of m = sigmoid: the order of mmcv, so that its checkpoints fit. Initial offsets are 0, so m is ½. Source: Zhu et
-al., Deformable ConvNets v2 (CVPR 2019); Dai et al. (ICCV 2017) if `is_modulated` is false (m = 1);
+logits of m = sigmoid. This is the order of mmcv, so that its checkpoints fit. Initial offsets are 0, so m is ½. Source:
+Zhu et al., Deformable ConvNets v2 (CVPR 2019); Dai et al. (ICCV 2017) if `is_modulated` is false (m = 1);
 mmcv/ops/modulated_deform_conv.py.
 """
 

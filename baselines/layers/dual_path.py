@@ -17,7 +17,7 @@ from torch.utils.checkpoint import checkpoint
 from baselines.layers.shifted_windows import ShiftedWindowBlock, WindowSettings
 
 NORM_GROUPS = 32
-REDUCTION = 4  # of channels within the dilated convolutions
+REDUCTION = 4  # fewer channels within the dilated convolutions
 DILATIONS = (6, 12, 18)
 
 

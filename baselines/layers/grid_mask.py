@@ -1,13 +1,13 @@
 """GridMask: in training, squares of a random lattice are blanked in all images alike.
 
-Source: Chen et al., GridMask Data Augmentation, arXiv 2001.04086; TPVFormer's `use_grid_mask` with its values: half of
-each period blank along rows and along columns, so a quarter of the image, without rotation.
+Source: Chen et al., GridMask Data Augmentation, arXiv 2001.04086; TPVFormer's `use_grid_mask` with its values. Half of
+each period is blank along rows and along columns, so a quarter of the image, without rotation.
 """
 
 import torch
 from torch import Tensor, nn
 
-KEPT_RATIO = 0.5  # of a period
+KEPT_RATIO = 0.5  # share of a period
 SHORTEST_PERIOD_PX = 2
 
 

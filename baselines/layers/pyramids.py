@@ -17,8 +17,8 @@ from torch.nn import functional
 class FPNConfig:
     """Widths of the input maps, finest first, and of the output maps.
 
-    `extra_levels` more maps, each half as large, are convolved from the coarsest map: of the backbone ("input"), or of
-    the pyramid ("output"); "pool" takes every other pixel instead.
+    `extra_levels` more maps, each half as large, are convolved from the backbone's coarsest map ("input") or the
+    pyramid's ("output"); "pool" takes every other pixel instead.
     """
 
     in_channels: tuple[int, ...]

@@ -112,7 +112,7 @@ def parted_by_the_roll(size: tuple[int, int], window: int, shift: int) -> Tensor
     positions = [torch.arange(n) for n in size]
     rows, columns = (
         (p >= n - window).long() + (p >= n - shift).long() for p, n in zip(positions, size, strict=True)
-    )  # 0: far from the end, 1: of its last window, 2: rolled over from the beginning
+    )  # 0: far from the end, 1: in its last window, 2: rolled over from the beginning
     region = windows_of((3 * rows[:, None] + columns)[None, :, :, None], window)[0, :, :, 0]
     return region[:, :, None] != region[:, None, :]
 

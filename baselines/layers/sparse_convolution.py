@@ -161,7 +161,7 @@ def halved(shape: Shape) -> Shape:
 
 # Sparse encoder of LiDAR: from means of points in voxels to a dense volume 4 or 8 times coarser. Source:
 # OpenOccupancy's `occ_plugin/occupancy/voxel_encoder/sparse_lidar_enc.py`, `SparseLiDAREnc8x` and `4x`. The official
-# code has `GroupNorm(16, 16)` after the first convolution, on rows of 16 numbers: each number is a group, so all become
+# code has `GroupNorm(16, 16)` after the first convolution, on rows of 16 numbers. Each number is a group, so all become
 # the bias and the encoder sees only which voxels are occupied. Here both such norms are batch norms, like all others,
 # with as many parameters.
 

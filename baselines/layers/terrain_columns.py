@@ -1,7 +1,7 @@
 """Points as columns that follow the terrain: a map of the ground below them, and the hits above it.
 
 **Conventions.** The *reference* of a column is a smooth estimate of the ground's height from the lowest points near it.
-An *aligned* height k of K is k + ½ voxels above the column's *base*, a whole number of voxels of the lattice's z axis
+An *aligned* height k of K is k + ½ voxels above the column's *base*. The base is a voxel index of the lattice's z axis
 (below 0 or beyond the lattice if the terrain is). So neighbouring columns of one slope are similar, whatever their
 heights. Maps are (B, channels, X, Y). All in float32 outside autocast; nothing here is learned.
 """
@@ -118,8 +118,8 @@ STATISTICS = 11
 def statistics_of(hits: ColumnHits, terrain: TerrainColumns, lattice: VoxelLattice) -> Tensor:
     """Return maps (B, 11, X, Y) of column statistics.
 
-    They are: hit or not, log count, lowest, highest, mean and deviation in m above the reference, mean intensity; the
-    reference in m and within its voxel, and its slope along x and y (m / m).
+    They are hit or not, log count, lowest, highest, mean and deviation in m above the reference, and mean intensity.
+    The others are the reference in m and within its voxel, and its slope along x and y (m / m).
     """
     reference = terrain.reference_m.reshape(-1)
     above = hits.features[:, 2] - reference[hits.column]

@@ -11,7 +11,7 @@ from torch.nn import functional
 
 from baselines.layers.lifting import Frustum
 
-DEVIATION_M = 0.5  # of the target about the depth: `constant_std` of OpenOccupancy
+DEVIATION_M = 0.5  # the target's, about the depth: `constant_std` of OpenOccupancy
 
 
 def nearest_depth(depth_m: Tensor, stride: int) -> Tensor:
@@ -26,7 +26,7 @@ def depth_divergence(probabilities: Tensor, depth_m: Tensor, frustum: Frustum) -
     """Return the Kullback-Leibler divergence from a normal distribution about the depth, integrated over each bin.
 
     In the official code the normal distribution is in steps and the bins' edges are in metres, so that steps of 0.5 m
-    put the target at twice the depth; here both are in metres.
+    put the target at twice the depth. Here both are in metres.
     """
     with torch.autocast(probabilities.device.type, enabled=False):
         depth, is_known = targets(depth_m, frustum)

@@ -28,14 +28,14 @@ from baselines.layers.masked_attention import MaskPrediction
 
 @dataclass(frozen=True)
 class PointSettings:
-    """`points` voxels for a mask, of which `uncertain_ratio` are the least decided and the others uniform draws.
+    """`points` voxels for a mask: a share `uncertain_ratio` of the least decided, the others uniform draws.
 
     The least decided are chosen from `oversampling` times as many drawn by class. A class is drawn in proportion to its
     rarity to the power `rarity_exponent`.
 
     `align_corners`: centres of the corner voxels of mask and labels coincide, as in the official training and
-    inference, so that a mask is stretched by half a voxel of the labels at its borders; otherwise the volumes' corners
-    do.
+    inference. A mask is then stretched by half a voxel of the labels at its borders. Otherwise the volumes' corners
+    coincide.
     """
 
     points: int = 4 * 12_544

@@ -109,8 +109,8 @@ def focal_loss(logits: Tensor, labels: Tensor, gamma: float = 2.0, alpha: float 
 def coarse_labels(labels: Tensor, ratio: int, classes: int = 4) -> Tensor:
     """Return each cell's most frequent occupied class: free if all its voxels are, ignored if undecided.
 
-    Labels (B, X, Y, Z) uint8 to (B, X / ratio, Y / ratio, Z / ratio) uint8. Of equally frequent classes the lower wins.
-    OpenOccupancy's `OccHead.loss_voxel`, except for a cell whose occupied classes all occur once: it is ignored there,
+    Labels (B, X, Y, Z) uint8 to (B, X / ratio, Y / ratio, Z / ratio) uint8. The lower of equally frequent classes wins.
+    OpenOccupancy's `OccHead.loss_voxel` differs for a cell whose occupied classes all occur once. It ignores the cell,
     since each free voxel counts as a class of its own and the lowest is taken.
     """
     if ratio == 1:

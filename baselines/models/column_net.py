@@ -5,7 +5,7 @@ Off-road scenes are mostly a height map with objects on it. Points become column
 at full resolution. Only these steps depend on the number of points; `TraversabilityNet` is plain, of static shapes.
 
 A second output is the uncertainty: the logarithm of a temperature of each voxel, learned from the cross entropy alone
-and without changing the classes (Ding et al., Local Temperature Scaling for Probability Calibration, ICCV 2021).
+and without changing the classes. Source: Ding et al., Local Temperature Scaling for Probability Calibration, ICCV 2021.
 """
 
 from math import log
@@ -132,7 +132,7 @@ class ColumnNet(OccupancyModel[ColumnOutputs]):
         return maps, base
 
     def geometry_channels(self) -> int:
-        """The channels of the maps of `geometry`."""
+        """Return the channels of the maps of `geometry`."""
         return EVIDENCE * self.config.heights + STATISTICS + self.has_radar * RADAR_STATISTICS
 
     def geometry(self, batch: Batch) -> ColumnGeometry:

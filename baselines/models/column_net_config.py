@@ -22,7 +22,7 @@ class ColumnNetConfig:
     widths: tuple[int, ...] = (48, 64, 96, 128)
     depths: tuple[int, ...] = (1, 2, 2, 3)
     head_channels: int = 16  # per attention head
-    mixed_channels: int = 96  # of a column's surroundings and its own hits together, for its heights
+    mixed_channels: int = 96  # a column's surroundings and its own hits together, for its heights
     image_channels: int = 16
     image_pool: int = 2
     unhit_top_m: float = 0.8  # above the ground: assumed top of a column without points, for camera lookups

@@ -29,7 +29,7 @@ from baselines.losses.masks import mask_losses
 from baselines.models.occformer_config import SCALES, OccFormerConfig
 from baselines.models.occupancy_model import OccupancyModel
 
-COARSEST_STRIDE = 32  # of the backbone's maps, in pixels
+COARSEST_STRIDE = 32  # the backbone's maps, in pixels
 QUERIES_AT_ONCE = 20  # queries whose masks are resampled together: 8 MB each on the benchmark's grid
 
 
@@ -44,10 +44,10 @@ class OccFormerOutputs:
 class OccFormer(OccupancyModel[OccFormerOutputs]):
     """Cameras to masks. An image's height and width are multiples of 32.
 
-    At full size 167,770,683 parameters, like the official modules at 4 classes (167.8 M): backbone 44,304,894, neck
-    1,967,104, depth network 27,842,360, encoder 81,429,184, pixel decoder 4,073,280, mask decoder 8,153,861. With
-    ResNet-50 146,973,821 (147.0 M). The official frustum, voxel sizes and the like are untrained parameters there, and
-    no parameters here.
+    At full size it has 167,770,683 parameters, like the official modules at 4 classes (167.8 M). The parts are backbone
+    44,304,894, neck 1,967,104, depth network 27,842,360, encoder 81,429,184, pixel decoder 4,073,280, mask decoder
+    8,153,861. With ResNet-50 146,973,821 (147.0 M). The official frustum, voxel sizes and the like are untrained
+    parameters there, and no parameters here.
     """
 
     modality = "C"

@@ -19,7 +19,7 @@ from baselines.layers.shifted_windows import WindowSettings
 from baselines.losses.masks import MaskLossSettings, PointSettings
 from baselines.models.occupancy_model import CLASSES
 
-SCALES = (0.25, 0.5, 1.0, 2.0)  # of the backbone's four maps to a sixteenth of the image
+SCALES = (0.25, 0.5, 1.0, 2.0)  # scales the backbone's four maps to a sixteenth of the image
 STRIDE = 16
 
 
@@ -43,7 +43,7 @@ class OccFormerConfig:
     backbone_style: Literal["pytorch", "caffe"] = "caffe"
     backbone_frozen_stages: int = 1
     backbone_norm_eval: bool = True
-    neck_channels: int = 128  # of each of the four maps
+    neck_channels: int = 128  # per map
     depth_range_m: tuple[float, float] = (2.0, 58.0)
     depth_step_m: float = 0.5
     depth_dropout: float = 0.5
@@ -61,7 +61,7 @@ class OccFormerConfig:
     query_heads: int = 6
     class_counts: tuple[int, int, int, int] = (20_510_000, 2_900, 120_000, 336_000)
     mask_points: int = 4 * 12_544
-    align_corners: bool = True  # of masks and lattice: `PointSettings`
+    align_corners: bool = True  # masks and lattice: `PointSettings`
     depth_loss_weight: float = 1.0
     checkpoint_gradients: bool = False
 

@@ -20,7 +20,8 @@ class OpenOccConfig:
     """One row, on a lattice. Defaults are L-OpenOcc's; `official_row` returns each of the six.
 
     `coarse_ratio` is 4 officially, for 512 × 512 × 40 voxels. On this grid it gives 64 × 64 × 8 cells, from which even
-    true labels recover less than half of the occupied voxels; 2 gives 128 × 128 × 16, about as many as officially.
+    true labels recover less than half of the occupied voxels. The default 2 gives 128 × 128 × 16, about as many as
+    officially.
 
     `supervises_voxels` compares coarse logits, interpolated, with the labels themselves; officially, and by default,
     with coarse labels. Only then can a row without the cascade learn surfaces thinner than a cell.
@@ -31,7 +32,7 @@ class OpenOccConfig:
     is_cascade: bool = False
     lattice: VoxelLattice = field(default_factory=VoxelLattice)
     coarse_ratio: int = 2
-    volume_channels: int = 80  # of each modality's coarse volume
+    volume_channels: int = 80  # each modality's coarse volume
 
     lidar_voxel_m: float = 0.1
     sparse_channels: int = 16  # at the first stage of the sparse encoder
@@ -39,7 +40,7 @@ class OpenOccConfig:
     image_shape: tuple[int, int] = (896, 1600)  # height, width
     resnet_depth: Literal[14, 26, 50, 101] = 50
     resnet_width: int = 64
-    frozen_stages: int = -1  # of the ResNet; officially 0 (its stem), which requires pretrained weights
+    frozen_stages: int = -1  # the ResNet's; officially 0 (its stem), which requires pretrained weights
     neck_channels: FourInts = (128, 128, 128, 128)
     depth_range_m: tuple[float, float] = (2.0, 58.0)
     depth_step_m: float = 0.5
@@ -48,7 +49,7 @@ class OpenOccConfig:
     residual_channels: FourInts = (80, 160, 320, 640)
     residual_blocks: FourInts = (2, 2, 2, 2)
     pyramid_channels: int = 256
-    fine_channels: int = 64  # of the cascade; a multiple of 4
+    fine_channels: int = 64  # the cascade's; a multiple of 4
     refined_cells: int = 15_000  # limit per frame of occupied coarse cells in training; all when predicting
 
     class_counts: FourInts = TEN_FRAMES  # voxels of free, T, P, N: the weight of a class is 1 / log of its count

@@ -22,11 +22,11 @@ LEVELS = 4  # levels of image features for the attention
 class TPVFormerConfig:
     """`upscale`: the length of a plane's cell in voxels of the lattice. `cameras`: the exact number per frame.
 
-    `anchors` of a cell of the top, front and side plane lie along its column, and images are sampled at `points` places
-    around each; the top plane at 2 · `self_points` around each of its own cells. `grid_mask_probability`: the
-    probability of a training step with partly blanked images. Class weights apply to the cross entropy. `backbone_…`
-    are the fields of `ResNetConfig`: officially with frozen statistics, stem and first stage, for pretrained weights;
-    without them, −1 and False.
+    `anchors` of a cell of the top, front and side plane lie along its column. Images are sampled at `points` places
+    around each anchor, and the top plane at 2 · `self_points` around each of its own cells. `grid_mask_probability`:
+    the probability of a training step with partly blanked images. Class weights apply to the cross entropy.
+    `backbone_…` are the fields of `ResNetConfig`: officially with frozen statistics, stem and first stage, for
+    pretrained weights; without them, −1 and False.
     """
 
     architecture: Literal["tpvformer"] = "tpvformer"
@@ -67,7 +67,7 @@ class TPVFormerConfig:
         )
 
     def neck(self) -> FPNConfig:
-        """The neck of the maps of strides 8, 16 and 32, and one of stride 64."""
+        """Return the neck of the maps of strides 8, 16 and 32, and one of stride 64."""
         return FPNConfig(self.backbone().channels()[1:], self.channels, extra_levels=LEVELS - 3)
 
     def encoder(self) -> TPVEncoderConfig:

@@ -19,8 +19,8 @@ class Light:
     """The light of one illumination word.
 
     `beam` comes from one direction and casts shade; `zenith` and `horizon` are the sky's. `clouds` is roughly the cloud
-    cover, −1 for none; `noise_8bit` the deviation of a dark pixel's value; `lamp` a lamp's strength, half of which
-    arrives at 1 m.
+    cover, −1 for none; `noise_8bit` the deviation of a dark pixel's value; `lamp` a lamp's strength, which halves at 1
+    m.
     """
 
     elevation_deg: float

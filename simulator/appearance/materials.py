@@ -20,9 +20,9 @@ from stone.geometry.se3 import Array
 # Noise that is a function of position: values on integer lattices from a shuffled table, without state. Positions are
 # in metres in the map frame, (N, 2) or (N, 3) float32. `footprint_m` (N,) is how much of the surface one pixel covers:
 # an octave fades out as its wavelength falls from two footprints to one, below which it would only flicker. An octave's
-# values lie in [−1, 1]; each next octave has half the wavelength and half the amplitude, so that a sum lies in (−1, 1)
-# with a deviation of about 0.2. Each layer is another noise; a layer repeats after 1,024 waves. Method: value noise on
-# a permutation table (Perlin 1985, "An image synthesizer", sections 3 and 5).
+# values lie in [−1, 1]; each next octave has half the wavelength and half the amplitude. So a sum lies in (−1, 1) with
+# a deviation of about 0.2. Each layer is another noise; a layer repeats after 1,024 waves. Method: value noise on a
+# permutation table (Perlin 1985, "An image synthesizer", sections 3 and 5).
 
 
 Floats = NDArray[np.float32]
@@ -289,9 +289,9 @@ def _tinted(colour: Rgb | Floats, shade: Array | Floats) -> Floats:
 
 # The ground cover: bare soil on the track, grass and tall grass beside it, gravel, rock on steep slopes. Layers lie on
 # the terrain's lattice, (ny, nx, `LAYERS`) float32: the shares of soil, gravel, rock and tall grass, 0 to 1 (the rest
-# is grass); the height in metres, and its gradients along x and y, from which the normal is computed. As outdoors,
-# looks go with drivability: the track is bare, slopes beyond `STEEP_RAD` are scree, then rock, and ditches have banks
-# of earth.
+# is grass); the height in metres; and its gradients along x and y. The normal is computed from the gradients. As
+# outdoors, looks go with drivability: the track is bare, slopes beyond `STEEP_RAD` are scree, then rock, and ditches
+# have banks of earth.
 
 
 SOIL, GRAVEL, ROCK, TALL, HEIGHT, ALONG_X, ALONG_Y = range(7)

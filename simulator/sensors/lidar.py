@@ -22,9 +22,9 @@ from stone.sensors.calibration import Box
 # the hit surface, the cosine of the incidence there, and the reflectivity in [0, 1]. Dropouts: the mean returned power
 # is proportional to reflectivity · cos(incidence) / range² (Lambert); speckle makes it exponentially distributed around
 # its mean (Goodman, Speckle Phenomena in Optics, ch. 2), so a share exp(−threshold / mean) of the pulses is detected.
-# Mixed pixels: a beam as wide as `beam_rad` lies across the edge between its own surface and the next column's in the
-# share of cases that it fills of the angle between them. Echoes closer than a pulse's length merge into one between the
-# two surfaces. Rain: drops, insects and dust stop a ray at a constant rate along it, as far as they return enough.
+# Mixed pixels: a beam as wide as `beam_rad` lies across the edge between its own surface and the next column's. Its
+# probability is the beam's share of the angle between them. Echoes closer than a pulse's length merge into one between
+# the two surfaces. Rain: drops, insects and dust stop a ray at a constant rate along it, as far as they return enough.
 
 
 Ranges = NDArray[np.float32]
@@ -36,8 +36,8 @@ class RangeNoise:
     """The strength of the disturbances: from a surface of `half_reflectivity`, hit head-on at `half_range_m`, half the
     pulses return.
 
-    The defaults are those of small LiDARs of 16 to 64 channels: 45 m on 10 %, 3 mrad, a pulse of 10 ns; and moderate
-    rain, 2 of 1,000 rays.
+    The defaults are those of small LiDARs of 16 to 64 channels: 45 m on 10 %, 3 mrad, a pulse of 10 ns. The default
+    rain is moderate, 2 of 1,000 rays.
     """
 
     half_range_m: float = 45.0

@@ -140,8 +140,8 @@ def open_dataset(
 ) -> Dataset:
     """Open a published dataset, an export (folder, tar or ZIP) or a folder of labels.
 
-    `layout` and `grid` (a name or a file) are recognised if they are not given; of several grids in a label set, `grid`
-    chooses one. `classes` maps foreign class numbers.
+    `layout` and `grid` (a name or a file) are recognised if they are not given; `grid` chooses one of several grids in
+    a label set. `classes` maps foreign class numbers.
 
     Raises a `DatasetFaultError` with table, row and file, `bad_tar`, `bad_layout`, `bad_grid`, `not_labels`.
     """

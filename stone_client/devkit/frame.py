@@ -1,6 +1,6 @@
 """One frame of a dataset: its labels, poses and sensor data, each read at its first access.
 
-**Conventions.** Labels are aligned with the ego frame at the frame's stamp: axes x forward, y left, z up; the lower
+**Conventions.** Labels are aligned with the ego frame at the frame's stamp: axes x forward, y left, z up. The lower
 corner of voxel [i, j, k] is `grid.min_m` + [i, j, k] · `grid.voxel_m`. Transforms are homogeneous matrices (4, 4)
 float64, metres. `map` is the dataset's `global`. Cameras are optical: z forward, x right, y down.
 """

@@ -70,14 +70,14 @@ def read_label_set(path: Path, grid: LabelGrid | None = None) -> LabelSet:
     """Return the label set in a folder, at `grid` if it has several grids. Raises `not_labels`, `bad_grid`."""
     folder = _folder_of(path, grid)
     tokens = dict[str, tuple[str, ...]]()
-    for sequence in sorted(one for one in (folder / LABELS).iterdir() if one.is_dir()):
-        names = tuple(sorted(one.name for one in sequence.iterdir() if plain_token(one.name) == one.name))
+    for sequence in sorted(entry for entry in (folder / LABELS).iterdir() if entry.is_dir()):
+        names = tuple(sorted(entry.name for entry in sequence.iterdir() if plain_token(entry.name) == entry.name))
         tokens |= {sequence.name: names} if names else {}
     if not tokens:
         raise Refused("not_labels", f"{folder} has no {LABELS}/<sequence>/<frame_token>/labels.npz")
     layout = LAYOUTS["paper"].with_grid(grid or _grid_at(folder, tokens))
     found_set = LabelSet(folder, LabelFormat(layout, OWN_CLASSES), tokens)
-    scene = next((one / SCENE for one in (folder, path) if (one / SCENE).is_file()), None)
+    scene = next((entry / SCENE for entry in (folder, path) if (entry / SCENE).is_file()), None)
     return found_set if scene is None else _placed(found_set, json.loads(scene.read_text("utf-8")))
 
 

@@ -46,7 +46,7 @@ StrPath = str | Path
 
 
 def ignore_progress(_stage: str, _done: int, _total: int) -> None:
-    """The progress function that does nothing."""
+    """Do nothing: the default progress function."""
 
 
 class Stone:
@@ -167,11 +167,11 @@ class Stone:
         stated_classes = None if classes is None else Path(classes).read_text("utf-8")
         existing = "add" if add_to_existing else "refuse"
         stated_grid = chosen_grid(grid).as_record() if grid else None
-        place = place_named(str(path), with_pictures=False) if in_place else None
-        called = name or dataset_name(Path(place.path if place else path))
+        server_place = place_named(str(path), with_pictures=False) if in_place else None
+        called = name or dataset_name(Path(server_place.path if server_place else path))
         wishes = imports.DatasetWishes(called, stated_classes, existing, set_splits, is_public, layout, stated_grid)
-        if place is not None:
-            begun = imports.import_in_place(self.api, place, wishes)
+        if server_place is not None:
+            begun = imports.import_in_place(self.api, server_place, wishes)
         else:
             begun = imports.send_dataset(self.api, Path(path), wishes, self._progress)
         follow(self.api, begun["job_id"], self._progress)

@@ -282,7 +282,7 @@ def enter_benchmark(
     """Return the local score of the baseline, and the board with the entries.
 
     There is no board if the platform has other splits, a run is too short for a split, or the caller is no
-    administrator; then the baseline predicts the first run.
+    administrator. Then the baseline predicts the first run.
     """
     with demo_server.administering() as api:
         by_part = {labelled_run.recording.run.part: list[Item]() for labelled_run in labelled}

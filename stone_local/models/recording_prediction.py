@@ -40,15 +40,15 @@ from stone_submissions.manifest import read_manifest
 
 @dataclass(frozen=True, eq=False)
 class RecordedContent:
-    """The file that an export would have of a channel's `place`-th datum."""
+    """The file that an export would have of a channel's `number`-th datum."""
 
     samples: SampleSource
     channel: NuscenesChannel
-    place: int
+    number: int
 
     def read(self, most_bytes: int) -> bytes:
         """Return the bytes. Raises `damaged_sample`, and what `sample_file` raises."""
-        content, _ = sample_file(self.samples, self.channel, self.place)
+        content, _ = sample_file(self.samples, self.channel, self.number)
         if len(content) > most_bytes:
             raise self.damaged(f"it has {len(content)} bytes, expected at most {most_bytes}")
         return content
@@ -56,12 +56,12 @@ class RecordedContent:
     def damaged(self, why: str) -> Refused:
         return Refused(
             "damaged_sample",
-            f"frame {int(self.channel.frames[self.place])} cannot be predicted from the data of {self.channel.name} "
+            f"frame {int(self.channel.frames[self.number])} cannot be predicted from the data of {self.channel.name} "
             f"recorded: {why}",
         )
 
     def identity(self) -> list[str | int]:
-        return [self.channel.name, int(self.channel.stamps_ns[self.place])]
+        return [self.channel.name, int(self.channel.stamps_ns[self.number])]
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,16 +98,16 @@ class RecordedStore:
         )
 
     def _data(self, index: int) -> Mapping[str, ExportedDatum]:
-        places = ((channel, channel.place(index)) for channel in self._channels)
+        data = ((channel, channel.place(index)) for channel in self._channels)
         return {
             channel.name: ExportedDatum(
                 self._sensors[channel.name],
-                int(channel.stamps_ns[place]) // NS_PER_US,
-                channel.map_from_ego[place],
-                RecordedContent(self.samples, channel, place),
+                int(channel.stamps_ns[datum]) // NS_PER_US,
+                channel.map_from_ego[datum],
+                RecordedContent(self.samples, channel, datum),
             )
-            for channel, place in places
-            if place is not None and self._is_there(channel, index)
+            for channel, datum in data
+            if datum is not None and self._is_there(channel, index)
         }
 
     def _is_there(self, channel: NuscenesChannel, index: int) -> bool:

@@ -1,4 +1,4 @@
-"""The two attentions of TPVFormer: of the top plane to itself, and of all planes to the images.
+"""The two attentions of TPVFormer: from the top plane to itself, and from all planes to the images.
 
 Source: Huang et al., CVPR 2023, section 3.3; wzzheng/TPVFormer tpvformer04/modules/cross_view_hybrid_attention.py and
 image_cross_attention.py. Two differences: the visible cells are computed for each frame (there for the first of the

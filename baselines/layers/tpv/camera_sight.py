@@ -14,7 +14,7 @@ from baselines.batch import Batch
 from baselines.layers.camera_projection import pixels_from_grid
 
 NEAREST_M = 1e-5  # nearer points, and points behind the camera, are not seen
-FAR_OUTSIDE = 2.0  # limit of places in widths or heights of an image, outside of which nothing is sampled
+FAR_OUTSIDE = 2.0  # limit of places in widths or heights of an image; nothing outside is sampled
 
 
 @dataclass(frozen=True, eq=False)

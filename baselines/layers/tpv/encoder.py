@@ -17,7 +17,7 @@ from baselines.layers.tpv.attention import CrossViewHybridAttention, ImageCrossA
 from baselines.layers.tpv.camera_sight import CameraRig, ColumnSights, column_sights
 
 # Three planes through a volume, and the points of it that each cell of a plane covers. The planes are, in this order,
-# top (x, y), front (y, z) and side (x, z): by the axes of their rows and columns; a plane's cells run over its rows,
+# top (x, y), front (y, z) and side (x, z), by the axes of their rows and columns. A plane's cells run over its rows,
 # then columns. A cell covers the column of the volume across its plane, and anchors are points spread along that
 # column. Source: Huang et al., TPVFormer, CVPR 2023, section 3.2; wzzheng/TPVFormer tpvformer04/modules/encoder.py,
 # whose planes hw, zh and wz these are.

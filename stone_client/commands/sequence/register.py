@@ -48,9 +48,9 @@ def register(
         sequence = ensure_sequence(api, name or server_places[0].called)
         kept = pin_calibration(api, sequence, calibration)
         recordings = []
-        for place in server_places:
+        for server_place in server_places:
             with transferred() as progress:
-                recordings.append(add_in_place(api, sequence, place, progress))
+                recordings.append(add_in_place(api, sequence, server_place, progress))
         record: dict[str, Any] = {"sequence": sequence["id"], "name": sequence["name"], "calibration": kept["id"]}
         record |= {"recordings": [{key: item[key] for key in ("id", "filename", "sha256")} for item in recordings]}
         if process:
@@ -58,8 +58,8 @@ def register(
     if as_json:
         echo_json(record)
     else:
-        for place in server_places:
-            typer.echo(f"{sequence['name']}: {api.url} reads {place} in place")
+        for server_place in server_places:
+            typer.echo(f"{sequence['name']}: {api.url} reads {server_place} in place")
         following = f"download {sequence['name']} -o DIR" if process else f"process {sequence['name']} --wait"
         echo_notice(f"Next: stone sequence {following}")
     noticed = [*kept["findings"], *(finding for recording in recordings for finding in recording["findings"])]
