@@ -33,10 +33,10 @@ def register(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Have a server read the recordings of a run where they lie; nothing is sent but their calibration.
+    """Register the recordings of a run that the server reads in place; only their calibration is uploaded.
 
-    ROOT is a name that the server's administrator gave to a folder or a bucket. Do not change the files afterwards: the
-    server refuses a recording that is not as it was registered.
+    ROOT is the administrator's name for a folder or bucket of the server. Do not change the files afterwards: the
+    server refuses a recording that differs from the registered one.
     """
     from stone_client.connection import connected
     from stone_client.server.places import add_in_place, place_named
