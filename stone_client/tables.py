@@ -146,7 +146,7 @@ def score_table(record: Mapping[str, Any], title: str) -> Table:
     for name, key in (("occupied", "iou_occ"), ("T", "iou_t"), ("P", "iou_p"), ("N", "iou_n"), ("mean T P N", "miou")):
         table.add_row(name, *(_percent(ratios[key]) for ratios in readings))
     for name, key in (("T or P", "n_predicted_drivable_ratio"), ("T", "n_predicted_t_ratio")):
-        table.add_row(f"of N predicted {name}", _percent(record["extras"][key]), *[DASH] * len(READINGS))
+        table.add_row(f"share of N predicted {name}", _percent(record["extras"][key]), *[DASH] * len(READINGS))
     return table
 
 

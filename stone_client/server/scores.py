@@ -17,9 +17,9 @@ from stone_client.tables import CLASSES, DASH, READINGS, confusion_table, plain_
 
 RATIOS = {"miou": "mIoU", "iou_occ": "IoU occ", "iou_t": "IoU T", "iou_p": "IoU P", "iou_n": "IoU N"}
 EXTRAS = {
-    "n_predicted_drivable_ratio": "of N predicted T or P (dangerous)",
-    "n_predicted_t_ratio": "of N predicted T (dangerous)",
-    "t_predicted_n_ratio": "of T predicted N (over-cautious)",
+    "n_predicted_drivable_ratio": "share of N predicted T or P (dangerous)",
+    "n_predicted_t_ratio": "share of N predicted T (dangerous)",
+    "t_predicted_n_ratio": "share of T predicted N (over-cautious)",
     "clear_drivable_iou": "IoU of drivable columns, N overhead left out",
     "bev_drivable_iou": "IoU of drivable columns, any N blocks",
 }

@@ -39,7 +39,10 @@ CamerasOption = Annotated[bool, typer.Option(help="Also render the six cameras; 
 CameraWidthOption = Annotated[
     int,
     typer.Option(
-        metavar="PX", min=MIN_CAMERA_WIDTH_PX, max=MAX_CAMERA_WIDTH_PX, help="Image width; its height is 5/8 of that."
+        metavar="PX",
+        min=MIN_CAMERA_WIDTH_PX,
+        max=MAX_CAMERA_WIDTH_PX,
+        help="Image width; the height is 5/8 of the width.",
     ),
 ]
 CameraDetailOption = Annotated[

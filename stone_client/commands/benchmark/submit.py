@@ -29,9 +29,7 @@ DescriptionOption = Annotated[
 ]
 ValidateOption = Annotated[
     bool,
-    typer.Option(
-        "--validate-only", help="Validation-only: the server checks the file; does not count towards the quota."
-    ),
+    typer.Option("--validate-only", help="Only check the file on the server; does not count towards the quota."),
 ]
 BaselineOption = Annotated[
     bool, typer.Option("--baseline", help="Submit as a baseline, shown but not ranked; for organisers.")
