@@ -81,9 +81,9 @@ def _say(what: str, frames: int, cost: tuple[float, StepShares]) -> None:
 
 def main(words: Sequence[str]) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--frames", type=int, default=1183, help="of a scene; the release's have so many")
+    parser.add_argument("--frames", type=int, default=1183, help="per scene (default: as in the release)")
     parser.add_argument("--scenes", type=int, default=1)
-    parser.add_argument("--index-only", action="store_true", help="leave the scenes out")
+    parser.add_argument("--index-only", action="store_true", help="skip the scenes")
     parser.add_argument("--measure", nargs=3, metavar=("WHAT", "TAR", "FOLDER"), help=argparse.SUPPRESS)
     given = parser.parse_args(words)
     if given.measure:

@@ -67,15 +67,15 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--short", type=float, nargs="*", default=[2.0, 5.0, 10.0])
-    parser.add_argument("--only", nargs="*", help="decisions whose name begins so")
+    parser.add_argument("--only", nargs="*", help="only decisions whose names begin with these words")
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "stone-truth")
-    parser.add_argument("--table", action="store_true", help="only print what was measured before")
+    parser.add_argument("--table", action="store_true", help="only print stored figures")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     chosen = {name: decision for name, decision in DECISIONS.items() if name.startswith(tuple(options.only or ("",)))}
     for seed in options.seeds:
         figures = _measured(options, (options.seconds, seed), chosen)
-        _show(f"one decision otherwise, {options.seconds:g} s, seed {seed}", figures)
+        _show(f"one decision changed, {options.seconds:g} s, seed {seed}", figures)
         for seconds in options.short:
             _show(f"a drive of {seconds:g} s, seed {seed}", _measured(options, (seconds, seed), SHORT))
 

@@ -160,7 +160,7 @@ def _show(runs: list[PlatformRunMeasurement], recorded_s: float) -> None:
     if last.workers > first.workers:
         ideal = shortest_s(first.jobs, first.workers) / shortest_s(first.jobs, last.workers)
         console.print(f"{first.workers} → {last.workers} workers: {first.wall_s / last.wall_s:.2f}× by the clock")
-        console.print(f"{ideal:.2f}× by the processor times of the run with {first.workers}: what the division allows")
+        console.print(f"{ideal:.2f}× at most, by the processor times of the run with {first.workers}")
 
 
 def _show_stages(console: Console, runs: list[PlatformRunMeasurement]) -> None:

@@ -33,7 +33,7 @@ def main(words: Sequence[str]) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, nargs="+", default=[LONGEST // 4, LONGEST])
     parser.add_argument("--grid", choices=tuple(GRIDS), default="release")
-    parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()), help="a gigabyte is written there")
+    parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()), help="work folder (1 GB)")
     given = parser.parse_args(words)
     adopt_orphans()
     print(HEAD, flush=True)

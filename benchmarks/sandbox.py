@@ -183,7 +183,7 @@ def _show(turns: list[dict[str, dict[str, Any]]], recorded_s: float) -> None:
     table = Table(title=f"{recorded_s:g} s recorded, {jobs} jobs, {len(turns)} turns: median (range)")
     for column in ("", APART, ITSELF, "ratio of a pair"):
         table.add_column(column, justify="right")
-    for figure, named in (("cpu_s", "processor s"), ("system_s", "of that, in the kernel"), ("wall_s", "wall s")):
+    for figure, named in (("cpu_s", "processor s"), ("system_s", "share in the kernel"), ("wall_s", "wall s")):
         columns = [[pair[how][figure] for pair in turns] for how in (APART, ITSELF)]
         ratios = [apart / itself for apart, itself in zip(*columns, strict=True)]
         table.add_row(named, *(_told(column, ".1f") for column in columns), _told(ratios, ".3f"))

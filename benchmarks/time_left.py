@@ -212,7 +212,7 @@ def _read_work(record: dict[str, Any]) -> RunWorkload:
 def _show(traces: Sequence[LabellingTrace]) -> None:
     console = Console()
     table = Table(title=f"time left, load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
-    for column in ("run", "total s", *(f"at {share:.0%}: told, true s, error" for share in PLACES), "history"):
+    for column in ("run", "total s", *(f"at {share:.0%}: estimate, true s, error" for share in PLACES), "history"):
         table.add_column(column, justify="right")
     for number, trace in enumerate(traces, 1):
         cells = [_cell(trace, share) for share in PLACES]

@@ -170,7 +170,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--mib", type=int, default=1024)
     parser.add_argument("--turns", type=int, default=3)
-    parser.add_argument("--folder", type=Path, default=None, help="where to write; a temporary folder if not given")
+    parser.add_argument("--folder", type=Path, default=None, help="folder to write to (default: a temporary folder)")
     parser.add_argument("--place", choices=["folder", "store", "s3"], default="folder", help="where uploads lie")
     chosen = parser.parse_args()
     with TemporaryDirectory(prefix="stone-bench-", dir=chosen.folder) as name, upload_rig(chosen.place) as groups:

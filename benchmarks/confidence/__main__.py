@@ -57,7 +57,7 @@ UNSEEN: tuple[Source, ...] = (
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "stone-confidence")
-    parser.add_argument("--fit", action="store_true", help="fit the curves anew and print them")
+    parser.add_argument("--fit", action="store_true", help="fit the curves again and print them")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     if options.fit:
@@ -71,7 +71,7 @@ def main() -> None:
             unseen += [judged] if kind == "unseen" else []
             table.add_row(f"{kind}: {source.name}", *_cells(reliability_of(*judged)))
     together = reliability_of(*map(np.concatenate, zip(*unseen, strict=True)))
-    table.add_row("all unseen, each of the same weight", *_cells(together))
+    table.add_row("all unseen, with equal weights", *_cells(together))
     Console(width=160).print(table)
     for number, (claimed, right, voxels) in enumerate(together.by_probability):
         print(

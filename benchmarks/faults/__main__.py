@@ -50,7 +50,7 @@ def _drives(folder: Path) -> list[SoundDrive]:
     drives = [simulated_drive(folder)]
     if field_data.is_dir():
         return [kitti_drive(field_data, folder), *drives]
-    print(f"no field data at {field_data}: the real drive is left out", file=sys.stderr)
+    print(f"no field data at {field_data}: the real drive is skipped", file=sys.stderr)
     return drives
 
 

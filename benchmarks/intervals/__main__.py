@@ -159,7 +159,7 @@ def board_worlds() -> Iterator[CorrelatedWorld]:
 
 def show(rows: Sequence[IntervalRow], of_boards: Sequence[BoardTrials]) -> None:
     console = Console(width=130)
-    table = Table(title=f"Intervals of {100 * LEVEL:.0f} %, mIoU: said in / covers / difference missed, in per cent")
+    table = Table(title=f"Intervals of {100 * LEVEL:.0f} %, mIoU: stated / covers / difference missed, %")
     for column in ("sequences × frames", "memory", "trials", "these places", "a new place"):
         table.add_column(column, justify="left" if column == "sequences × frames" else "right")
     for row in rows:
@@ -168,7 +168,7 @@ def show(rows: Sequence[IntervalRow], of_boards: Sequence[BoardTrials]) -> None:
     console.print(table)
     for scope in SCOPES:
         console.print(_summary(scope, rows))
-    table = Table(title="Boards of equal entries: said in / by these places in / any two told apart, in per cent")
+    table = Table(title="Boards of equal entries: stated / by these places / any two separated, %")
     for column in ("sequences × frames", "memory", "entries", "boards", "told apart"):
         table.add_column(column, justify="left" if column == "sequences × frames" else "right")
     for trials in of_boards:
@@ -188,7 +188,7 @@ def _summary(scope: Scope, rows: Sequence[IntervalRow]) -> str:
     beyond = [_name(row.world) for row in rows if _is_beyond(row.of_scope[scope])]
     return (
         f"{scope.replace('_', ' ')}, all rows: {_share(covered, stated)} % of {stated} intervals cover, at the least "
-        f"{100 * least:.1f} % of a row that speaks in more than {100 * SPEAKS:.0f} % of trials; "
+        f"{100 * least:.1f} % of a row with statements in more than {100 * SPEAKS:.0f} % of trials; "
         f"{_share(missed, compared)} % of {compared} differences are missed; below 93 % or above 6 % by more than "
         f"chance (p < {CHANCE:g} a row): {', '.join(beyond) or 'none'}"
     )
@@ -225,7 +225,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--trials", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", default="", help="rows whose name holds this")
+    parser.add_argument("--only", default="", help="only rows whose names contain this text")
     options = parser.parse_args()
     with ProcessPoolExecutor() as pool:
         rows = [

@@ -223,7 +223,7 @@ def _show(options: argparse.Namespace, noted: dict[str, Any], labelling: _Labell
     requests = sum(len(seconds) for what, seconds in waited_s.items() if what != UNTIL_SCORED)
     took_s = options.minutes * 60.0
     CONSOLE.print(
-        f"{requests} requests, {requests / took_s:.0f} a second, {noted['error_count']} errors; "
+        f"{requests} requests, {requests / took_s:.0f} per second, {noted['error_count']} errors; "
         f"{noted['sent_bytes'] / MIB / took_s:.1f} MiB/s sent; {noted['scored']} submissions scored, "
         f"{labelling.runs} recordings labelled, {len(labelling.failures)} failed"
     )
@@ -234,7 +234,7 @@ def _show(options: argparse.Namespace, noted: dict[str, Any], labelling: _Labell
 def _show_quarters(noted: dict[str, Any], watch: MemoryWatch) -> None:
     names = list(watch.used_s)
     columns = ("quarter", "requests/s", "p50 ms", "p99 ms", *names)
-    table = Table(*columns, title="by quarter of the time; of programs CPU ms a request")
+    table = Table(*columns, title="by quarter of the time; programs: CPU ms per request")
     for number, quarter in enumerate(quarters(noted["begun_s"], noted["waited_s"], watch), 1):
         waited = (f"{quarter.requests_per_s:.0f}", f"{quarter.p50_ms:.0f}", f"{quarter.p99_ms:.0f}")
         table.add_row(str(number), *waited, *(f"{quarter.cpu_ms[name]:.2f}" for name in names))
@@ -254,11 +254,11 @@ def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.load", description=__doc__)
     parser.add_argument("--clients", type=int, default=200)
     parser.add_argument("--minutes", type=float, default=10.0)
-    parser.add_argument("--pause-s", type=float, default=1.0, help="a client thinks so long between two requests")
+    parser.add_argument("--pause-s", type=float, default=1.0, help="pause of a client between two requests, seconds")
     parser.add_argument("--database", default="postgres", choices=["sqlite", "postgres"])
     parser.add_argument("--slow", type=int, default=0, help="number of connections that stop in a request (default: 0)")
     parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--folder", type=Path, help="a temporary one unless named")
+    parser.add_argument("--folder", type=Path, help="data folder (default: a temporary folder)")
     options = parser.parse_args()
     options.api = {"trusted_proxies": PROXY} if options.slow else {"trusted_proxies": CLIENTS_AT}
     options.folder = (options.folder or Path(tempfile.mkdtemp(prefix="stone-load-"))).absolute()

@@ -77,7 +77,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--folder", type=Path, default=Path("build/models"))
     arguments.add_argument("--rows", nargs="+", choices=list(STEPS), default=list(STEPS))
-    arguments.add_argument("--most", type=float, default=240.0, help="CPU-seconds of a row")
+    arguments.add_argument("--most", type=float, default=240.0, help="maximum CPU-seconds of a row")
     arguments.add_argument("--enough", type=float, default=0.95, help="mIoU at which a row ends")
     options = arguments.parse_args()
     torch.set_num_threads(1)

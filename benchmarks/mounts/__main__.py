@@ -52,7 +52,7 @@ def _drives(folder: Path) -> list[MountDrive]:
     recording = field_folder() / KITTI
     if recording.exists():
         return [*drives, MountDrive("kitti", recording, EXAMPLE)]
-    print(f"no {recording}: the real drive is left out", file=sys.stderr)
+    print(f"no {recording}: the real drive is skipped", file=sys.stderr)
     return drives
 
 

@@ -28,12 +28,12 @@ GOAL_LOST = 0.005
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rates", type=int, nargs="+", default=LIDAR_HZ, help="sweeps a second")
+    parser.add_argument("--rates", type=int, nargs="+", default=LIDAR_HZ, help="sweeps per second")
     parser.add_argument("--seeds", type=int, nargs="+", default=(1, 2, 3))
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--channels", type=int, default=64)
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "stone-movers")
-    parser.add_argument("--table", action="store_true", help="only print what was measured before")
+    parser.add_argument("--table", action="store_true", help="only print stored figures")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     counts = dict[tuple[int, int], MoverCounts]()
@@ -70,7 +70,7 @@ def _labelled(folder: Path, world: SimulateOptions) -> tuple[Drive, Path]:
 
 def _show(counts: dict[tuple[int, int], MoverCounts], rates: list[int], seeds: list[int]) -> None:
     table = Table(title="voxels left by movers | of what stands and was seen, lost | voxels of the parked vehicle")
-    table.add_column("sweeps a second")
+    table.add_column("sweeps per second")
     for seed in seeds:
         table.add_column(f"world {seed}", justify="right")
     for rate in rates:

@@ -44,15 +44,15 @@ def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--worlds", nargs="+", choices=LAYOUTS, default=list(LAYOUTS))
     parser.add_argument("--channels", nargs="+", type=int, default=[16, 64, 128], help="of sound drives")
-    parser.add_argument("--fault-channels", nargs="*", type=int, default=[64], help="of drives with faults")
+    parser.add_argument("--fault-channels", nargs="*", type=int, default=[64], help="for drives with faults")
     parser.add_argument("--faults", nargs="+", choices=ROWS, default=list(ROWS))
     parser.add_argument("--seeds", nargs="+", type=int, default=[1])
     parser.add_argument("--seconds", type=float, default=15.0)
     parser.add_argument("--profiles", nargs="+", choices=PROFILES, default=list(PROFILES))
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "stone-outside")
     parser.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="label parameters of a variant")
-    parser.add_argument("--again", action="store_true", help="measure rows that were measured before")
-    parser.add_argument("--table", action="store_true", help="only print what was measured before")
+    parser.add_argument("--again", action="store_true", help="measure stored rows again")
+    parser.add_argument("--table", action="store_true", help="only print stored figures")
     return parser.parse_args()
 
 

@@ -39,12 +39,14 @@ WORKERS = 2
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path, nargs="?", help="the folder of recordings")
-    parser.add_argument("--names", nargs="+", help="recordings, by the names of their descriptions")
+    parser.add_argument("folder", type=Path, nargs="?", help="folder of recordings")
+    parser.add_argument("--names", nargs="+", help="only recordings with these names of descriptions")
     parser.add_argument("--profiles", nargs="+", choices=PROFILES, default=PROFILES)
-    parser.add_argument("--options", nargs="+", help="rows, by their names in the table")
-    parser.add_argument("--passes-of", nargs="*", default=[OPTIONS[0].name], help="rows that are tried in two passes")
-    parser.add_argument("--out", type=Path, default=Path(tempfile.gettempdir()) / "stone-real", help="where labels go")
+    parser.add_argument("--options", nargs="+", help="only rows with these names in the table")
+    parser.add_argument("--passes-of", nargs="*", default=[OPTIONS[0].name], help="rows to try in two passes")
+    parser.add_argument(
+        "--out", type=Path, default=Path(tempfile.gettempdir()) / "stone-real", help="folder for labels"
+    )
     options = parser.parse_args()
     try:
         recordings = described_recordings(options.folder)
@@ -54,7 +56,7 @@ def main() -> None:
         recording for recording in recordings if options.names is None or recording.description.name in options.names
     ]
     if recordings and not chosen:
-        sys.exit(f"none of these is described: {', '.join(options.names)}")
+        sys.exit(f"no description has one of these names: {', '.join(options.names)}")
     for described in chosen:
         _show_recording(described, options)
 
@@ -70,7 +72,7 @@ def described_recordings(folder: Path | None) -> list[Described]:
     if not recordings and is_named:
         raise NothingDescribedError(chosen, len(own_descriptions()))
     if not recordings:
-        print(f"no real recordings on this machine: name a folder, or set {VARIABLE}")
+        print(f"no real recordings on this machine; give a folder, or set {VARIABLE}")
     return recordings
 
 

@@ -82,7 +82,7 @@ class Description(_Part):
         if self.semantics is not None and self.recording is not None:
             stampless = [scan.points for scan in self.semantics.scans if scan.stamp_ns is None]
             if stampless:
-                raise ValueError(f"{stampless[0]} needs `stamp_ns`: which frame of the recording is it?")
+                raise ValueError(f"{stampless[0]} requires `stamp_ns`, the stamp of its frame in the recording")
         return self
 
 
@@ -114,7 +114,7 @@ def described_in(folder: Path) -> list[Described]:
     theirs = [read_description(path, folder) for path in paths]
     for description in theirs:
         if not description.source.exists():
-            raise DescriptionError(description.path, f"{description.source} is not there")
+            raise DescriptionError(description.path, f"{description.source} does not exist")
     ours = [read_description(path, folder) for path in own_descriptions()]
     return _of_one_name_each([*(description for description in ours if description.source.exists()), *theirs])
 

@@ -21,7 +21,7 @@ class NothingDescribedError(StoneError):
 
     def __init__(self, folder: Path, known: int) -> None:
         if not folder.is_dir():
-            super().__init__(f"{folder} is no folder that is there (is the path right?)")
+            super().__init__(f"{folder} is not an existing folder (is the path right?)")
             return
         super().__init__(
             f"{folder} holds no file *.real.yaml, and none of the recordings of the {known} descriptions that come "

@@ -93,7 +93,7 @@ def classes_of(described: Described, points: str, labels: str) -> tuple[NDArray[
     """Return points (N, 3) of a labelled scan and their classes (N,). Raises `DescriptionError` if lengths differ."""
     xyz, path = _rows_of(described.file(points)), described.file(labels)
     if not path.is_file():
-        raise DescriptionError(described.path, f"{path} is not there")
+        raise DescriptionError(described.path, f"{path} does not exist")
     kinds = np.fromfile(path, "<u4").astype(np.int64) & 0xFFFF
     if len(kinds) != len(xyz):
         raise DescriptionError(described.path, f"{labels} has {len(kinds)} classes for {len(xyz)} points")
@@ -111,13 +111,13 @@ def part_of(sequence: Sequence, sweeps: SweepSource, rows: NDArray[np.int64]) ->
 
 def _rows_of(path: Path) -> NDArray[np.float32]:
     if not path.is_file():
-        raise DescriptionError(path, "is not there")
+        raise DescriptionError(path, "does not exist")
     size = path.stat().st_size
     if size == 0 or size % POINT_BYTES:
         raise DescriptionError(path, f"has {size} bytes, no multiple of {POINT_BYTES}: x, y, z, intensity a point")
     rows: NDArray[np.float32] = np.fromfile(path, "<f4").reshape(-1, 4)[:, :3].astype(np.float32)
     if not np.isfinite(rows).all():
-        raise DescriptionError(path, "holds a coordinate that is not finite")
+        raise DescriptionError(path, "contains a coordinate that is not finite")
     return rows
 
 

@@ -79,7 +79,7 @@ def compare(folder: Path, searched: Searched, out: Path, workers: int) -> dict[S
         except StoneError as error:
             if bag == bags[-1] and not compared:
                 raise
-            print(f"{bag.name} is left out: {error.code}: {error}", file=sys.stderr)
+            print(f"{bag.name} is skipped: {error.code}: {error}", file=sys.stderr)
             continue
         total = {key: total[key] + agreement if compared else agreement for key, agreement in agreements.items()}
         compared.append((bag, pair.name))
@@ -118,8 +118,8 @@ def _picture(pair: ReleasedPair, variant: Variant) -> bytes:
 def _show_command(setting: Setting, bag: Path, name: str, out: Path) -> None:
     chosen = " ".join(f"--parameter {key}={value:g}" for key, value in setting.choices.items())
     print(
-        f"\nTo label so (all voxels are kept):\n\nstone label {bag} --calibration {calibration_in(out, name)} "
-        f"--ground auto --grid {_grid_in(out, name)} --profile {setting.profile} {chosen} --output labels"
+        f"\nTo label with these parameters (all voxels are kept):\n\nstone label {bag} "
+        f"--calibration {calibration_in(out, name)} --ground auto --grid {_grid_in(out, name)} --profile {setting.profile} {chosen} --output labels"
     )
 
 

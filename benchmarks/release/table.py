@@ -71,7 +71,7 @@ def show_closest(setting: Setting, agreement: Agreement) -> None:
     for name, of_ring in zip(RINGS_M, agreement.confusion, strict=True):
         by_ring.add_row(name, *map(_share, ratios(of_ring).tolist()), *map(_share, _classes(of_ring)))
     _print("by distance", by_ring)
-    print("\nof the voxels that either labels, A ours and B theirs:")
+    print("\nshares of the voxels labelled by A (ours) or B (theirs):")
     for name, share in ways_to_differ(whole).items():
         print(f"  {name}: {_share(share)}")
 

@@ -44,7 +44,7 @@ def main(words: Sequence[str]) -> None:
     parser.add_argument("--scenes", type=int, default=SCENES)
     parser.add_argument("--frames", type=int, default=FRAMES)
     parser.add_argument("--kills", type=int, default=KILLS)
-    parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()), help="some 20 GB are written there")
+    parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()), help="work folder (about 20 GB)")
     given = parser.parse_args(words)
     with tempfile.TemporaryDirectory(dir=given.folder) as folder:
         for name, count, kills in (("smaller", given.frames // SMALLER, 0), ("whole", given.frames, given.kills)):
@@ -70,7 +70,7 @@ def show(made: ImportMeasurement) -> None:
     held = ", ".join(f"{name} {mib:.0f}" for name, mib in sorted(made.most_mib.items()))
     rate = f"{made.frames} frames in {made.wall_s:.0f} s ({made.frames / made.wall_s:.0f} frames/s)"
     print(f"sent in {made.sent_s:.0f} s; imported: {rate}, killed {made.kills} times", flush=True)
-    print(f"most MiB of a process: {held}", flush=True)
+    print(f"peak MiB of a process: {held}", flush=True)
 
 
 if __name__ == "__main__":

@@ -105,4 +105,4 @@ def _literal(value: object, column: Column[Any]) -> str:
         return "''::bytea"
     if isinstance(value, str):
         return "'" + value.replace("'", "''") + "'"
-    raise ValueError(f"no default for {column}; say what it is")
+    raise ValueError(f"no default for {column}; state its value")

@@ -101,15 +101,15 @@ def _lists() -> tuple[Question, ...]:
         _route("jobs that run", "administrator", "/admin/jobs?state=running"),
         _route("jobs, dead", "administrator", "/admin/jobs?dead=true"),
         _route("jobs of a queue", "administrator", "/admin/jobs?queue=labeler"),
-        _route("jobs of a kind nobody has", "administrator", "/admin/jobs?kind=labeler.export"),
+        _route("jobs of a kind without jobs", "administrator", "/admin/jobs?kind=labeler.export"),
         _route("jobs of an owner", "administrator", "/admin/jobs?owner=person-2"),
         _route("counts of jobs by state", "administrator", "/admin/jobs/counts", all_of),
         _route("queues", "administrator", "/admin/queues", "a count of what waits and of what ended lately"),
         _route("audit log of a rare act", "administrator", "/admin/audit-log?act=token.revoke"),
         _route("audit log of one person", "administrator", "/admin/audit-log?actor=person-2"),
-        _route("audit log of one thing", "administrator", "/admin/audit-log?subject_id={sequence}"),
+        _route("audit log of one object", "administrator", "/admin/audit-log?subject_id={sequence}"),
         _route("submissions, all", "administrator", "/submissions"),
-        _route("submissions of one's teams", "many", "/submissions"),
+        _route("submissions of the caller's teams", "many", "/submissions"),
         _route("submissions of a phase", "administrator", "/submissions?phase_id={phase}&state=failed"),
         _route("users", "administrator", "/admin/users"),
         _route("teams", "administrator", "/teams"),
@@ -125,7 +125,7 @@ def _singles() -> tuple[Question, ...]:
         _route("one run", "administrator", "/admin/jobs/{run}"),
         Question("the time left of fifty runs", _time_left),
         _route("one frame by its token", "administrator", "/frames/{token}"),
-        Question("what an owner of a fifth has stored", _balance, "a sum over one owner's uploads"),
+        Question("stored bytes of an owner of a fifth", _balance, "a sum over one owner's uploads"),
     )
 
 
@@ -173,14 +173,14 @@ def _expected(kit: Kit, _chance: Random) -> None:
 def _of_workers() -> tuple[Question, ...]:
     return (
         Question("claim of an ingest job", lambda kit, _: _claim(kit, "ingest")),
-        Question("claim where nothing is ready", lambda kit, _: _claim(kit, "eval")),
+        Question("claim without a ready job", lambda kit, _: _claim(kit, "eval")),
         Question("wake-ups wanted", _wake_ups, "a count of what waits, at most 10,000"),
         Question("attempts that fell silent", _recover, "all that run"),
         Question("workers and what they hold", _workers, "all that run"),
         Question("submissions whose run ended", lambda kit, _: settle_ended(kit.platform)),
         Question("submissions to be tidied", lambda kit, _: tidy_submissions(kit.platform)),
         Question("uploads to be expired", lambda kit, _: expire(kit.platform)),
-        Question("what the collector asks of listed objects", _known),
+        Question("the collector's query of listed objects", _known),
     )
 
 

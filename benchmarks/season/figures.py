@@ -79,7 +79,7 @@ def _rows(figures: Figures) -> list[tuple[str, str]]:
         ("CPU a submission, re-scores included", f"{sum(figures.cpu_s.values()) / figures.submissions:.2f} s"),
         ("CPU a job", kinds),
         ("jobs", ", ".join(f"{kind} {count}" for kind, count in sorted(figures.jobs.items()))),
-        ("waited to be begun, median / 95 % / most", " / ".join(f"{value:.1f} s" for value in waited)),
+        ("wait for the start, median / 95 % / maximum", " / ".join(f"{value:.1f} s" for value in waited)),
         ("scorings granted", str(figures.grants)),
         ("alarms", ", ".join(f"{count} {kind}" for kind, count in sorted(figures.alarms.items())) or "none"),
         *(("re-score", _moved(value)) for value in figures.moves),

@@ -96,7 +96,7 @@ def main() -> None:
         help="channels, with -noisy for a real LiDAR's ranges, -beside for things near",
     )
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "stone-truth")
-    parser.add_argument("--table", action="store_true", help="only print what was measured before")
+    parser.add_argument("--table", action="store_true", help="only print stored figures")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     for cast in (Cast(name, options.folder, options.seconds) for name in options.casts):

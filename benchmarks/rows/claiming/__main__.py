@@ -32,22 +32,22 @@ def main() -> None:
     count = commands.add_parser("count", help="transactions and statements a job")
     count.add_argument("--seconds", type=float, default=60.0, help="of recording")
     count.add_argument("--workers", type=int, default=2, help="worker processes")
-    count.add_argument("--idle-s", type=float, default=20.0, help="how long they are watched while idle")
+    count.add_argument("--idle-s", type=float, default=20.0, help="duration of the idle measurement, seconds")
     count.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "stone-bench")
     count.add_argument("--json", type=Path, default=Path("build") / "claiming-count.json")
     count.set_defaults(act=_count)
-    share = commands.add_parser("share", help="what many claiming processes get of one database")
+    share = commands.add_parser("share", help="throughput of many claiming processes on one database")
     share.add_argument("--processes", type=int, default=200)
     share.add_argument("--seconds", type=float, default=30.0)
-    share.add_argument("--runs", type=int, default=500, help="of 40 jobs, that wait")
+    share.add_argument("--runs", type=int, default=500, help="number of waiting runs of 40 jobs")
     share.add_argument("--json", type=Path, default=Path("build") / "claiming-share.json")
     share.set_defaults(act=_share)
-    foretell = commands.add_parser("foretell", help="how many workers one database carries")
+    foretell = commands.add_parser("foretell", help="simulate the number of workers per database")
     foretell.add_argument("--count", type=Path, default=Path("build") / "claiming-count.json")
     foretell.add_argument("--share", type=Path, default=Path("build") / "claiming-share.json")
     foretell.add_argument("--cores", type=int, default=2, help="of the database")
     foretell.add_argument("--workers", type=int, nargs="+", default=[1, 10, 50, 100, 200, 300, 500, 1000])
-    foretell.add_argument("--shared", type=int, default=16, help="worker processes of one keeper; 1: each for itself")
+    foretell.add_argument("--shared", type=int, default=16, help="worker processes per keeper (1: no sharing)")
     foretell.set_defaults(act=_foretell)
     options = parser.parse_args()
     options.act(options)
@@ -85,7 +85,7 @@ def _foretell(options: argparse.Namespace) -> None:
     paces = [pace(demand, fleet) for fleet in fleets]
     of_database = f"{options.cores} cores at {1e3 * each_s:.2f} ms a transaction"
     table = Table(title=f"a database of {of_database}; jobs of {sum(demand.job_s) / len(demand.job_s):.2f} s")
-    for column in ("workers", "jobs a second", "runs an hour", "in jobs", "database"):
+    for column in ("workers", "jobs per second", "runs an hour", "in jobs", "database"):
         table.add_column(column, justify="right")
     for rate in paces:
         runs = rate.jobs_per_s * 3600 / len(demand.job_s)
