@@ -89,7 +89,7 @@ def test_a_creation_of_more_than_fits_is_refused_before_a_byte_comes(
     with client_of(platform) as api:
         reply = api.post(UPLOADS, content=CONTENT, headers=headers)
         assert (reply.status_code, reply.json()["code"]) == (507, "storage_full")
-        assert f"{len(CONTENT)} bytes are to be written; {4 << 20} bytes are free" in reply.json()["detail"]
+        assert f"cannot write {len(CONTENT)} bytes: the platform's disk has {4 << 20} bytes free" in reply.json()["detail"]
         assert [path.name for path in disk.iterdir()] == ["of-somebody-else"]
         free_space(disk)
         assert api.post(UPLOADS, content=CONTENT, headers=headers).status_code == 201
@@ -106,7 +106,7 @@ def test_an_upload_stops_at_the_reserve_and_goes_on_once_there_is_room(
         (disk / "of-somebody-else").write_bytes(b"\1" * (2 << 20))
         reply = patch(api, curator, where, 0, part)
         assert refuses_for_want_of_room(reply)
-        assert f"{3 << 20} of them are its reserve" in reply.json()["detail"]
+        assert f"a reserve of {3 << 20} bytes" in reply.json()["detail"]
         assert os.statvfs(disk).f_bavail * os.statvfs(disk).f_frsize >= 3 << 20
         free_space(disk)
         offset = offset_of(api, curator, where)

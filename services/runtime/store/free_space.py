@@ -26,8 +26,8 @@ class StorageFullError(StoreFullError):
         PlatformFaultError.__init__(
             self,
             "storage_full",
-            f"{more_bytes} bytes are to be written; {space.free_bytes} bytes are free on the platform's disk, and "
-            f"{space.reserve_bytes} of them are its reserve (STONE_STORE__RESERVE_BYTES): delete uploads, label sets, "
+            f"cannot write {more_bytes} bytes: the platform's disk has {space.free_bytes} bytes free, including a "
+            f"reserve of {space.reserve_bytes} bytes (STONE_STORE__RESERVE_BYTES); delete uploads, label sets, "
             "exports or sequences that are no longer needed, or enlarge the disk, and try again",
         )
 

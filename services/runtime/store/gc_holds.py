@@ -55,8 +55,8 @@ class GcHold:
         if self._is_lost:
             raise PlatformFaultError(
                 "hold_lost",
-                f"the hold on garbage collection ({self._reason}) ran out after {HELD_S:g} s without the "
-                "database; begin again",
+                f"the hold on garbage collection ({self._reason}) expired after {HELD_S:g} s without the "
+                "database; start again",
             )
 
     def end(self) -> None:

@@ -18,8 +18,8 @@ _PREFIX = re.compile(rf"({_PART}/)*({_PART})?")
 def bad_key(key: str) -> Refused:
     return Refused(
         "bad_key",
-        f"{key[:200]!r} is no object key; expected at most {MAX_KEY} characters, two or more parts of "
-        "[a-z0-9._-] joined by '/', none beginning with a dot",
+        f"{key[:200]!r} is not an object key; expected at most {MAX_KEY} characters, two or more parts of "
+        "[a-z0-9._-] joined by '/', no part starting with a dot",
     )
 
 
@@ -29,14 +29,16 @@ class ObjectMissingError(StoneError):
     code = "object_missing"
 
     def __init__(self, key: str) -> None:
-        super().__init__(f"the store holds no object {key!r}; it was deleted, or this is another installation's store")
+        super().__init__(
+            f"the store contains no object {key!r}; it was deleted, or the store belongs to another installation"
+        )
 
 
 class StoreFullError(PlatformFaultError):
     """The store, or the local cache in front of it, has no room left."""
 
     def __init__(self, place: Path | str) -> None:
-        super().__init__("store_full", f"no space left at {place}; free some, or raise the quota, and try again")
+        super().__init__("store_full", f"no space left at {place}; free space or raise the quota, and try again")
 
 
 def is_key(key: str) -> bool:
@@ -61,4 +63,4 @@ def checked_prefix(prefix: str) -> str:
 def checked_range(start: int, stop: int | None) -> None:
     """Raises `ValueError` unless 0 ≤ start ≤ stop."""
     if start < 0 or (stop is not None and stop < start):
-        raise ValueError(f"no byte range [{start}, {stop}): expected 0 <= start <= stop")
+        raise ValueError(f"bad byte range [{start}, {stop}): expected 0 <= start <= stop")

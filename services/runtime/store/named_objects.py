@@ -72,7 +72,7 @@ def described_folder(folder: Path, bags: Mapping[str, Path], description: tuple[
 
 def _refuse_path(name: str) -> None:
     if name in ("", ".", "..") or "/" in name:
-        raise ValueError(f"{name!r} is no name of a file; whoever let it in should have refused it")
+        raise ValueError(f"{name!r} is not a file name; the upload should have been refused")
 
 
 def _lead(folder: Path, link: Path, path: Path) -> None:

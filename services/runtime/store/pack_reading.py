@@ -118,7 +118,7 @@ def locate_export(session: Session, export: Export) -> ExportLocation:
     if export.index_sha256 is None:
         raise Refused(
             "export_unfinished",
-            f"export {export.id} has no files yet; job {export.job_id} makes them, ask again when it has succeeded",
+            f"export {export.id} has no files yet; job {export.job_id} writes them, try again when it has succeeded",
         )
     packs = select(Blob.object_key).join(ExportPack, ExportPack.blob_sha256 == Blob.sha256)
     of_export = packs.where(ExportPack.export_id == export.id).order_by(ExportPack.ordinal)

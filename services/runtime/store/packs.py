@@ -163,5 +163,6 @@ def _columns(packed: list[_PackedFile]) -> PackedFiles:
 
 def short_pack(number: int, place: int) -> PlatformFaultError:
     return PlatformFaultError(
-        "short_pack", f"pack {number} ends at byte {place}, before its index says; was the store changed by hand?"
+        "short_pack",
+        f"pack {number} ends at byte {place}, too early for its index; was the store changed by hand?",
     )

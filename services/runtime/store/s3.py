@@ -83,7 +83,7 @@ class S3Store:
         with self._translated(checked(key)):
             length = self._client.head_object(Bucket=self.bucket, Key=key).get("ContentLength")
         if length is None:  # the answer broke off within its header, which no layer below minds
-            raise store_unavailable(self._place, f"it tells no length of {key}")
+            raise store_unavailable(self._place, f"it sent no length for {key}")
         return int(length)
 
     def local(self, key: str) -> Path:
@@ -244,4 +244,4 @@ def _code(error: ClientError) -> str:
 
 
 def store_unavailable(place: str, reason: str) -> PlatformFaultError:
-    return PlatformFaultError("store_unavailable", f"the store at {place} failed: {reason}; try again when it answers")
+    return PlatformFaultError("store_unavailable", f"the store at {place} failed: {reason}; try again when it responds")

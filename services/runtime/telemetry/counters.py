@@ -32,29 +32,25 @@ class MetricDefinition:
 
 
 REQUESTS = MetricDefinition("stone_requests", "Requests answered", ("method", "route", "status"))
-REQUEST_SECONDS = MetricDefinition("stone_request_seconds", "How long an answer took", ("method", "route"), ANSWERS)
-REQUEST_BYTES = MetricDefinition("stone_request_bytes", "Bytes of bodies that came in and went out", ("direction",))
-JOB_SECONDS = MetricDefinition("stone_job_seconds", "How long attempts at jobs took", ("kind", "outcome"), SECONDS)
+REQUEST_SECONDS = MetricDefinition("stone_request_seconds", "Duration of responses", ("method", "route"), ANSWERS)
+REQUEST_BYTES = MetricDefinition("stone_request_bytes", "Bytes of bodies received and sent", ("direction",))
+JOB_SECONDS = MetricDefinition("stone_job_seconds", "Duration of job attempts", ("kind", "outcome"), SECONDS)
 JOB_WAIT_SECONDS = MetricDefinition(
-    "stone_job_wait_seconds", "How long jobs were ready before a worker came", ("queue",), WAITS
+    "stone_job_wait_seconds", "Time that jobs were ready before a worker claimed them", ("queue",), WAITS
 )
 JOB_CPU_SECONDS = MetricDefinition(
-    "stone_job_cpu_seconds", "Processor time of attempts, their children's too", ("kind",)
+    "stone_job_cpu_seconds", "Processor time of attempts, including their children", ("kind",)
 )
-FRAMES = MetricDefinition("stone_frames", "Frames that were labelled, or counted against a ground truth", ("work",))
-STORE_BYTES = MetricDefinition(
-    "stone_store_bytes", "Bytes that were written to and read from the store", ("direction",)
-)
+FRAMES = MetricDefinition("stone_frames", "Frames labelled, or scored against a ground truth", ("work",))
+STORE_BYTES = MetricDefinition("stone_store_bytes", "Bytes written to and read from the store", ("direction",))
 STORE_FAULTS = MetricDefinition(
     "stone_store_faults", "Objects that differ from their sha256 or are missing", ("found_by",)
 )
-LEASES_EXPIRED = MetricDefinition("stone_leases_expired", "Attempts given up after silence for a lease", ("kind",))
+LEASES_EXPIRED = MetricDefinition("stone_leases_expired", "Attempts ended because their lease expired", ("kind",))
 WAKE_UPS_RESENT = MetricDefinition(
-    "stone_wake_ups_resent", "Wake-ups sent again for ready jobs whose own were lost", ("queue",)
+    "stone_wake_ups_resent", "Wake-ups sent again for ready jobs whose first wake-up was lost", ("queue",)
 )
-CHORE_FAILURES = MetricDefinition(
-    "stone_chore_failures", "Chores of the sweeper that an outage kept from being done", ("chore",)
-)
+CHORE_FAILURES = MetricDefinition("stone_chore_failures", "Sweeper chores that an outage prevented", ("chore",))
 
 METERS = (
     REQUESTS,

@@ -39,4 +39,4 @@ class Descriptors:
         if limit == resource.RLIM_INFINITY or number < NEAR * limit or self._now_s() < self._silent_until_s:
             return
         self._silent_until_s = self._now_s() + self._each_s
-        log.warning("open files near the limit; beyond it connections are cut", open=number + 1, limit=limit)
+        log.warning("open files near the limit; beyond it the process drops connections", open=number + 1, limit=limit)

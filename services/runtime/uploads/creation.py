@@ -186,8 +186,8 @@ def hold_draft(session: Session, settings: Settings, declared: UploadDeclaration
     if _waiting(session, Upload.target_id == declared.target_id, limit) >= limit:
         raise Refused(
             "too_many_uploads_of_draft",
-            f"{limit} uploads for the draft {declared.target_id[:64]!r} are unfinished or not used yet, and no "
-            "more may be: it needs one; resume that one, or delete those that were given up",
+            f"the draft {declared.target_id[:64]!r} has {limit} unfinished or unused uploads, which is the limit; "
+            "resume one of these uploads, or delete the abandoned ones",
         )
 
 
@@ -197,8 +197,8 @@ def refuse_too_many(session: Session, settings: Settings, owner: UploadOwner) ->
     if _waiting(session, Upload.owner_id == owner.user_id, limit) >= limit:
         raise Refused(
             "too_many_uploads",
-            f"{limit} uploads of yours are unfinished or not used yet, and no more may be; does a client begin "
-            "anew instead of resuming? use or delete some of them (GET /api/v1/uploads) or wait until they expire",
+            f"you have {limit} unfinished or unused uploads, which is the limit; resume, use or delete uploads "
+            "(GET /api/v1/uploads), or wait until they expire",
         )
 
 
@@ -209,14 +209,12 @@ def _waiting(session: Session, among: ColumnElement[bool], most: int) -> int:
 
 
 def upload_target_missing(purpose: str, target_id: str) -> Refused:
-    return Refused(
-        "upload_target_missing", f"there is no target {target_id[:64]!r} of yours for a {purpose}; create it first"
-    )
+    return Refused("upload_target_missing", f"you have no target {target_id[:64]!r} for a {purpose}; create it first")
 
 
 def undeclared_upload(field: str, given: object, announced: object) -> Refused:
     return Refused(
         "not_as_announced",
-        f"{field} is {str(given)[:80]!r}, the draft announces {str(announced)!r}; "
-        "was the zip written again meanwhile? then make a new draft",
+        f"{field} is {str(given)[:80]!r}, but the draft announces {str(announced)!r}; "
+        "if the zip has changed since, create a new draft",
     )

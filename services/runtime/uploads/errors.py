@@ -9,11 +9,11 @@ class BadMetadataError(StoneError):
     code = "bad_upload_metadata"
 
     def __init__(self, name: str, value: str, expected: str) -> None:
-        super().__init__(f"{name} is {value[:80]!r}; expected {expected}")
+        super().__init__(f"upload metadata: {name} is {value[:80]!r}; expected {expected}")
 
 
 def upload_too_large(length_bytes: int, limit_bytes: int) -> Refused:
-    return Refused("upload_too_large", f"the file has {length_bytes} bytes, at most {limit_bytes} are taken; split it")
+    return Refused("upload_too_large", f"the file has {length_bytes} bytes, the limit is {limit_bytes}; split it")
 
 
 def upload_gone(upload_id: str, state: str, detail: str) -> Refused:
@@ -34,7 +34,7 @@ class UploadLockedError(StoneError):
 
     def __init__(self, upload_id: str) -> None:
         super().__init__(
-            f"another request is writing to upload {upload_id}; wait for it, or until its client is missed"
+            f"another request is writing to upload {upload_id}; try again when it has ended or its client timed out"
         )
 
 
@@ -45,8 +45,8 @@ class FileMismatchError(StoneError):
 
     def __init__(self, upload_id: str, found: str, declared: str) -> None:
         super().__init__(
-            f"upload {upload_id} has sha256 {found}, declared was {declared}; "
-            "the file was removed, upload it again (did it change on your disk meanwhile?)"
+            f"upload {upload_id} has sha256 {found}, but {declared} was declared; the platform deleted the file: "
+            "check that it has not changed on your disk, and upload it again"
         )
 
 
@@ -56,5 +56,5 @@ class DiskFullError(StoneError):
     code = "disk_full"
 
     def __init__(self, offset_bytes: int, why: str = "the disk is full") -> None:
-        super().__init__(f"{why}; {offset_bytes} bytes of this upload are kept, resume once space is freed")
+        super().__init__(f"{why}; {offset_bytes} bytes of this upload are kept: free space and resume")
         self.why = why

@@ -100,7 +100,7 @@ def expire(platform: Platform, cursor: UploadCursor | None = None) -> int:
 
 
 def _expire(platform: Platform, upload: Upload) -> bool:
-    detail = "its time was over before it was " + ("finished" if upload.state == "open" else "used")
+    detail = "it expired before it was " + ("finished" if upload.state == "open" else "used")
     try:
         held = backend_of(platform, upload).hold(upload) if upload.state == "open" else None
     except UploadLockedError:  # bytes are coming in

@@ -43,7 +43,7 @@ def create_joined(
     Raises `bad_parts`, `upload_missing`, `wrong_upload_state`, and what `create` raises.
     """
     if not 1 <= len(part_ids) <= MOST_PARTS or len(set(part_ids)) < len(part_ids):
-        raise _bad_parts(f"{len(part_ids)} parts are named, of which {len(set(part_ids))} differ")
+        raise _bad_parts(f"the request names {len(part_ids)} parts, {len(set(part_ids))} of them different")
     refuse_foreign_target(platform, owner, declared)
     with platform.database.transaction() as session:
         parts = [_taken_part(session, part_id, owner) for part_id in sorted(part_ids)]
@@ -52,7 +52,7 @@ def create_joined(
         if length_bytes > limit_bytes:
             raise upload_too_large(length_bytes, limit_bytes)
         if len({part.backend for part in parts}) > 1:
-            raise _bad_parts("the parts lie in different backends, which was changed meanwhile; send them again")
+            raise _bad_parts("the upload backend changed between these parts; upload them again")
         whole = new_upload(platform, owner, declared, length_bytes)
         whole.backend, whole.detail = parts[0].backend, " ".join(part.id for part in parts)
         for part in parts:
@@ -106,7 +106,7 @@ def _taken_part(session: Session, part_id: str, owner: UploadOwner) -> Upload:
     held = select(Upload).where(Upload.id == part_id, Upload.owner_id == owner.user_id).with_for_update()
     part = session.scalar(held)
     if part is None:
-        raise Refused("upload_missing", f"there is no upload {part_id[:64]!r} of yours")
+        raise Refused("upload_missing", f"you have no upload {part_id[:64]!r}")
     if part.purpose != PART:
         raise _bad_parts(f"{part_id} was not created with Upload-Concat: partial")
     if part.state != "complete":
@@ -116,5 +116,5 @@ def _taken_part(session: Session, part_id: str, owner: UploadOwner) -> Upload:
 
 def _bad_parts(why: str) -> Refused:
     return Refused(
-        "bad_parts", f"{why}; name 1 to {MOST_PARTS} complete uploads of Upload-Concat: partial, each once, in order"
+        "bad_parts", f"{why}; name 1 to {MOST_PARTS} complete uploads (Upload-Concat: partial), each once, in order"
     )

@@ -76,7 +76,7 @@ def add(platform: Platform, upload_id: str, parts: Sequence[UploadPart]) -> None
             refuse_gone(upload)
         end = upload.length_bytes if upload.state in WHOLE else end_of(session, upload_id)
         if end != first or not _taken(session, [part.key for part in parts]):
-            raise Refused("offset_mismatch", f"{end} bytes are here, not {first}; resume from byte {end}")
+            raise Refused("offset_mismatch", f"the server has {end} bytes, not {first}; resume from byte {end}")
         session.add_all(_row(upload_id, part) for part in parts)
         if upload.expires_ns - now_ns() < platform.settings.uploads.expires_s * 5e8:
             upload.expires_ns = expiry_ns(platform)

@@ -98,8 +98,8 @@ class LockedUploadParts:
             if self._count >= MOST_PARTS:
                 raise Refused(
                     "too_many_small_requests",
-                    f"upload {self._upload.id} is kept in {MOST_PARTS} objects, more are not made of one file; "
-                    "create a new one and send it in larger pieces, of some MiB each",
+                    f"upload {self._upload.id} has {MOST_PARTS} parts, which is the limit; "
+                    "create a new upload and send it in larger requests, of a few MiB each",
                 )
             try:
                 self._take(pieces)

@@ -123,8 +123,8 @@ class UploadReceiver:
         self._cut()
         raise Refused(
             "checksum_mismatch",
-            f"the {self._checksum.algorithm} of bytes {self._first_byte}-{end} differs; they were discarded, "
-            "resend them",
+            f"the {self._checksum.algorithm} of bytes {self._first_byte}-{end} differs, and the server discarded "
+            "them; send them again",
         )
 
     def _give_up_unverified(self) -> None:
@@ -163,7 +163,7 @@ def receive(platform: Platform, upload_id: str, owner_id: str, piece: UploadChun
         _refuse_misplaced(upload, upload.length_bytes, piece)
         return None
     if part_ids_of(upload):
-        raise Refused("joined_upload", f"the bytes of upload {upload.id} are those of its parts; send none to it")
+        raise Refused("joined_upload", f"upload {upload.id} is made from its parts; do not send bytes to it")
     held = _held(platform, upload)
     try:
         upload = find_alive(platform.database, upload_id, owner_id)
@@ -190,7 +190,7 @@ def _refuse_misplaced(upload: Upload, offset_bytes: int, piece: UploadChunk) -> 
     if piece.offset_bytes != offset_bytes:
         raise Refused(
             "offset_mismatch",
-            f"{offset_bytes} bytes are here, not {piece.offset_bytes}; resume from byte {offset_bytes}",
+            f"the server has {offset_bytes} bytes, not {piece.offset_bytes}; resume from byte {offset_bytes}",
         )
     reached = piece.offset_bytes + (piece.length_bytes or 0)
     if reached > upload.length_bytes:
@@ -199,5 +199,5 @@ def _refuse_misplaced(upload: Upload, offset_bytes: int, piece: UploadChunk) -> 
 
 def over_length(reached_bytes: int, length_bytes: int) -> Refused:
     return Refused(
-        "over_length", f"the upload was declared with {length_bytes} bytes and this would make at least {reached_bytes}"
+        "over_length", f"the upload was declared with {length_bytes} bytes, but would have at least {reached_bytes}"
     )

@@ -55,7 +55,7 @@ def find(database: Database, upload_id: str, owner_id: str) -> Upload:
     with database.reading() as session:
         upload = session.get(Upload, upload_id)
     if upload is None or upload.owner_id != owner_id:
-        raise Refused("upload_missing", f"there is no upload {upload_id[:64]!r} of yours")
+        raise Refused("upload_missing", f"you have no upload {upload_id[:64]!r}")
     return upload
 
 
@@ -71,7 +71,7 @@ def refuse_gone(upload: Upload) -> None:
     if upload.state in GONE:
         raise upload_gone(upload.id, upload.state, upload.detail)
     if upload.state == "open" and upload.expires_ns <= now_ns():
-        raise upload_gone(upload.id, "expired", "its time was over")
+        raise upload_gone(upload.id, "expired", "it was not finished in time")
 
 
 def move(session: Session, upload: Upload, state: str, **columns: Any) -> bool:
@@ -96,10 +96,10 @@ def consume(session: Session, upload_id: str, owner_id: str, purpose: str) -> Up
     """
     upload = session.scalar(select(Upload).where(Upload.id == upload_id, Upload.owner_id == owner_id).with_for_update())
     if upload is None:
-        raise Refused("upload_missing", f"there is no upload {upload_id[:64]!r} of yours")
+        raise Refused("upload_missing", f"you have no upload {upload_id[:64]!r}")
     if upload.purpose != purpose:
         raise Refused(
-            "wrong_upload_purpose", f"upload {upload_id} was declared to be a {upload.purpose}, not a {purpose}"
+            "wrong_upload_purpose", f"upload {upload_id} was declared as a {upload.purpose}, not as a {purpose}"
         )
     session.refresh(upload)
     if upload.state != "complete" or not move(session, upload, "consumed"):

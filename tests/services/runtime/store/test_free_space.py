@@ -31,7 +31,7 @@ def test_a_byte_more_than_what_the_reserve_leaves_is_refused_by_name(tmp_path: P
     assert space.takes(60)
     assert not space.takes(61)
     with pytest.raises(
-        StorageFullError, match=f"5 bytes are to be written; .* {2**62} of them are its reserve"
+        StorageFullError, match=f"cannot write 5 bytes: .* reserve of {2**62} bytes"
     ) as refused:
         require_room(tmp_path, 5, 2**62)
     assert refused.value.code == "storage_full"

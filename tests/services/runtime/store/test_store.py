@@ -123,7 +123,7 @@ def test_an_object_that_is_not_there_is_missing_whatever_is_asked(store: Store) 
 @pytest.mark.parametrize(("start", "stop"), [(-1, None), (5, 4), (-3, -2)])
 def test_a_range_that_is_none_is_refused(store: Store, tmp_path: Path, start: int, stop: int | None) -> None:
     store.write("blobs/a", file_of(tmp_path, b"0123456789"))
-    with pytest.raises(ValueError, match="no byte range"):
+    with pytest.raises(ValueError, match="bad byte range"):
         store.read("blobs/a", start, stop)
 
 
@@ -436,7 +436,7 @@ def test_a_full_folder_refuses_keeps_nothing_half_and_takes_again_what_fits(
     store = FolderStore(disk / "store")
     place = getattr(store, act)
     place("blobs/first", sized(tmp_path, 3 * MIB))
-    with pytest.raises(StoreFullError, match="free on the platform's disk"):
+    with pytest.raises(StoreFullError, match="the platform's disk has"):
         place("blobs/second", sized(tmp_path, 2 * MIB))
     assert [path.name for path in disk.rglob("*") if path.is_file()] == ["first"]
     store.delete("blobs/first")

@@ -48,7 +48,7 @@ def test_somebody_elses_upload_does_not_exist(placed: Platform) -> None:
 def test_a_wrong_offset_is_refused_and_changes_nothing(placed: Platform, offset: int) -> None:
     upload = made(placed, make_owner(placed), CONTENT)
     send(placed, upload, 0, CONTENT[:100])
-    with refused_as("offset_mismatch", match="100 bytes are here"):
+    with refused_as("offset_mismatch", match="the server has 100 bytes"):
         send(placed, upload, offset, CONTENT[100:200])
     assert kept(placed, upload) == CONTENT[:100]
 
