@@ -1,12 +1,12 @@
 """Content-addressed blobs: bytes are stored first, then a row is added in the caller's transaction.
 
-**Conventions.** The database is the arbiter, no clock is: an object that no blob names has a row in `loose_objects`,
-committed before its first byte is written, and whoever takes that row out has the object. `link` takes it to make a
-blob; garbage collection (`services/runtime/store/garbage_collection.py`) condemns it to delete the object. So whatever
-the order of things and however short the grace, what a blob row names exists. A content stored again gets a new key.
+**Conventions.** The database decides, not a clock. An object without a blob has a row in `loose_objects`, committed
+before its first byte is written. The process that deletes that row owns the object: `link` does so to create a blob,
+and garbage collection (`services/runtime/store/garbage_collection.py`) condemns the row to delete the object. So in any
+order of events, and with any grace, the object of a blob row exists. Content that is stored again gets a new key.
 
-`adopt=True` says that nobody will change the file any more, so that it may share its bytes with the object. The file
-itself always stays: remove it after the commit.
+`adopt=True` promises that the file will not change any more, so it may share its bytes with the object. The file itself
+always stays: delete it after the commit.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -53,7 +53,7 @@ log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True)
 class PreparedBlob:
-    """A file whose content is stored under `object_key`, or was stored already (then the key is empty)."""
+    """A file whose content is stored under `object_key`; the key is empty if a blob had the content already."""
 
     store: Store
     path: Path
@@ -64,9 +64,9 @@ class PreparedBlob:
 
 
 def keep(session: Session, store: Store, path: Path, *, adopt: bool = False) -> Blob:
-    """The blob of the content of `path`, stored within the session's transaction: for small files.
+    """Store the content of `path` within the session's transaction and return its blob: for small files.
 
-    For large ones `prepare` before the transaction and `link` inside it.
+    For large files call `prepare` before the transaction and `link` inside it.
     """
     prepared = _hashed(store, path, adopt)
     if _mend(prepared, _object_keys(session, [prepared])):
@@ -77,10 +77,10 @@ def keep(session: Session, store: Store, path: Path, *, adopt: bool = False) -> 
 def prepare(store: Store, database: Database, path: Path, *, adopt: bool = False) -> PreparedBlob:
     """Hash `path` and store its content unless a blob has it; call it outside transactions, then `link`.
 
-    If a blob has it, its object is read and compared. A missing or different object, which the platform itself never
-    causes, is replaced.
+    If a blob has the content, its object is read and compared. A missing or different object, which the platform itself
+    never causes, is replaced.
 
-    What is never linked is collected after the grace. Raises `StoreFullError`, `store_unavailable`.
+    Unlinked content is collected after the grace. Raise `StoreFullError`, `store_unavailable`.
     """
     (prepared,) = prepare_all(store, database, [path], adopt=adopt)
     return prepared
@@ -89,8 +89,7 @@ def prepare(store: Store, database: Database, path: Path, *, adopt: bool = False
 def prepare_all(
     store: Store, database: Database, paths: Iterable[Path], *, adopt: bool = False
 ) -> Iterator[PreparedBlob]:
-    """As `prepare`, of several files: a few are hashed at once and then stored one after another; the database is asked
-    and told of all of them at once."""
+    """Prepare several files: hash a few at once, store them one after another, with one transaction for all."""
     with hashed_beside(store, paths, adopt=adopt) as hashed:
         found = hashed()
     yield from prepare_hashed(database, found)
@@ -100,9 +99,9 @@ def prepare_all(
 def hashed_beside(
     store: Store, paths: Iterable[Path], *, adopt: bool = False
 ) -> Iterator[Callable[[], list[PreparedBlob]]]:
-    """Files for `prepare_hashed`, hashed by threads while something else is done with them; asking waits.
+    """Hash files in threads for `prepare_hashed`, beside the block; the yielded function waits for the hashes.
 
-    Whoever leaves without having asked does not wait for the rest.
+    If the block ends without a call of this function, hashing stops.
     """
     given_up = Event()
     with ThreadPoolExecutor(HASHERS) as pool:
@@ -114,7 +113,7 @@ def hashed_beside(
 
 
 def prepare_hashed(database: Database, hashed: Sequence[PreparedBlob]) -> Iterator[PreparedBlob]:
-    """As `prepare_all`, of files that were `hashed_beside`."""
+    """Prepare files that `hashed_beside` has hashed, as `prepare_all` does."""
     with database.reading() as session:
         standing = _object_keys(session, hashed)
     fresh = [one if one.sha256 in standing else replace(one, object_key=_fresh_key(one.sha256)) for one in hashed]
@@ -129,16 +128,16 @@ def prepare_hashed(database: Database, hashed: Sequence[PreparedBlob]) -> Iterat
 
 
 def link(session: Session, prepared: PreparedBlob) -> Blob:
-    """The blob's row, held against garbage collection until the session ends: refer to it by a foreign key before that.
+    """Return the blob's row, locked against garbage collection until the session ends: refer to it by a foreign key.
 
-    Where its object was collected meanwhile (the grace passed), the file is stored again, within the session. Whoever
-    links several in one session does so by `link_all`, or two such sessions may wait for each other.
+    If its object was collected meanwhile (after the grace), store the file again within the session. For several files
+    use `link_all`: several calls of `link` in two sessions could deadlock.
     """
     return link_all(session, [prepared])[prepared.sha256]
 
 
 def link_all(session: Session, prepared: Iterable[PreparedBlob]) -> dict[str, Blob]:
-    """The rows of several contents by sha256, in the one order in which no two sessions wait for each other."""
+    """Return the rows of several contents by sha256, locked in an order that avoids deadlocks."""
     wanted = {one.sha256: one for one in sorted(prepared, key=lambda one: one.sha256)}
     keys = _taken(session, [one.object_key for one in wanted.values() if one.object_key])
     ours = {sha256: one.object_key for sha256, one in wanted.items() if one.object_key in keys}
@@ -152,14 +151,14 @@ def link_all(session: Session, prepared: Iterable[PreparedBlob]) -> dict[str, Bl
         ]
         insert_new(session, Blob, facts)
         blobs |= _held(session, [one.sha256 for one in missing])
-    # Somebody else stored the same content first:
+    # Another process stored the same content first:
     doubled = [key for sha256, key in ours.items() if key and blobs[sha256].object_key != key]
     insert_new(session, LooseObject, [{"object_key": key, "is_condemned": True} for key in doubled])
     return blobs
 
 
 def _make_known(database: Database, fresh: Sequence[PreparedBlob]) -> None:
-    """Loose objects of contents that will be stored in this order, each expected when all before it are there too."""
+    """Register loose objects of contents that will be stored in this order, with ascending deadlines."""
     if not fresh:
         return
     bytes_until = accumulate(one.size_bytes for one in fresh)
@@ -171,7 +170,7 @@ def _make_known(database: Database, fresh: Sequence[PreparedBlob]) -> None:
 
 
 def _taken(session: Session, keys: Sequence[str]) -> set[str]:
-    """Those of `keys` that are ours alone now; garbage collection condemned the others."""
+    """Take these keys out of `loose_objects`; return the keys taken: garbage collection condemned the others."""
     if not keys:
         return set()
     loose = delete(LooseObject).where(LooseObject.object_key.in_(keys), LooseObject.is_condemned.is_(False))
@@ -184,13 +183,13 @@ def _held(session: Session, sha256s: Iterable[str]) -> dict[str, Blob]:
 
 
 def _object_keys(session: Session, prepared: Iterable[PreparedBlob]) -> dict[str, str]:
-    """The object of each content that a blob has, by sha256."""
+    """Return the object key of each content that a blob has, by sha256."""
     asked = select(Blob.sha256, Blob.object_key).where(Blob.sha256.in_([one.sha256 for one in prepared]))
     return {sha256: key for sha256, key in session.execute(asked)}
 
 
 def _stored_within(session: Session, prepared: PreparedBlob) -> str:
-    """Store under a key whose row nobody else sees; garbage collection waits for our commit to judge the object."""
+    """Store under a key whose row is uncommitted; garbage collection waits for our commit to judge the object."""
     key = _fresh_key(prepared.sha256)
     insert_new(session, LooseObject, [{"object_key": key}])
     _store(prepared, key)

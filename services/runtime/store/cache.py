@@ -1,8 +1,8 @@
 """A local LRU cache of store objects that never evicts one in use.
 
-**Conventions.** A file's modification time is when it was last asked for. What was asked for within the last hour
-stays, even above the limit: somebody may be about to open it. What is being downloaded lies in `partial`, held by the
-lock of its downloader; several processes that want one object wait for one download.
+**Conventions.** A file's modification time is the time of its last use. Files used within the last hour stay, even
+above the limit: a caller may be about to open them. Unfinished downloads lie in `partial`, locked by their downloader;
+if several processes need one object, the others wait for its download.
 """
 
 import fcntl
@@ -32,7 +32,7 @@ class Cache:
         self._limit_bytes = limit_bytes
 
     def file(self, key: str, download: Callable[[str, Path], None]) -> Path:
-        """The file of `key`; `download(key, path)` fills it when there is none. Raises `StoreFullError`."""
+        """Return the file of `key`; `download(key, path)` fills it if it is missing. Raise `StoreFullError`."""
         path = self._objects / key
         with refusing_full(self._objects):
             for folder in (path.parent, self._partial):
@@ -48,12 +48,12 @@ class Cache:
 
     @contextmanager
     def borrowed(self, key: str, download: Callable[[str, Path], None]) -> Iterator[Path]:
-        """As `file`; gone at the end unless somebody else has borrowed it too, and not evicted before."""
+        """Yield the file of `key`, safe from eviction; delete it afterwards unless another process borrows it."""
         while True:
             path = self.file(key, download)
             with _shared(path) as descriptor:
                 if descriptor is None:
-                    continue  # whoever had borrowed it removed it in between
+                    continue  # another borrower deleted it in between
                 try:
                     yield path
                 finally:
@@ -61,7 +61,7 @@ class Cache:
                 return
 
     def tidy(self) -> int:
-        """Remove what dead downloads left, and mirrors of runs unused for a day; the number removed."""
+        """Delete leftovers of dead downloads and mirrors of runs unused for a day; return the number deleted."""
         removed = 0
         for partial in self._partial.iterdir() if self._partial.is_dir() else ():
             with suppress(BlockingIOError), _lock(partial, fcntl.LOCK_EX | fcntl.LOCK_NB) as descriptor:
@@ -73,7 +73,7 @@ class Cache:
         return removed
 
     def _used(self, path: Path) -> bool:
-        """Mark as used, unless it is not there; no eviction comes in between."""
+        """Mark the file as used, safely against eviction; return whether it exists."""
         with suppress(FileNotFoundError), _lock(self._use, fcntl.LOCK_SH):
             os.utime(path)
             return True
@@ -102,7 +102,7 @@ class Cache:
 
 
 def _files(folder: Path) -> Iterator[tuple[float, int, Path]]:
-    """Last use, size and path of every whole file."""
+    """Yield last use, size and path of every whole file."""
     for path in folder.rglob("*"):
         with suppress(FileNotFoundError):
             facts = path.stat()
@@ -119,7 +119,7 @@ def _unused_s(path: Path) -> float:
 
 @contextmanager
 def _shared(path: Path) -> Iterator[int | None]:
-    """A descriptor that holds the file's lock together with others; None when it is gone."""
+    """Yield a descriptor with a shared lock on the file; None if the file is gone."""
     try:
         descriptor = os.open(path, os.O_RDONLY)
     except FileNotFoundError:
@@ -134,14 +134,14 @@ def _shared(path: Path) -> Iterator[int | None]:
 
 def _remove_unless_borrowed(path: Path, descriptor: int) -> bool:
     with suppress(BlockingIOError):
-        # Changing a lock's kind gives it up for a moment, in which another may remove the file and a third replace it.
+        # Changing a lock's kind releases it for a moment, in which another process may delete or replace the file.
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         return _removed(path, descriptor)
     return False
 
 
 def _removed(path: Path, descriptor: int) -> bool:
-    """Remove `path`, unless it is another file than the one that `descriptor` holds alone."""
+    """Delete `path`, unless it is another file than that of `descriptor`, which has the exclusive lock."""
     if not _is_file_of(descriptor, path):
         return False
     path.unlink()
@@ -155,15 +155,15 @@ def _evicted(path: Path) -> bool:
 
 @contextmanager
 def _own(partial: Path) -> Iterator[Path]:
-    """Yield `partial`, empty or half, held by this process alone; it is gone afterwards."""
+    """Yield `partial`, empty or half full, locked by this process alone; it is deleted afterwards."""
     while True:
         with _lock(partial, fcntl.LOCK_EX) as descriptor:
             if not _is_file_of(descriptor, partial):
-                continue  # whoever held it before renamed or removed it
+                continue  # the previous holder renamed or deleted it
             try:
                 yield partial
             finally:
-                _removed(partial, descriptor)  # renamed, its name is the next downloader's
+                _removed(partial, descriptor)  # after the rename, its name belongs to the next downloader
             return
 
 

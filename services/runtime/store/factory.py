@@ -10,7 +10,7 @@ def open_store(settings: Settings) -> Store:
     """Return the bucket of `settings`; without one, the folder `store` in the data folder, hidden from messages."""
     hide(settings.root)
     if settings.store.s3_bucket:
-        from services.runtime.store.s3 import S3Store  # boto3 takes most of a second to import
+        from services.runtime.store.s3 import S3Store  # importing boto3 takes most of a second
 
         return S3Store(settings)
     return FolderStore(settings.root / "store", settings.store.reserve_bytes)

@@ -27,7 +27,7 @@ from services.runtime.telemetry.counters import STORE_FAULTS, process_counters
 from stone.errors import PlatformFaultError, StoneError
 
 UNREADABLE = {errno.EIO, errno.EBADMSG, errno.EUCLEAN}
-"""The errors of a disk that lost the bytes, and of a file system whose own checksums differ."""
+"""Errors of a disk that lost the bytes, and of a file system whose own checksums differ."""
 MISSING, SIZE, BYTES, SERVED = "missing", "size", "bytes", "served"
 MOST_SHOWN = 200
 
@@ -47,7 +47,7 @@ class BlobFacts(Protocol):
 
 @dataclass(frozen=True)
 class ScrubStatus:
-    """Progress of the scrub: `objects` and `size_bytes` of the pass that began at `begun_ns`; null before the first."""
+    """Progress of the scrub: objects and bytes of the pass that started at `begun_ns`; null before the first."""
 
     passed_ns: int | None
     begun_ns: int | None
@@ -118,7 +118,7 @@ def note_served(database: Database, object_keys: Sequence[str]) -> None:
 def refuse_damaged(store: Store, database: Database, object_keys: Iterable[str], named: str) -> None:
     """Raise `ObjectDamagedError` if this machine reads other bytes than were stored for one of these blobs.
 
-    Call it before refusing a user's input. It reads all bytes, drops a copy that differs, and records a fault.
+    Call it before refusing a user's input. It reads all bytes, drops a different copy, and records a fault.
     """
     with database.reading() as session:
         blobs = session.scalars(select(Blob).where(Blob.object_key.in_(list(object_keys)))).all()
@@ -134,8 +134,7 @@ def refuse_damaged(store: Store, database: Database, object_keys: Iterable[str],
 
 @contextmanager
 def comparing(store: Store, database: Database, object_keys: Iterable[str], named: str) -> Iterator[None]:
-    """A context that reads these objects; it raises `ObjectDamagedError` instead of a refusal that a damaged object
-    caused."""
+    """Read these objects in the block; raise `ObjectDamagedError` instead of a refusal that a damaged object caused."""
     try:
         yield
     except StoneError as error:

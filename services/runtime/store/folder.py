@@ -1,8 +1,8 @@
 """A store in a local folder: an object is a file whose path is its key.
 
-**Conventions.** Bytes are staged in `.staging` of the same folder, flushed, and renamed into place; the folders above
-are flushed too, so an object that a row names survives a power cut. What `kill -9` leaves in `.staging` is removed by
-`tidy`: a staging is held by its writer's `flock`, so no clock decides whose it is.
+**Conventions.** Bytes are staged in `.staging` of the same folder, flushed, and renamed into place. The folders above
+are flushed too, so an object that a row names survives a power cut. `tidy` deletes the leftovers of `kill -9` in
+`.staging`: each writer holds a `flock` on its staging, so no clock decides its ownership.
 """
 
 import errno
@@ -41,7 +41,7 @@ class FolderStore:
         self._staging = root / ".staging"
 
     def write(self, key: str, source: Path) -> None:
-        """Store a copy of `source`. Raises `StoreFullError`; nothing is left behind then."""
+        """Store a copy of `source`. Raise `StoreFullError`, leaving nothing behind."""
         target = self.root / checked(key)
         if (size_bytes := source.stat().st_size) > SMALL_BYTES:
             require_room(self.root, size_bytes, self._reserve_bytes)
@@ -53,10 +53,10 @@ class FolderStore:
         process_counters().add(STORE_BYTES, ("in",), size_bytes)
 
     def adopt(self, key: str, source: Path) -> None:
-        """Store `source` by a hard link where the filesystem allows it, else as a copy; `source` stays."""
+        """Store `source` by a hard link if the filesystem allows it, else as a copy; `source` stays."""
         target = self.root / checked(key)
         flush(source)
-        os.utime(source)  # the object is new however old the file, and its age must not make it look forgotten
+        os.utime(source)  # the object is new even if the file is old: its age must not make it look abandoned
         try:
             with refusing_full(self.root):
                 _placed(lambda: os.link(source, target), source, target)
@@ -67,7 +67,7 @@ class FolderStore:
             self.write(key, source)
 
     def read(self, key: str, start: int = 0, stop: int | None = None) -> Iterator[bytes]:
-        """The bytes [start, stop), clipped to the object, in pieces; a missing object is refused at the call."""
+        """Yield the bytes [start, stop), clipped to the object, in pieces; a missing object raises at the call."""
         checked_range(start, stop)
         end = self.size_bytes(key)
         return self._pieces(key, start, end if stop is None else min(stop, end))
@@ -87,17 +87,17 @@ class FolderStore:
     def delete(self, key: str) -> None:
         path = self.root / checked(key)
         path.unlink(missing_ok=True)
-        with suppress(OSError):  # the folders above go with their last object; a writer makes them again
+        with suppress(OSError):  # remove the folders above with their last object; a writer creates them again
             for folder in list(path.relative_to(self.root).parents)[:-2]:
                 (self.root / folder).rmdir()
 
     def listed(self, prefix: str) -> Iterator[StoredObject]:
-        """Objects in the order of their keys; those that come or go meanwhile may be missed."""
+        """Yield objects in the order of their keys; objects added or deleted meanwhile may be missed."""
         folder, _, _ = checked_prefix(prefix).rpartition("/")
         yield from self._walk(folder, prefix)
 
     def tidy(self, grace_s: float) -> int:
-        """Remove what dead writers left; the number of files removed. The grace is not needed here."""
+        """Delete leftovers of dead writers; return their number. The grace is not needed here."""
         removed = 0
         for entry in self._staging.iterdir() if self._staging.is_dir() else ():
             with suppress(FileNotFoundError):
@@ -140,7 +140,7 @@ class FolderStore:
 
 
 def _held(folder: Path) -> tuple[Path, int]:
-    """A fresh file and a descriptor that holds its lock; another one when `tidy` was quicker than the lock."""
+    """Return a new folder and a descriptor that locks it; retry if `tidy` deleted the folder before the lock."""
     while True:
         staging = folder / f"{token_hex(8)}.partial"
         descriptor = os.open(staging, os.O_CREAT | os.O_EXCL | os.O_RDONLY, 0o644)
@@ -151,19 +151,19 @@ def _held(folder: Path) -> tuple[Path, int]:
 
 
 def _placed(move: Callable[[], None], source: Path, target: Path) -> None:
-    """Move or link into place; again when a deletion took the empty folder away in between."""
+    """Move or link into place; retry if a deletion removed the empty folder in between."""
     while True:
         make_folder(target.parent)
         try:
             move()
             break
         except FileNotFoundError:
-            source.stat()  # raises when it is the source that is gone
+            source.stat()  # raises if the source is gone
     flush(target.parent)
 
 
 def make_folder(folder: Path) -> None:
-    """Make `folder` and those above it so that they survive a power cut."""
+    """Create `folder` and its parents so that they survive a power cut."""
     missing = [path for path in (folder, *folder.parents) if not path.is_dir()]
     for path in reversed(missing):
         with suppress(FileExistsError, FileNotFoundError):
@@ -173,7 +173,7 @@ def make_folder(folder: Path) -> None:
 
 @contextmanager
 def refusing_full(place: Path) -> Iterator[None]:
-    """Turn the operating system's full disk into `StoreFullError`."""
+    """Raise `StoreFullError` instead of the operating system's full-disk error."""
     try:
         yield
     except OSError as error:

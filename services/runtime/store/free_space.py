@@ -1,8 +1,8 @@
 """The reserve: free space that bulk data never takes, so that rows can always be written.
 
 **Conventions.** Uploads, the files of jobs, downloads into the cache and backups check the free space before they
-write. Each file system has a reserve: `STONE_STORE__RESERVE_BYTES`, or by default the larger of a twentieth of it and
-2 GiB. A bucket has no reserve.
+write. Each file system has a reserve: `STONE_STORE__RESERVE_BYTES`, or by default the larger of a twentieth of the file
+system and 2 GiB. A bucket has no reserve.
 """
 
 import os
@@ -54,7 +54,7 @@ def free_space(place: Path | int, reserve_bytes: int = AUTOMATIC) -> FreeSpace:
 
 
 def require_room(place: Path | int, more_bytes: int, reserve_bytes: int) -> None:
-    """Raises `StorageFullError` unless `more_bytes` can be written to `place` and the reserve stays free."""
+    """Raise `StorageFullError` unless `more_bytes` can be written to `place` and the reserve stays free."""
     space = free_space(place, reserve_bytes)
     if not space.takes(more_bytes):
         raise StorageFullError(space, more_bytes)

@@ -1,9 +1,9 @@
 """Garbage collection of the store: unreferenced blobs, unknown objects, work files of ended runs.
 
-**Conventions.** A blob's row goes before its object, in one transaction with the object's condemnation, so a crash at
-any point leaves something that the next run ends. The grace only spares work; what may be deleted is decided by
-who takes out the row of `loose_objects` (`services/runtime/store/blobs.py`). While somebody holds garbage collection
-(`services/runtime/store/gc_holds.py`), rows go and no object does.
+**Conventions.** A blob's row is deleted before its object, in the transaction that condemns the object. After a crash
+at any point, the next run completes the deletion. The grace only saves work: the process that deletes the row of
+`loose_objects` decides what may be deleted (`services/runtime/store/blobs.py`). While there is a hold
+(`services/runtime/store/gc_holds.py`), rows are deleted and objects stay.
 """
 
 import time
@@ -30,23 +30,23 @@ WORK = "work/"
 BATCH = 500
 SLOWEST_WRITE_S = 86_400.0
 NAMING = (Blob.object_key, UploadPartRow.object_key)
-"""Where rows say that they need an object."""
+"""Columns that name a needed object."""
 UNSYNCHRONISED = {"synchronize_session": False}
 KEPT_FAILED_NS = 7 * 86_400 * 10**9
 
 
 @dataclass(frozen=True)
 class GcResult:
-    """Numbers of deleted blob rows and objects (blobs, work files, halves of dead writers)."""
+    """Numbers of deleted blob rows and objects (blobs, work files, leftovers of dead writers)."""
 
     rows: int
     objects: int
 
 
 def collect_garbage(platform: Platform, turn: GcCursor | None = None) -> GcResult:
-    """Remove what is older than the grace and needed by nobody. Any number may run at once.
+    """Delete everything older than the grace and unreferenced. Several processes may run it at once.
 
-    With a `turn` some of it: what fits into its share of time, going on where it ended before.
+    With a `turn`, work for its share of time, continuing at the end of the last turn.
     """
     before_ns = now_ns() - int(platform.settings.store.grace_s * 1e9)
     blobs = BLOBS if turn is None else turn.next_shard(BLOBS)
@@ -60,7 +60,7 @@ def collect_garbage(platform: Platform, turn: GcCursor | None = None) -> GcResul
 
 
 def _release_blobs(platform: Platform, before_ns: int, turn: GcCursor) -> int:
-    """Delete rows without a reference, a slice of all blobs after another."""
+    """Delete unreferenced rows, in slices of all blobs."""
     released, until_s = 0, turn.until_s()
     while True:
         ordered = select(Blob.sha256).where(Blob.sha256 > turn.after_sha256).order_by(Blob.sha256)
@@ -74,9 +74,9 @@ def _release_blobs(platform: Platform, before_ns: int, turn: GcCursor) -> int:
 
 
 def _release_among(platform: Platform, claim: ColumnElement[bool]) -> int:
-    """Delete rows without a reference, condemning their objects.
+    """Delete unreferenced rows, condemning their objects.
 
-    On PostgreSQL two statements are needed: rows are locked first, against new references; then those are looked for.
+    PostgreSQL needs two statements: the first locks rows against new references, the second searches for references.
     """
     released = 0
     old = select(Blob.sha256).where(claim, ~_is_referenced())
@@ -92,14 +92,14 @@ def _release_among(platform: Platform, claim: ColumnElement[bool]) -> int:
 
 
 def _is_referenced() -> ColumnElement[bool]:
-    """Whether a foreign key of any table refers to the blob."""
+    """Return whether a foreign key of any table refers to the blob."""
     columns = [column for table in Base.metadata.sorted_tables for column in table.columns]
     referring = [column for column in columns if any(key.column.table is Blob.__table__ for key in column.foreign_keys)]
     return or_(*(exists().where(column == Blob.sha256) for column in referring))
 
 
 def _condemn_loose(platform: Platform, before_ns: int, until_s: float) -> None:
-    """Objects written and never linked."""
+    """Condemn objects that were written and never linked."""
     is_forgotten = and_(LooseObject.is_condemned.is_(False), LooseObject.expected_ns <= before_ns)
     some = select(LooseObject.object_key).where(is_forgotten).limit(BATCH)
     forgotten = update(LooseObject).where(LooseObject.object_key.in_(some)).values(is_condemned=True)
@@ -111,7 +111,7 @@ def _condemn_loose(platform: Platform, before_ns: int, until_s: float) -> None:
 
 
 def _condemn_unknown(platform: Platform, before_ns: int, listed: Iterable[StoredObject]) -> None:
-    """Objects no row speaks of: of transactions rolled back, of a database restored to an earlier day."""
+    """Condemn objects without a row: from transactions rolled back, or after a restore of an earlier database."""
     found = (stored for stored in listed if stored.modified_ns <= before_ns)
     while batch := [stored.key for stored in islice(found, BATCH)]:
         with platform.database.reading() as session:
@@ -122,13 +122,13 @@ def _condemn_unknown(platform: Platform, before_ns: int, listed: Iterable[Stored
 
 
 def _known(session: Session, keys: Sequence[str]) -> set[str]:
-    """Keys that a row speaks of; one statement, since a key may go from one table to another between two."""
+    """Return the keys that a row names. One statement is required, since a key may move from one table to another."""
     columns = (LooseObject.object_key, *NAMING)
     return set(session.scalars(union_all(*(select(column).where(column.in_(keys)) for column in columns))))
 
 
 def _spare(session: Session, condemned: Sequence[str]) -> None:
-    """Take back the condemnation of what was named by a transaction that ours had to wait for."""
+    """Revoke the condemnation of objects named by a transaction that ours had to wait for."""
     named = union_all(*(select(column).where(column.in_(condemned)) for column in NAMING))
     session.execute(delete(LooseObject).where(LooseObject.object_key.in_(named)).execution_options(**UNSYNCHRONISED))
 
@@ -149,7 +149,7 @@ def _delete_condemned(platform: Platform, share_s: float) -> int:
 
 
 def _delete_work(platform: Platform, before_ns: int, turn: GcCursor) -> int:
-    """Remove the workspaces of runs that are over; how many objects they had."""
+    """Delete the workspaces of ended runs; return the number of their objects."""
     deleted = 0
     for root_id, modified_ns in turn.of_work.turn(_workspaces(platform), turn.workspaces):
         if _is_over(platform, root_id, max(modified_ns) <= before_ns):
@@ -159,13 +159,13 @@ def _delete_work(platform: Platform, before_ns: int, turn: GcCursor) -> int:
 
 
 def _workspaces(platform: Platform) -> Iterator[tuple[str, list[int]]]:
-    """Each run that has files under way, and when those were written."""
+    """Yield each run with work files, and the times when these were written."""
     for root_id, objects in groupby(platform.store.listed(WORK), key=lambda stored: stored.key.split("/")[1]):
         yield root_id, [stored.modified_ns for stored in objects]
 
 
 def _is_over(platform: Platform, root_id: str, is_old: bool) -> bool:
-    """Whether no job of the run will ask for its work again; of a run nobody knows, whether it is old."""
+    """Return whether no job of the run will need its work again; for an unknown run, whether it is old."""
     asked = select(is_gc_held(), Job.state, Job.finished_ns).where(Job.id == root_id)
     with platform.database.reading() as session:
         known = session.execute(asked).one_or_none()

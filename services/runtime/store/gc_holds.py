@@ -1,8 +1,8 @@
 """Garbage collection holds: no object is deleted while a reader needs an earlier database state.
 
-**Conventions.** A hold is a row whose time is put off by a thread, on the database's clock. Garbage collection asks
-`is_gc_held()` in the very statement that finds what it will delete: where no hold is seen, none was committed, so
-whoever holds from now on sees a database in which those objects are named by nothing.
+**Conventions.** A hold is a row whose expiry a thread renews, on the database's clock. Garbage collection checks
+`is_gc_held()` in the very statement that selects what it will delete. If that statement sees no hold, none was
+committed, and later holders see a database in which no row names those objects.
 """
 
 import time
@@ -32,7 +32,7 @@ log = structlog.get_logger(__name__)
 
 
 class GcHold:
-    """A hold under way; `check` when the work is done."""
+    """An active hold; call `check` when the work is done."""
 
     def __init__(self, database: Database, reason: str) -> None:
         self._database, self._reason, self.id = database, reason, new_id()
@@ -44,13 +44,13 @@ class GcHold:
             session.execute(insert(GcHoldRow).values(id=self.id, reason=self._reason, until_ns=until_ns))
 
     def renew(self) -> None:
-        """Put it off; where it ran out already it is lost for good."""
+        """Renew the hold; a hold that has expired is lost for good."""
         alive = update(GcHoldRow).where(GcHoldRow.id == self.id, GcHoldRow.until_ns > database_ns())
         with self._database.transaction() as session:
             self._is_lost |= not rows_changed(session, alive.values(until_ns=database_ns() + int(HELD_S * 1e9)))
 
     def check(self) -> None:
-        """Raises `hold_lost` unless it has held all the time."""
+        """Raise `hold_lost` unless the hold lasted all the time."""
         self.renew()
         if self._is_lost:
             raise PlatformFaultError(
@@ -65,13 +65,13 @@ class GcHold:
 
 
 def is_gc_held() -> ColumnElement[bool]:
-    """Whether anybody holds garbage collection, as part of a statement."""
+    """Return whether any process holds garbage collection, as part of a statement."""
     return exists().where(GcHoldRow.until_ns > database_ns())
 
 
 @contextmanager
 def gc_hold(database: Database, reason: str) -> Iterator[GcHold]:
-    """Hold garbage collection: nothing that a snapshot taken inside names is deleted before the end."""
+    """Hold garbage collection: objects named by a snapshot taken in the block stay until its end."""
     hold, over = GcHold(database, reason), Event()
     hold.begin()
     thread = Thread(target=_renew, args=(hold, over), name="hold", daemon=True)
@@ -88,14 +88,13 @@ def _renew(hold: GcHold, over: Event) -> None:
     while not over.wait(RENEWED_S):
         try:
             hold.renew()
-        except SQLAlchemyError as error:  # the next try may be in time; `check` knows
+        except SQLAlchemyError as error:  # the next try may be in time; `check` decides
             log.warning("hold not renewed", reason=f"{type(error).__name__}: {error}"[:500])
 
 
-# The cursor of garbage collection, which looks at a slice of the blobs each time, and walks through long listings.
-#
-# **Conventions.** Other chores wait for the end of a turn, so none may last long. Blobs are looked at in the order of
-# their contents, objects by the first byte of that; where a turn ended is forgotten with the process.
+# The cursor of garbage collection, which processes a slice of the blobs each time, and walks through long listings.
+# **Conventions.** Other chores wait for the end of a turn, so every turn must be short. Blobs are processed in the
+# order of their contents, objects by the first byte of their content. The process keeps the cursor in memory only.
 
 
 SHARE_S = 5.0
@@ -110,12 +109,12 @@ T = TypeVar("T")
 
 @dataclass
 class ListingWalk(Generic[T]):
-    """A walk through what is listed one by one, over several turns."""
+    """A walk through a listing, over several turns."""
 
     _left: Iterator[T] | None = None
 
     def turn(self, listed: Iterable[T], most: int) -> list[T]:
-        """At most so many. `listed` is begun where the last turn came to the end, or could not go on."""
+        """Return up to `most` entries. `listed` starts anew if the last turn reached its end or could not continue."""
         left = iter(listed) if self._left is None else self._left
         self._left = None
         found = list(islice(left, most))
@@ -126,9 +125,9 @@ class ListingWalk(Generic[T]):
 
 @dataclass
 class GcCursor:
-    """The blobs after `after_sha256` are next, `slice_rows` at a time until `share_s` have passed, at least once.
+    """The next blobs are those after `after_sha256`, `slice_rows` at a time until `share_s` have passed, at least once.
 
-    What is condemned is deleted until `deleting_s` have passed; of objects under way `listed` are looked at.
+    Condemned objects are deleted until `deleting_s` have passed; `listed` unfinished objects are checked.
     """
 
     share_s: float = SHARE_S
@@ -142,16 +141,16 @@ class GcCursor:
     of_work: ListingWalk[tuple[str, list[int]]] = field(default_factory=ListingWalk)
 
     def until_s(self) -> float:
-        """When this time's share will be used up, on the monotonic clock."""
+        """Return the end of this turn's share, on the monotonic clock."""
         return time.monotonic() + self.share_s
 
     def next_shard(self, prefix: str) -> str:
-        """The keys below `prefix` whose content begins with one byte, another one each time."""
+        """Return a prefix below `prefix` for one first byte of the content, another byte each time."""
         shard, self.shard = self.shard, (self.shard + 1) % SHARDS
         return f"{prefix}{shard:02x}/"
 
 
 def whole_cursor() -> GcCursor:
-    """One whose turn looks at everything."""
+    """Return a cursor whose turn processes everything."""
     forever_s, all_there_is = float("inf"), 2**63 - 1
     return GcCursor(forever_s, deleting_s=forever_s, listed=all_there_is, workspaces=all_there_is)

@@ -1,7 +1,7 @@
 """Validation of store keys, and the store's errors.
 
-**Conventions.** A key is `<kind>/<…>`: at least two parts of [a-z0-9._-], none of which begins with a dot, at most 512
-characters. So no key leaves the store's folder, none is hidden, and none means two things on two filesystems.
+**Conventions.** A key is `<kind>/<…>`: at least two parts of [a-z0-9._-], no part starting with a dot, at most 512
+characters. So every key stays within the store's folder, is visible, and means the same on every filesystem.
 """
 
 import re
@@ -24,7 +24,7 @@ def bad_key(key: str) -> Refused:
 
 
 class ObjectMissingError(StoneError):
-    """There is no object of this key."""
+    """The store has no object with this key."""
 
     code = "object_missing"
 
@@ -35,32 +35,32 @@ class ObjectMissingError(StoneError):
 
 
 class StoreFullError(PlatformFaultError):
-    """The store, or the local cache in front of it, has no room left."""
+    """The store, or the local cache in front of it, has no space left."""
 
     def __init__(self, place: Path | str) -> None:
         super().__init__("store_full", f"no space left at {place}; free space or raise the quota, and try again")
 
 
 def is_key(key: str) -> bool:
-    """Whether an object could have this key."""
+    """Return whether an object could have this key."""
     return len(key) <= MAX_KEY and _KEY.fullmatch(key) is not None
 
 
 def checked(key: str) -> str:
-    """`key`. Raises `bad_key`."""
+    """Return `key`. Raise `bad_key`."""
     if not is_key(key):
         raise bad_key(key)
     return key
 
 
 def checked_prefix(prefix: str) -> str:
-    """`prefix`, which may be empty or end anywhere within a key. Raises `bad_key`."""
+    """Return `prefix`, which may be empty or end anywhere within a key. Raise `bad_key`."""
     if len(prefix) > MAX_KEY or not _PREFIX.fullmatch(prefix):
         raise bad_key(prefix)
     return prefix
 
 
 def checked_range(start: int, stop: int | None) -> None:
-    """Raises `ValueError` unless 0 ≤ start ≤ stop."""
+    """Raise `ValueError` unless 0 ≤ start ≤ stop."""
     if start < 0 or (stop is not None and stop < start):
         raise ValueError(f"bad byte range [{start}, {stop}): expected 0 <= start <= stop")

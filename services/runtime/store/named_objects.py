@@ -1,9 +1,9 @@
-"""Objects of the store under the file names that their owner gave them.
+"""Objects of the store under their owners' file names.
 
-**Conventions.** A file is a symbolic link `<folder>/<name of the object>/<filename>`; several that are one bag are
-links in a folder `<folder>/<hash of names and objects>/<name>/`, and so are several bags that are one run, beside a
-file that describes it. The path is the same for every job on this machine, so a recording once opened is found open;
-links whose object is gone are removed when others are made. Files that are read in place are linked by `linked_bag`.
+**Conventions.** A file is a symbolic link `<folder>/<name of the object>/<filename>`. The files of one bag are links in
+a folder `<folder>/<hash of names and objects>/<name>/`, as are the bags of one run, beside a file that describes the
+run. The path is the same for every job on this machine, so a reader's cache of an opened recording stays valid. Links
+whose object is gone are deleted when others are created. `linked_bag` links files that are read in place.
 """
 
 import os
@@ -17,7 +17,7 @@ NAMES_FOLDER = "names"  # below the data folder
 
 
 def named(folder: Path, path: Path, filename: str) -> Path:
-    """A path that ends in `filename` and leads to `path`. Raises `ValueError` where the name is more than a name."""
+    """Return a path that ends in `filename` and leads to `path`. Raise `ValueError` for a bad file name."""
     _refuse_path(filename)
     link = folder / path.name / filename
     _lead(folder, link, path)
@@ -25,7 +25,7 @@ def named(folder: Path, path: Path, filename: str) -> Path:
 
 
 def named_folder(folder: Path, files: Iterable[tuple[Path, str]], name: str) -> Path:
-    """A folder that ends in `name` and holds a link to each of the (path, filename). Raises as `named`."""
+    """Return a folder that ends in `name` with a link to each (path, filename). Raise as `named`."""
     targets = {filename: path for path, filename in files}
     for given in (name, *targets):
         _refuse_path(given)
@@ -37,9 +37,9 @@ def named_folder(folder: Path, files: Iterable[tuple[Path, str]], name: str) -> 
 
 
 def linked_bag(folder: Path, key: str, files: Mapping[str, Path], name: str = "") -> Path:
-    """A folder for what `key` names, which holds a link to each of the files (by name), and no other.
+    """Return a folder for `key` that contains a link to each of the files (by name), and nothing else.
 
-    With a `name` it ends in that, for a bag that is a folder. Raises as `named`.
+    With a `name`, the folder's path ends in that name, for a bag that is a folder. Raise as `named`.
     """
     for given in (*files, *([name] if name else [])):
         _refuse_path(given)
@@ -52,9 +52,9 @@ def linked_bag(folder: Path, key: str, files: Mapping[str, Path], name: str = ""
 
 
 def described_folder(folder: Path, bags: Mapping[str, Path], description: tuple[str, bytes], name: str) -> Path:
-    """A folder that ends in `name` and holds a link to each bag, called so, and the file `description` (name, content).
+    """Return a folder that ends in `name` with a named link to each bag, and the file `description` (name, content).
 
-    Bags are paths that `named` or `named_folder` answered. Raises as `named`.
+    Bags are paths returned by `named` or `named_folder`. Raise as `named`.
     """
     called, content = description
     for given in (name, called, *bags):
@@ -80,7 +80,7 @@ def _lead(folder: Path, link: Path, path: Path) -> None:
         return
     _forget_gone(folder)
     link.parent.mkdir(parents=True, exist_ok=True)
-    staging = folder / f".{token_hex(8)}"  # beside no bag, or a reader of the folder might meet it
+    staging = folder / f".{token_hex(8)}"  # outside the bags' folder, where a reader could meet it
     staging.symlink_to(path)
     os.replace(staging, link)
 
@@ -88,7 +88,7 @@ def _lead(folder: Path, link: Path, path: Path) -> None:
 def _forget_gone(folder: Path) -> None:
     for link in sorted({*folder.glob("*/*"), *folder.glob("*/*/*")}):
         if link.is_symlink() and not link.exists():
-            with suppress(OSError):  # another worker may be at it, or other files of the bag are still there
+            with suppress(OSError):  # another worker may use it, or it still has other files of the bag
                 link.unlink()
                 link.parent.rmdir()
                 link.parent.parent.rmdir()

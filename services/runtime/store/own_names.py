@@ -17,7 +17,7 @@ _FOLDERS: dict[str, None] = {}
 """The data folders that this process has opened."""
 BELOW = r"/[^\s'\",;:()<>]*"
 STORED = re.compile(r"\b(?:(?P<sha256>[0-9a-f]{64})\.[0-9a-f]{8}|(?P<id>[0-9a-f]{32}))\b")
-"""Objects of blobs, and uploads under way."""
+"""Objects of blobs, and unfinished uploads."""
 A_STORED_FILE = "a stored file"
 
 

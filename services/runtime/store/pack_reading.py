@@ -1,7 +1,7 @@
-"""Reads packed files: one of them, or any range of an archive of all, with constant memory.
+"""Read packed files: one file, or any range of an archive of all files, with constant memory.
 
-**Conventions.** Files stand in packs in the order of an archive, so a range of an archive is read by few streams, not
-by one request for each of thousands of files. Small segments are gathered: a piece is about `PIECE_BYTES`.
+**Conventions.** Packs contain files in the order of an archive, so a range of an archive needs few streams instead of
+thousands of requests. Small segments are gathered: a piece is about `PIECE_BYTES`.
 """
 
 from collections.abc import Callable, Iterator
@@ -25,7 +25,7 @@ ReadPack = Callable[[int, int, int], Iterator[bytes]]
 
 @dataclass(frozen=True, eq=False)
 class StoredFiles:
-    """Files in packs that are these objects of the store."""
+    """Packed files with the objects of the store that contain them."""
 
     files: PackedFiles
     object_keys: tuple[str, ...]
@@ -35,12 +35,12 @@ class StoredFiles:
 
 
 def file_pieces(files: PackedFiles, ordinal: int, span: tuple[int, int], read: ReadPack) -> Iterator[bytes]:
-    """The bytes [start, stop) of one file, in pieces."""
+    """Yield the bytes [start, stop) of one file, in pieces."""
     yield from map(bytes, _Stream(files, read, span[1] - span[0]).take(ArchiveMemberRange(ordinal, *span)))
 
 
 def archive_pieces(files: PackedFiles, archive: Archive, span: tuple[int, int], read: ReadPack) -> Iterator[bytes]:
-    """The bytes [start, stop) of an archive of the files, in pieces."""
+    """Yield the bytes [start, stop) of an archive of the files, in pieces."""
     stream, held = _Stream(files, read, span[1] - span[0]), bytearray()
     for segment in archive.segments(*span):
         for piece in stream.take(segment) if isinstance(segment, ArchiveMemberRange) else (segment,):
@@ -53,12 +53,12 @@ def archive_pieces(files: PackedFiles, archive: Archive, span: tuple[int, int], 
 
 
 def local_reader(packs: Path) -> ReadPack:
-    """Reads packs that lie in a folder."""
+    """Return a reader of packs in a folder."""
     return lambda number, start, stop: pieces_of(pack_path(packs, number), start, stop)
 
 
 def archive_sha256(files: PackedFiles, kind: Kind, read: ReadPack, step: Step) -> tuple[int, str]:
-    """The size and the sha256 of the whole archive, which is read once; steps are in MiB."""
+    """Return the size and the sha256 of the whole archive, reading it once; steps are in MiB."""
     archive = layout(files.members, kind)
     total, digest, done = archive.size_bytes, sha256(), 0
     for piece in archive_pieces(files, archive, (0, total), read):
@@ -69,9 +69,9 @@ def archive_sha256(files: PackedFiles, kind: Kind, read: ReadPack, step: Step) -
 
 
 class _Stream:
-    """Contents one after another: what follows on in the same pack is read on from the same stream.
+    """Contents one after another; adjacent contents of one pack share a stream.
 
-    `most_bytes` is how much anybody will ask for: no stream is opened for more.
+    `most_bytes` is an upper limit of the bytes to read, and of each stream.
     """
 
     def __init__(self, files: PackedFiles, read: ReadPack, most_bytes: int) -> None:
@@ -81,7 +81,7 @@ class _Stream:
         self._rest = memoryview(b"")
 
     def take(self, content: ArchiveMemberRange) -> Iterator[memoryview]:
-        """The content in pieces. Raises `short_pack`."""
+        """Yield the content in pieces. Raise `short_pack`."""
         number = int(self._files.packs[content.ordinal])
         place = int(self._files.offsets_bytes[content.ordinal]) + content.start
         if len(content) and (number, place) != self._at:
@@ -96,10 +96,8 @@ class _Stream:
             yield part
 
 
-# The files of a finished export, and the archives made of them.
-#
-# **Conventions.** Indexes and layouts are held by a process, the last few: an object never changes, so neither does
-# what was read of it.
+# The files of a finished export, and the archives made of them. **Conventions.** A process caches the last few indexes
+# and layouts: objects never change, so the cached values stay valid.
 
 
 HELD = 4
@@ -107,14 +105,14 @@ HELD = 4
 
 @dataclass(frozen=True)
 class ExportLocation:
-    """The objects of the store that hold an export."""
+    """The objects of the store that contain an export."""
 
     index_key: str
     pack_keys: tuple[str, ...]
 
 
 def locate_export(session: Session, export: Export) -> ExportLocation:
-    """The places of an export's files. Raises `export_unfinished`."""
+    """Return the locations of an export's files. Raise `export_unfinished`."""
     if export.index_sha256 is None:
         raise Refused(
             "export_unfinished",
@@ -127,17 +125,17 @@ def locate_export(session: Session, export: Export) -> ExportLocation:
 
 
 def stored_files(store: Store, located: ExportLocation) -> StoredFiles:
-    """The files of an export; reads its index, so not within a transaction."""
+    """Return the files of an export; it reads the index from the store, so call it outside transactions."""
     return StoredFiles(_index(store, located.index_key), located.pack_keys)
 
 
 @lru_cache(maxsize=HELD)
 def archive_of(files: PackedFiles, kind: Kind) -> Archive:
-    """The archive of all the files, which are told apart as objects."""
+    """Return the archive of all the files; `files` are compared by identity."""
     return layout(files.members, kind)
 
 
 @lru_cache(maxsize=HELD)
 def _index(store: Store, object_key: str) -> PackedFiles:
-    """An object never changes, so neither does what was read of it."""
+    """Return the index, cached because objects never change."""
     return read_index(b"".join(store.read(object_key)))

@@ -1,7 +1,7 @@
 """Packs: many small files concatenated into few blobs, with an index.
 
-**Conventions.** Files stand in the order of their names, and so they do in an archive; the last is `sha256sum.txt`,
-which checks all others (`sha256sum -c`). A pack is closed once it has `PACK_BYTES`. Equal folders give equal packs.
+**Conventions.** Packs and archives contain files in the order of their names; the last is `sha256sum.txt`, which checks
+all others (`sha256sum -c`). A pack is closed at `PACK_BYTES`. Equal folders give equal packs.
 """
 
 import io
@@ -31,7 +31,7 @@ Bytes = bytes | memoryview
 
 @dataclass(frozen=True, eq=False)
 class PackedFiles:
-    """N files: names, sizes, CRC-32 and sha256 (N, 32) of their contents, and where each begins in which pack."""
+    """N files: names, sizes, CRC-32 and sha256 (N, 32) of their contents, and the pack and offset of each."""
 
     names: tuple[str, ...]
     sizes_bytes: NDArray[np.int64]
@@ -49,17 +49,17 @@ class PackedFiles:
 
     @cached_property
     def ordinals(self) -> Mapping[str, int]:
-        """The place of each file by its name."""
+        """The index of each file by its name."""
         return {name: ordinal for ordinal, name in enumerate(self.names)}
 
     def digest(self, ordinal: int) -> str:
-        """The sha256 of a file's content, in hex."""
+        """Return the sha256 of a file's content, in hex."""
         return bytes(self.sha256[ordinal]).hex()
 
 
 @dataclass(frozen=True)
 class _PackedFile:
-    """A file that was written into a pack."""
+    """A file in a pack."""
 
     name: str
     size_bytes: int
@@ -74,14 +74,14 @@ def pack_path(packs: Path, number: int) -> Path:
 
 
 class PackWriter:
-    """Files written into packs of the folder `packs`, one after another, in the order of their names."""
+    """Write files into packs of the folder `packs`, one after another, in the order of their names."""
 
     def __init__(self, packs: Path, pack_bytes: int = PACK_BYTES) -> None:
         self._packs, self._pack_bytes, self._packed = packs, pack_bytes, list[_PackedFile]()
         packs.mkdir(parents=True, exist_ok=True)
 
     def add(self, name: str, pieces: Iterable[Bytes]) -> None:
-        """Write a file, of its bytes in pieces. Raises `StoreFullError`, and what the pieces raise."""
+        """Write a file from its bytes in pieces. Raise `StoreFullError`, and the errors of `pieces`."""
         number, offset = self._next_place()
         digest, crc, size = sha256(), 0, 0
         with refusing_full(self._packs), pack_path(self._packs, number).open("ab" if offset else "wb") as pack:
@@ -92,15 +92,15 @@ class PackWriter:
         self._packed.append(_PackedFile(name, size, crc, digest.digest(), number, offset))
 
     def sums(self) -> bytes:
-        """`sha256sum.txt` of what was written."""
+        """Return the content of `sha256sum.txt` for the written files."""
         return "".join(f"{file.sha256.hex()}  {file.name}\n" for file in self._packed).encode()
 
     def files(self) -> PackedFiles:
-        """What was written."""
+        """Return the written files."""
         return _columns(self._packed)
 
     def _next_place(self) -> tuple[int, int]:
-        """The pack and the offset at which the next file is written."""
+        """Return the pack and the offset for the next file."""
         if not self._packed:
             return 0, 0
         last = self._packed[-1]
@@ -109,9 +109,9 @@ class PackWriter:
 
 
 def pack_folder(folder: Path, packs: Path, step: Step, pack_bytes: int = PACK_BYTES) -> PackedFiles:
-    """Move every file of `folder` into packs of the empty folder `packs`; each is gone once it is in its pack.
+    """Move every file of `folder` into packs of the empty folder `packs`; delete each file once it is in its pack.
 
-    Raises `bad_member`, before anything is moved, and `StoreFullError`.
+    Raise `bad_member`, before moving anything, and `StoreFullError`.
     """
     names = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
     check_names([*names, SUMS])
@@ -126,13 +126,13 @@ def pack_folder(folder: Path, packs: Path, step: Step, pack_bytes: int = PACK_BY
 
 
 def index_bytes(files: PackedFiles) -> bytes:
-    """The index as a file; the same bytes for equal files."""
+    """Return the index as bytes, equal for equal files."""
     arrays: dict[str, NDArray[Any]] = {name: getattr(files, name) for name in COLUMNS}
     return npz_bytes({"names": np.frombuffer("\n".join(files.names).encode("ascii"), np.uint8), **arrays})
 
 
 def read_index(payload: bytes) -> PackedFiles:
-    """The files whose index `index_bytes` wrote; it comes from our own store."""
+    """Return the files from the bytes of `index_bytes`; they come from our own store."""
     with np.load(io.BytesIO(payload), allow_pickle=False) as arrays:
         names = arrays["names"].tobytes().decode("ascii").split("\n")
         return PackedFiles(tuple(names), **{name: arrays[name] for name in COLUMNS})
@@ -143,7 +143,7 @@ def pack_count(files: PackedFiles) -> int:
 
 
 def pieces_of(path: Path, start: int = 0, stop: int | None = None) -> Iterator[bytes]:
-    """The bytes [start, stop) of a file, in pieces."""
+    """Yield the bytes [start, stop) of a file, in pieces."""
     with path.open("rb") as file:
         file.seek(start)
         while piece := file.read(PIECE_BYTES if stop is None else min(PIECE_BYTES, stop - file.tell())):

@@ -1,7 +1,7 @@
 """The object store interface, implemented by a local folder and by an S3 bucket.
 
-**Conventions.** A key is `<kind>/<…>` of [a-z0-9._/-]; an object appears whole or not at all and is never changed. The
-store knows nothing of meaning: what is referenced by whom is in the database (`services/runtime/store/blobs.py`).
+**Conventions.** A key is `<kind>/<…>` of [a-z0-9._/-]; an object appears whole or not at all and never changes. The
+store contains bytes only: the database records all references (`services/runtime/store/blobs.py`).
 """
 
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ from typing import Protocol
 
 @dataclass(frozen=True)
 class StoredObject:
-    """An object as listed."""
+    """An object in a listing."""
 
     key: str
     size_bytes: int
@@ -20,10 +20,10 @@ class StoredObject:
 
 
 class Store(Protocol):
-    """Objects by key. `ObjectMissingError` where there is none."""
+    """Objects by key. Methods raise `ObjectMissingError` if the key has no object."""
 
     def __hash__(self) -> int:
-        """By identity: what was read of a store may be kept by it."""
+        """Return a hash by identity: caches may use a store as their key."""
         ...
 
     def write(self, key: str, source: Path) -> None:
@@ -31,20 +31,20 @@ class Store(Protocol):
         ...
 
     def adopt(self, key: str, source: Path) -> None:
-        """Store `source`, which nobody will change any more, without a copy where possible (a hard link).
+        """Store `source`, which will not change any more, without a copy if possible (a hard link).
 
-        `source` stays, so that nothing is lost before the caller's commit; it may be removed after that.
+        `source` stays until the caller's commit, so nothing is lost before it; it may be deleted afterwards.
         """
         ...
 
     def read(self, key: str, start: int = 0, stop: int | None = None) -> Iterator[bytes]:
-        """The bytes [start, stop) in pieces."""
+        """Yield the bytes [start, stop) in pieces."""
         ...
 
     def size_bytes(self, key: str) -> int: ...
 
     def local(self, key: str) -> Path:
-        """A file on this machine with the object's bytes, to be read only; it may be a cached copy."""
+        """Return a local file with the object's bytes, for reading only; it may be a cached copy."""
         ...
 
     def forget_copy(self, key: str) -> None:
@@ -52,13 +52,13 @@ class Store(Protocol):
         ...
 
     def delete(self, key: str) -> None:
-        """Remove the object; nothing happens where there is none."""
+        """Delete the object, if it exists."""
         ...
 
     def listed(self, prefix: str) -> Iterator[StoredObject]:
-        """All objects whose key begins with `prefix`, in the order of their keys."""
+        """Yield all objects whose key starts with `prefix`, in the order of their keys."""
         ...
 
     def tidy(self, grace_s: float) -> int:
-        """Remove what writers that died left half-way, once older than the grace; how many there were."""
+        """Delete unfinished files of dead writers older than the grace; return their number."""
         ...

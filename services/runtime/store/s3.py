@@ -1,8 +1,9 @@
 """A store in an S3 bucket, with a cache of whole objects on this machine.
 
-**Conventions.** Nothing rests on what S3-compatible servers differ in: If-None-Match, ETags as MD5, refusal of a wrong
-checksum (our own sha256 is in the database). Checksums are sent and asked for only where the protocol requires them:
-some servers answer a ranged read with the checksum of the whole. A file reaches the cache whole or not at all.
+**Conventions.** The store relies on no feature in which S3-compatible servers differ: If-None-Match, ETags as MD5,
+refusal of a wrong checksum (the database has our own sha256). Checksums are sent and requested only if the protocol
+requires them: some servers reply to a ranged read with the checksum of the whole. A file enters the cache whole or not
+at all.
 """
 
 import os
@@ -53,7 +54,7 @@ CLIENT = Config(
 
 
 class S3Store:
-    """Objects of the bucket that `settings` name; raises `store_unavailable` when it does not answer."""
+    """Objects of the bucket in `settings`; raises `store_unavailable` if it does not respond."""
 
     def __init__(self, settings: Settings) -> None:
         self.bucket = settings.store.s3_bucket
@@ -62,7 +63,7 @@ class S3Store:
         self._reserve_bytes = settings.store.reserve_bytes
 
     def write(self, key: str, source: Path) -> None:
-        """Upload `source`, in parts when it is large. Raises `StoreFullError`."""
+        """Upload `source`, in parts if it is large. Raise `StoreFullError`."""
         size_bytes = source.stat().st_size
         with self._translated(checked(key)), span("store write", attributes={"stone.size_bytes": size_bytes}):
             self._client.upload_file(str(source), self.bucket, key, Config=TRANSFER)
@@ -74,7 +75,7 @@ class S3Store:
         self.write(key, source)
 
     def read(self, key: str, start: int = 0, stop: int | None = None) -> Iterator[bytes]:
-        """The bytes [start, stop), clipped to the object, in pieces; a missing object is refused at the call."""
+        """Yield the bytes [start, stop), clipped to the object, in pieces; a missing object raises at the call."""
         checked_range(start, stop)
         end = self.size_bytes(key)
         return self._pieces(key, start, end if stop is None else min(stop, end))
@@ -82,19 +83,18 @@ class S3Store:
     def size_bytes(self, key: str) -> int:
         with self._translated(checked(key)):
             length = self._client.head_object(Bucket=self.bucket, Key=key).get("ContentLength")
-        if length is None:  # the answer broke off within its header, which no layer below minds
+        if length is None:  # the reply broke off within its header, which no layer below detects
             raise store_unavailable(self._place, f"it sent no length for {key}")
         return int(length)
 
     def local(self, key: str) -> Path:
-        """The cached copy, downloaded when there is none; not evicted within an hour of the last call."""
+        """Return the cached copy, downloaded if missing; it is not evicted within an hour of the last call."""
         return self.cache.file(checked(key), self.download)
 
     def download(self, key: str, target: Path) -> None:
-        """Write the object into the file `target` and flush it. Raises `StoreFullError` if the disk is full, or full
-        up to its reserve.
+        """Write the object into the file `target` and flush it. Raise `StoreFullError` if the disk is full.
 
-        Ranges side by side, each resumed where it broke off (boto3's own download hung when a header broke off).
+        Ranges are read in parallel and resumed after interruptions (boto3's own download hung on a broken header).
         """
         starts = range(0, self.size_bytes(key), PART_BYTES)
         require_room(target.parent, starts.stop, self._reserve_bytes)
@@ -129,10 +129,10 @@ class S3Store:
                     yield StoredObject(found["Key"], found["Size"], modified_ns)
 
     def tidy(self, grace_s: float) -> int:
-        """Abort multipart uploads begun before the grace, and remove what dead downloads left in the cache."""
+        """Abort multipart uploads started before the grace, and delete leftovers of dead downloads from the cache."""
         before = datetime.now(UTC) - timedelta(seconds=grace_s)
         aborted = 0
-        with self._translated(""), suppress(self._client.exceptions.NoSuchUpload):  # somebody else was quicker
+        with self._translated(""), suppress(self._client.exceptions.NoSuchUpload):  # another process aborted it first
             for page in self._client.get_paginator("list_multipart_uploads").paginate(Bucket=self.bucket):
                 for upload in page.get("Uploads", []):
                     aborted += upload["Initiated"] <= before and self._aborted(upload["Key"], upload["UploadId"])
@@ -143,7 +143,7 @@ class S3Store:
         return True
 
     def _pieces(self, key: str, start: int, stop: int) -> Iterator[bytes]:
-        """Resumed where it broke off, at most `RESUMES` times without a piece's progress."""
+        """Yield the bytes, resuming after interruptions, at most `RESUMES` times without a new piece."""
         failures, reason = 0, "it ended early"
         while start < stop:
             before = start
@@ -168,7 +168,7 @@ class S3Store:
 
     @contextmanager
     def _translated(self, key: str) -> Iterator[None]:
-        """Say in our words what the client raises."""
+        """Raise the store's errors instead of the client's."""
         try:
             yield
         except ClientError as error:
@@ -183,7 +183,7 @@ class S3Store:
 
 
 def client_of(store: StoreSettings) -> "S3Client":
-    """Keys that are empty are looked for where AWS's own tools look."""
+    """Return a client; empty keys are looked up by AWS's own rules."""
     return boto3.client(
         "s3",
         endpoint_url=store.s3_endpoint or None,
@@ -194,20 +194,20 @@ def client_of(store: StoreSettings) -> "S3Client":
     )
 
 
-# Creates the S3 bucket at the first start, where the store's key may do that.
+# Create the S3 bucket at the first start, if the store's key has the permission.
 
 
 FORBIDDEN = {"403", "AccessDenied", "Forbidden"}
 UNCONSTRAINED = "us-east-1"
-"""The one region that must not be named when a bucket is made."""
+"""The one region that must not be named when a bucket is created."""
 ABSENT = {"404", "NoSuchBucket", "NotFound"}
 EXISTING = {"BucketAlreadyOwnedByYou", "BucketAlreadyExists"}
 
 
 def ensure_bucket(store: StoreSettings) -> bool:
-    """Make the bucket where there is none; whether it was made. One that may not be looked at is taken to stand.
+    """Create the bucket unless it exists or may not be listed; return whether it was created.
 
-    Raises `store_unavailable`.
+    Raise `store_unavailable`.
     """
     client, bucket = client_of(store), store.s3_bucket
     try:
@@ -233,7 +233,7 @@ def _made(client: "S3Client", store: StoreSettings) -> bool:
     try:
         client.create_bucket(Bucket=store.s3_bucket, **where)
     except ClientError as error:
-        if _code(error) in EXISTING:  # somebody else was quicker
+        if _code(error) in EXISTING:  # another process created it first
             return False
         raise
     return True

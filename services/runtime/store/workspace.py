@@ -1,8 +1,8 @@
 """The shared workspace of a run: files below `work/<root_id>/`, mirrored on the worker's machine.
 
-**Conventions.** A name is written once per run and its content is determined by the run, so a second attempt writes the
-same. Names are those of object keys; hidden files are nobody's. With a folder store the workspace is the store's own
-folder; with S3 it is a mirror in the cache, in which a file equal to its object carries the object's modification time.
+**Conventions.** A name is written once per run and the run determines its content, so a second attempt writes the same.
+Names follow the rules of object keys; hidden files are ignored. With a folder store the workspace is the store's own
+folder. With S3 it is a mirror in the cache; a file equal to its object has the object's modification time.
 """
 
 import os
@@ -26,7 +26,7 @@ T = TypeVar("T")
 
 
 class Workspace:
-    """The files of the run `root_id`: `pull` what a stage reads, write below `folder`, `push` what others will read."""
+    """The files of the run `root_id`: `pull` a stage's inputs, write below `folder`, `push` its outputs."""
 
     def __init__(self, store: Store, settings: Settings, root_id: str) -> None:
         self._prefix = checked(f"work/{root_id}") + "/"
@@ -37,24 +37,24 @@ class Workspace:
 
     @property
     def folder(self) -> Path:
-        """The folder of the files on this machine; made when first asked for."""
+        """The local folder of the files, created at the first use."""
         self._folder.mkdir(parents=True, exist_ok=True)
         return self._folder
 
     def pull(self, *prefixes: str) -> None:
-        """Make local every file whose name begins with one of the prefixes; "" stands for all."""
+        """Copy every file whose name starts with one of the prefixes to this machine; "" selects all."""
         for prefix in prefixes:
             checked_prefix(prefix)
         if self.is_in_place:
             return
-        os.utime(self.folder)  # in use: the cache leaves it alone
+        os.utime(self.folder)  # in use: keeps the cache from evicting it
         stale = [stored for stored in self._stored(prefixes).values() if not _is_same(self._path(stored.key), stored)]
         _all(self._fetch, stale)
 
     def push(self, *prefixes: str) -> None:
-        """Store every local file whose name begins with one of the prefixes, unless it is stored already.
+        """Store every local file whose name starts with one of the prefixes, unless it is stored already.
 
-        When it returns, the files survive a power cut. Raises `bad_key` for a name that no object can have.
+        After the call the files survive a power cut. Raise `bad_key` if a name cannot be an object's name.
         """
         files = {
             checked(self._prefix + name): self.folder / name for prefix in prefixes for name in self._names(prefix)
@@ -68,7 +68,7 @@ class Workspace:
         new = {key for key, path in files.items() if key not in stored or not _is_same(path, stored[key])}
         _all(lambda key: self._store.write(key, files[key]), new)
         for key, found in (self._stored(heads) if new else {}).items():
-            if key in new:  # it equals its object now: no later pull or push moves it again
+            if key in new:  # it equals its object: later pulls and pushes skip it
                 os.utime(files[key], ns=(found.modified_ns, found.modified_ns))
 
     def delete(self, prefix: str, is_spent: Callable[[str], bool]) -> None:
@@ -89,14 +89,14 @@ class Workspace:
 
     def _names(self, prefix: str) -> Iterator[str]:
         base, _, head = checked_prefix(prefix).rpartition("/")
-        for top in (self.folder / base).glob(f"{head}*"):  # a prefix has no character that glob would read as a sign
+        for top in (self.folder / base).glob(f"{head}*"):  # a prefix contains no special character of glob
             for path in (top, *top.rglob("*")):
                 name = path.relative_to(self._folder).as_posix()
                 if path.is_file() and "/." not in f"/{name}":
                     yield name
 
     def _fetch(self, stored: StoredObject) -> None:
-        """Download beside the target, rename into place."""
+        """Download beside the target, then rename into place."""
         path = self._path(stored.key)
         partial = path.with_name(f".{token_hex(8)}.partial")
         with refusing_full(self._folder):
@@ -114,7 +114,7 @@ class Workspace:
 
 
 def _heads(prefixes: Iterable[str]) -> set[str]:
-    """Return the beginnings of names to list for these: a folder once, however many of them lie in it."""
+    """Return the prefixes to list: each folder once, however many of the names it contains."""
     folders = {prefix: prefix[: prefix.rfind("/") + 1] for prefix in prefixes}
     shared = Counter(folders.values())
     return {folder if folder and shared[folder] > 1 else prefix for prefix, folder in folders.items()}
@@ -130,10 +130,9 @@ def _is_same(path: Path, stored: StoredObject) -> bool:
 
 @contextmanager
 def fresh_folder(work: Path, prefix: str, ended: Iterable[str] = ()) -> Iterator[Path]:
-    """A new folder of an attempt in its run's, called `<prefix>-<random>`; those of earlier attempts are removed, and
-    those whose prefix is among `ended`.
+    """Yield a new folder `<prefix>-<random>`; delete folders of `prefix` and `ended` from earlier attempts.
 
-    It stays when all went well, since what is stored may share its bytes. Raises `StoreFullError`.
+    After success the folder stays, since stored objects may share its bytes. Raise `StoreFullError`.
     """
     for one in {prefix, *ended}:
         for earlier in work.glob(f"{one}-*"):
@@ -149,13 +148,13 @@ def fresh_folder(work: Path, prefix: str, ended: Iterable[str] = ()) -> Iterator
 
 
 def _all(act: Callable[[T], None], items: Iterable[T]) -> None:
-    """Act on all at once, a few at a time; the first exception is raised."""
+    """Apply `act` to all items, a few at a time; raise the first exception."""
     with ThreadPoolExecutor(TRANSFERS) as pool:
         list(pool.map(act, items))
 
 
 def _flush_all(folder: Path, files: Iterable[Path]) -> None:
-    """Flush the files and the folders that lead to them, several at once: the disk waits for none of them alone."""
+    """Flush the files and the folders that lead to them, several at once for speed."""
     written = list(files)
     _all(flush, written)
     _all(flush, {folder, *(above for path in written for above in path.parents if above.is_relative_to(folder))})

@@ -1,10 +1,9 @@
 """Telemetry: tracing spans, counters, and request ids in log lines.
 
-Read in this order: `tracing` (OpenTelemetry's spans, when switched on), `origins` (what a row remembers of the request
-that made it), `trace_links` (what links one act of a person to the next), `metric_names` and `counters` (what a process
-counts), `counter_rows` (the way of counts to whoever answers `/metrics`), `platform_status` (how things are when it is
-asked).
+Read in this order: `tracing` (OpenTelemetry's spans, and links between a person's acts), `origins` (the request and
+span of a row). Then `counters` (the counts of a process), `counter_rows` (counts on their way to `/metrics`),
+`platform_status` (the status at each scrape).
 
-**Conventions.** Nothing here decides anything, and nothing that fails here makes work fail. Attributes and labels are
-ids, kinds, states, codes and numbers; never a name, a word of a user, a sentence of an exception or a credential.
+**Conventions.** Telemetry decides nothing, and its failures never make work fail. Attributes and labels are ids, kinds,
+states, codes and numbers; never a name, a user's text, an exception's message or a credential.
 """

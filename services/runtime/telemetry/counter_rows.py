@@ -1,10 +1,10 @@
 """Counters as rows: each process writes its own, the metrics endpoint sums them.
 
-**Conventions.** Workers come and go with the work and have no door of their own; the API answers for all of them. A row
-holds what its process counted since its row began, written with the heartbeat and only when it grew. A row that was
-quiet for `FOLDED_AFTER_S` is folded into one that sums them all, so the sum never falls; a process that was merely idle
-finds its row gone and begins another at what it told last. What a killed process counted after its last heartbeat is
-lost: counts are for curves, the rows of jobs are the truth.
+**Conventions.** Workers start and stop with the load and have no HTTP endpoint; the API exposes their counters. A row
+contains the counts of its process since the row was created. The heartbeat writes it, only if it grew. A row unchanged
+for `FOLDED_AFTER_S` is folded into one total, so the sum never falls. If a folded process was merely idle, it creates
+another row that starts at its last written counts. A killed process loses its counts since the last heartbeat: counters
+serve for graphs, the rows of jobs are exact.
 """
 
 from collections.abc import Callable
@@ -24,7 +24,7 @@ MOST_FOLDED = 1000
 
 
 class CounterWriter:
-    """The row of what these count, in one process; one thread at a time tells."""
+    """The row of one process's counters; only one thread at a time may write it."""
 
     def __init__(self, *sources: ProcessCounters) -> None:
         self._sources = sources
@@ -37,13 +37,13 @@ class CounterWriter:
         return summed(source.counts() for source in self._sources)
 
     def tell(self, session: Session) -> Callable[[], None]:
-        """Write what grew, in the caller's transaction; to be called when that is committed, and only then."""
+        """Write the increments in the caller's transaction; return a function to call after its commit."""
         now = self.counted()
         if now == self._told:
             return _nothing
         row_id, base = self._id, self._base
         if not _rewritten(session, row_id, less(now, base)):
-            if self._is_there:  # folded meanwhile, with what it said last
+            if self._is_there:  # folded meanwhile, with its last written counts
                 row_id, base = new_id(), self._told
             session.add(CounterRow(id=row_id, counts=less(now, base), told_ns=database_ns()))
 
@@ -53,7 +53,7 @@ class CounterWriter:
         return committed
 
     def handed_over(self) -> tuple[Counts, Callable[[], None]]:
-        """What grew, for somebody else to tell; to be called when they have it: another row begins there."""
+        """Return the increments and a function to call when another process has them; a new row starts there."""
         now = self.counted()
 
         def taken() -> None:
@@ -63,12 +63,12 @@ class CounterWriter:
 
 
 def counters_of_all_processes(session: Session) -> Counts:
-    """The sum of all processes' counters, ended ones included."""
+    """Return the sum of all processes' counters, including ended processes."""
     return summed(session.scalars(select(CounterRow.counts)))
 
 
 def fold(platform: Platform, quiet_s: float = FOLDED_AFTER_S) -> int:
-    """Fold rows that were quiet for so long into one; how many there were."""
+    """Fold rows unchanged for `quiet_s` into one; return their number."""
     quiet = select(CounterRow).where(CounterRow.id != FOLDED, CounterRow.told_ns < database_ns() - int(quiet_s * 1e9))
     with platform.database.transaction() as session:
         into = session.scalar(select(CounterRow).where(CounterRow.id == FOLDED).with_for_update())

@@ -1,7 +1,7 @@
 """In-process counters, and their arithmetic.
 
-**Conventions.** Counts are JSON: `{meter: {"label|label": value}}`; the value of a histogram is a list, how many fell
-into each of its buckets (not cumulative, the last one is open) and then their sum. All only grow.
+**Conventions.** Counts are JSON: `{meter: {"label|label": value}}`. The value of a histogram is a list: the count in
+each bucket (not cumulative, the last bucket is open), then the sum. Counts only grow.
 """
 
 import os
@@ -10,10 +10,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from threading import Lock
 
-# Definitions of all counters and histograms.
-#
-# **Conventions.** Names are those that Prometheus shows, without its `_total`. Labels take few values: kinds,
-# outcomes, queues, directions; never an id or a name. A meter with `bounds` is a histogram, whose buckets end there.
+# Definitions of all counters and histograms. **Conventions.** Names are the Prometheus names without `_total`. Labels
+# have few values: kinds, outcomes, queues, directions; never an id or a name. A meter with `bounds` is a histogram with
+# these bucket limits.
 
 
 SECONDS = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1800.0)
@@ -78,7 +77,7 @@ BETWEEN = "|"
 
 
 class ProcessCounters:
-    """The counts of one process; any thread may add."""
+    """The counts of one process; any thread may add to them."""
 
     def __init__(self) -> None:
         self._lock = Lock()
@@ -91,7 +90,7 @@ class ProcessCounters:
             of_meter[key] = added(of_meter.get(key, 0.0), amount)
 
     def observe(self, meter: MetricDefinition, labels: tuple[str, ...], value: float) -> None:
-        """One more in the histogram."""
+        """Add a value to the histogram."""
         one = [0.0] * (len(meter.bounds) + 2)
         one[bisect_left(meter.bounds, value)] = 1.0
         one[-1] = max(value, 0.0)
@@ -101,18 +100,20 @@ class ProcessCounters:
             of_meter[key] = added(of_meter.get(key, one), one) if key in of_meter else one
 
     def merge(self, more: Counts) -> None:
-        """Add what others counted."""
+        """Add the counts of another process."""
         with self._lock:
             self._counts = summed((self._counts, more))
 
     def counts(self) -> Counts:
-        """A copy of the counts now."""
+        """Return a copy of the counts."""
         with self._lock:
             return {name: {key: _copied(value) for key, value in of.items()} for name, of in self._counts.items()}
 
 
 def summed(parts: Iterable[Mapping[str, Mapping[str, Value]]]) -> Counts:
-    """All of them together. What no meter of this version is named after stays, what does not fit it is left out."""
+    """Return the sum of all counts. Meters unknown to this version stay; values that do not fit their meter are
+    dropped.
+    """
     total: Counts = {}
     for part in parts:
         for name, of_meter in part.items():
@@ -123,13 +124,13 @@ def summed(parts: Iterable[Mapping[str, Mapping[str, Value]]]) -> Counts:
 
 
 def less(now: Counts, before: Counts) -> Counts:
-    """The counts made between `before` and `now`."""
+    """Return the counts made between `before` and `now`."""
     negative = {name: {key: _negated(value) for key, value in of.items()} for name, of in before.items()}
     return summed((now, negative))
 
 
 def added(one: Value, other: Value) -> Value:
-    """The sum; of histograms of two versions, whose buckets differ, the first alone."""
+    """Return the sum; if the buckets of two versions differ, return the first histogram alone."""
     if isinstance(one, list):
         fits = isinstance(other, list) and len(other) == len(one)
         return [a + b for a, b in zip(one, other, strict=True)] if fits and isinstance(other, list) else one
@@ -149,6 +150,6 @@ _OURS: dict[int, ProcessCounters] = {}
 
 
 def process_counters() -> ProcessCounters:
-    """The counters of this process; a forked child begins anew."""
+    """Return the counters of this process; a forked child starts with new ones."""
     ours = _OURS.get(os.getpid())
     return _OURS.setdefault(os.getpid(), ProcessCounters()) if ours is None else ours

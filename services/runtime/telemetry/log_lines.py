@@ -1,8 +1,8 @@
 """Structured logging: one JSON object per line.
 
-**Conventions.** Everything goes to stderr, ours (structlog) and what libraries say (logging) in the same shape. What is
-bound to the context (`request_id`; of an attempt `job_id`, `run_id`, `kind`, `attempt` too) is in every line, and
-`trace_id` and `span_id` where there is a span. `speak_json()` is for entry points; tests and tools are left alone.
+**Conventions.** Our lines (structlog) and those of libraries (logging) go to stderr in the same shape. Every line
+contains the ids bound to the context (`request_id`; in an attempt also `job_id`, `run_id`, `kind`, `attempt`), and
+within a span `trace_id` and `span_id`. Only entry points call `speak_json()`; tests and tools keep their own logging.
 """
 
 import logging
@@ -14,11 +14,11 @@ from structlog.types import EventDict, Processor
 
 LIBRARIES = ("uvicorn", "uvicorn.error")
 SILENT = ("uvicorn.access",)
-"""Its lines have whole queries; ours (`api/middleware/entry.py`) say the same without."""
+"""Libraries whose lines contain whole queries; ours (`api/middleware/entry.py`) have the same facts without them."""
 
 
 def name_span(_logger: object, _method: str, line: EventDict) -> EventDict:
-    """Which span and trace the line was said in; nothing outside of one."""
+    """Add the current trace and span to the line, if there is a span."""
     context = get_current_span().get_span_context()
     if context.is_valid:
         line.update(trace_id=format_trace_id(context.trace_id), span_id=format_span_id(context.span_id))
@@ -37,7 +37,7 @@ _SHARED: tuple[Processor, ...] = (
 
 
 def speak_json(level: int = logging.INFO) -> None:
-    """Let this process say what it says as JSON lines, from `level` upwards. A second call changes nothing more."""
+    """Log JSON lines from `level` upwards in this process. A second call changes nothing."""
     structlog.configure(
         processors=[structlog.stdlib.filter_by_level, *_SHARED, structlog.stdlib.ProcessorFormatter.wrap_for_formatter],
         logger_factory=structlog.stdlib.LoggerFactory(),
@@ -52,11 +52,11 @@ def speak_json(level: int = logging.INFO) -> None:
     lines.setFormatter(structlog.stdlib.ProcessorFormatter(foreign_pre_chain=list(_SHARED), processors=finish))
     logging.root.handlers[:] = [lines]
     logging.root.setLevel(level)
-    for name in LIBRARIES:  # these bring handlers of their own
+    for name in LIBRARIES:  # these have their own handlers
         logger = logging.getLogger(name)
         logger.handlers.clear()
         logger.propagate = True
     for name in SILENT:
         logger = logging.getLogger(name)
         logger.handlers.clear()
-        logger.propagate = False  # uvicorn asks whether anybody would hear, and a parent would
+        logger.propagate = False  # uvicorn checks for handlers, also of parents

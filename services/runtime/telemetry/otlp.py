@@ -1,9 +1,9 @@
 """The OpenTelemetry SDK exporter (OTLP over HTTP), imported only when tracing is enabled.
 
-**Conventions.** What the collector refuses or does not hear is dropped by the SDK with a line in the log; work never
-waits for it. The SDK's batching begins again in every forked child, so in those that are confined to read strangers'
-files too, where a thread from before the fences would stand outside of them: here it is ended before the child does
-anything, and a child of a fork sends nothing.
+**Conventions.** If the collector refuses spans or is unreachable, the SDK drops them and logs a line; work never waits
+for it. The SDK restarts its batching thread in every forked child, including confined children that read untrusted
+files, where such a thread would be outside the fences. Here it ends before the child does anything, and a forked child
+sends nothing.
 """
 
 import logging
@@ -20,7 +20,7 @@ THREADS = "/proc/self/task"
 
 
 class OwnProcessExporter(OTLPSpanExporter):
-    """Sends for the process that made it; a child of a fork lets go without touching the parent's connections."""
+    """Send spans of the process that created it; a forked child leaves the parent's connections untouched."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -32,8 +32,8 @@ class OwnProcessExporter(OTLPSpanExporter):
 
 
 def provider_of(service: str) -> TracerProvider:
-    """As the variables say, which also may name the service otherwise."""
-    logging.getLogger("opentelemetry").setLevel(logging.WARNING)  # it tells of every span that ends after the end
+    """Return a provider configured by the OTEL variables, which may override the service name."""
+    logging.getLogger("opentelemetry").setLevel(logging.WARNING)  # it logs every span that ends after shutdown
     named = {} if os.environ.get("OTEL_SERVICE_NAME") else {SERVICE_NAME: service}
     provider = TracerProvider(resource=Resource.create(named), shutdown_on_exit=False)
     batches = BatchSpanProcessor(OwnProcessExporter())
@@ -43,7 +43,7 @@ def provider_of(service: str) -> TracerProvider:
 
 
 def _end_in_children(batches: BatchSpanProcessor) -> None:
-    """Registered after the SDK's own hook, so called after it: the thread that it has begun again is joined here."""
+    """Join the thread that the SDK restarted in a child; registered after the SDK's own hook, so called after it."""
     ending = WeakMethod(batches.shutdown)
 
     def end() -> None:
@@ -56,7 +56,7 @@ def _end_in_children(batches: BatchSpanProcessor) -> None:
 
 
 def _await_one_thread(patience_s: float = 1.0) -> None:
-    """A thread that was joined may still be on its way out of the kernel, and fences are raised around one thread."""
+    """Wait until the kernel has removed the joined thread: fences require a single thread."""
     until_s = time.monotonic() + patience_s
     while len(os.listdir(THREADS)) > 1 and time.monotonic() < until_s:
         time.sleep(1e-4)

@@ -1,8 +1,8 @@
 """The platform's status for monitoring: waiting jobs and their age, workers, chores.
 
-**Conventions.** Cheap however much there is: nothing is counted beyond `MOST`, so a figure of `MOST` says "at least";
-what has ended is not counted here at all but by the processes that ended it. Predicates of partial indexes are literals
-(`orm/jobs.py`). Ages are by the database's clock where the database wrote the time, else by ours.
+**Conventions.** Queries stay cheap at any size: counting stops at `MOST`, so a figure of `MOST` means "at least". Ended
+jobs are counted only by the processes that ended them. Predicates of partial indexes are literals (`orm/jobs.py`). Ages
+use the database's clock if the database wrote the time, else the local clock.
 """
 
 from collections.abc import Mapping
@@ -28,7 +28,7 @@ ONE: ColumnElement[int] = literal_column("1")
 
 @dataclass(frozen=True)
 class PlatformStatus:
-    """`jobs` by (queue, state): ready, waiting (for others of their run), running; ages in seconds."""
+    """The status: `jobs` by (queue, state), with the states ready, waiting, running; ages in seconds."""
 
     jobs: Mapping[tuple[str, str], int]
     oldest_ready_s: Mapping[str, float]
@@ -41,7 +41,7 @@ class PlatformStatus:
 
 
 def platform_status(session: Session, heartbeat_s: float) -> PlatformStatus:
-    """The platform's status now; every queue is named, however empty."""
+    """Return the current platform status with every queue, also empty ones."""
     return PlatformStatus(
         jobs={key: count for state, one in STATES for key, count in _counted(session, state, one).items()},
         oldest_ready_s={queue: _oldest_s(session, queue) for queue in QUEUES},
@@ -59,7 +59,7 @@ def _age() -> ColumnElement[int]:
 
 
 def _counted(session: Session, state: str, predicate: str) -> dict[tuple[str, str], int]:
-    """Jobs by queue, off the index that is partial by the predicate."""
+    """Return the number of jobs by queue, from the partial index of this predicate."""
     found = {}
     for queue in QUEUES:
         some = select(ONE).select_from(Job).where(Job.queue == queue, text(predicate)).limit(MOST).subquery()
@@ -68,7 +68,7 @@ def _counted(session: Session, state: str, predicate: str) -> dict[tuple[str, st
 
 
 def _oldest_s(session: Session, queue: str) -> float:
-    """The age of the longest ready job; 0 where none is."""
+    """Return the age of the longest ready job in seconds; 0 if there is none."""
     since_ns = session.scalar(select(func.min(Job.ready_ns)).where(Job.queue == queue, text(IS_READY)))
     return 0.0 if since_ns is None else max(now_ns() - since_ns, 0) / 1e9
 

@@ -1,8 +1,7 @@
-"""Resource usage of this process, its children and those that a fork server has for it; free memory and disk of the
-machine.
+"""Resource usage of this process, its children and its fork server's children; free memory and disk of the machine.
 
-**Conventions.** Linux tells it in `/proc` (proc(5)) and, of a container, in `/sys/fs/cgroup` (cgroup v2); what cannot
-be read is None.
+**Conventions.** The values come from Linux: `/proc` (proc(5)) and, in a container, `/sys/fs/cgroup` (cgroup v2).
+Unreadable values are None.
 """
 
 import os
@@ -19,7 +18,7 @@ PROC, CGROUP = Path("/proc"), Path("/sys/fs/cgroup")
 
 @dataclass(frozen=True)
 class Room:
-    """Bytes that are left of bytes that there are."""
+    """Free bytes and total bytes."""
 
     free_bytes: int | None = None
     total_bytes: int | None = None
@@ -27,7 +26,7 @@ class Room:
 
 @dataclass(frozen=True)
 class ProcessUsage:
-    """Processor time, user and system; the bytes that a process holds, and the most that it held."""
+    """Processor time (user and system), and the current and highest resident memory of a process in bytes."""
 
     cpu_s: float = 0.0
     held_bytes: int = 0
@@ -36,7 +35,7 @@ class ProcessUsage:
 
 @dataclass
 class _ServedUsage:
-    """What children of a fork server have used that worked for this process."""
+    """Usage of the fork server's children that worked for this process."""
 
     cpu_s: float = 0.0
     peak_bytes: int = 0
@@ -46,25 +45,25 @@ _SERVED, _SERVED_LOCK = _ServedUsage(), Lock()
 
 
 def note_served(cpu_s: float, peak_bytes: int) -> None:
-    """A child of a fork server has ended that worked for this process."""
+    """Add the usage of an ended child of a fork server that worked for this process."""
     with _SERVED_LOCK:
         _SERVED.cpu_s += cpu_s
         _SERVED.peak_bytes = max(_SERVED.peak_bytes, peak_bytes)
 
 
 def used_cpu_s() -> float:
-    """Processor time, user and system."""
+    """Return the processor time, user and system, in seconds."""
     used = [resource.getrusage(who) for who in OURS]
     return sum(one.ru_utime + one.ru_stime for one in used) + _SERVED.cpu_s
 
 
 def peak_bytes() -> int:
-    """The most memory that any one of them held."""
+    """Return the highest memory of any single process among them."""
     return max(_SERVED.peak_bytes, *(resource.getrusage(who).ru_maxrss * 1024 for who in OURS))
 
 
 def usage_of(pid: int, proc: Path = PROC) -> ProcessUsage:
-    """What another process has used by now; nothing of one that ended."""
+    """Return the usage of another process; zeros if it has ended."""
     try:
         fields = (proc / str(pid) / "stat").read_text().rpartition(")")[2].split()
         status = (proc / str(pid) / "status").read_text()
@@ -76,7 +75,7 @@ def usage_of(pid: int, proc: Path = PROC) -> ProcessUsage:
 
 
 def held_bytes(proc: Path = PROC) -> int | None:
-    """The memory that this process holds now (resident set)."""
+    """Return the current memory of this process (resident set)."""
     try:
         return int((proc / "self" / "statm").read_text("ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
     except (OSError, ValueError, IndexError):
@@ -84,11 +83,11 @@ def held_bytes(proc: Path = PROC) -> int | None:
 
 
 def memory(proc: Path = PROC, cgroup: Path = CGROUP) -> Room:
-    """The machine's memory; of a container with a limit of its own, what is less."""
+    """Return the machine's memory, or the container's if its limit is lower."""
     of_machine = _machine_memory(proc)
     try:
         limit, used = (int((cgroup / name).read_text("ascii")) for name in ("memory.max", "memory.current"))
-    except (OSError, ValueError):  # no container, or no limit: "max"
+    except (OSError, ValueError):  # not a container, or no limit: "max"
         return of_machine
     if of_machine.total_bytes is not None and limit >= of_machine.total_bytes:
         return of_machine
@@ -97,7 +96,7 @@ def memory(proc: Path = PROC, cgroup: Path = CGROUP) -> Room:
 
 
 def disk(folder: Path) -> Room:
-    """The disk that the folder is on, or will be."""
+    """Return the space on the disk of the folder, which need not exist yet."""
     try:
         found = shutil.disk_usage(next(path for path in (folder, *folder.parents) if path.exists()))
     except OSError:

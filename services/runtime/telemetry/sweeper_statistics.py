@@ -1,8 +1,7 @@
 """The sweeper's records: times of its chores, its counters, and measured figures.
 
-**Conventions.** Whichever sweeper did a chore last counts; ages are by the database's clock. The size of the store is
-added up in steps of `STEP_BLOBS`, so that no query is long however much there is; a figure is that of the last round
-through all of it.
+**Conventions.** The last sweeper to do a chore sets its time; ages use the database's clock. The size of the store is
+summed in steps of `STEP_BLOBS`, so every query stays short; the figure is that of the last complete pass.
 """
 
 import time
@@ -23,7 +22,7 @@ STORED_BYTES, STORED_BLOBS = "stored_bytes", "stored_blobs"
 
 
 class ChoreLedger:
-    """`note(name)` when a chore is done, by any thread; `write()` every few seconds, by one."""
+    """Times of finished chores: any thread calls `note(name)`, one thread calls `write()` every few seconds."""
 
     def __init__(self, platform: Platform) -> None:
         self._platform = platform
@@ -36,7 +35,7 @@ class ChoreLedger:
             self._done_s[name] = time.monotonic()
 
     def write(self) -> None:
-        """What cannot be written now is kept for the next time."""
+        """Write the noted times; after a failure they are kept for the next call."""
         now_s = time.monotonic()
         with self._guard:
             done_s, self._done_s = self._done_s, {}
@@ -53,7 +52,7 @@ class ChoreLedger:
 
 
 class StoreSum:
-    """`step()` adds up some more blobs, and writes the sum down when all were seen."""
+    """The size of the store: `step()` adds a few more blobs, and writes the sum after the last."""
 
     def __init__(self, platform: Platform) -> None:
         self._platform = platform

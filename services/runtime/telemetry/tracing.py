@@ -1,10 +1,10 @@
 """Tracing by OpenTelemetry (OTLP over HTTP), loaded only when its environment variables are set.
 
-**Conventions.** `setup_tracing` is for entry points, after the last fork; in what calls it not (tests, tools) spans are
-the API's no-ops and the SDK is not loaded. It is on when `OTEL_EXPORTER_OTLP_ENDPOINT` (or `…_TRACES_ENDPOINT`) is set
-or `OTEL_TRACES_EXPORTER` is `otlp`; `OTEL_SDK_DISABLED=true` and `OTEL_TRACES_EXPORTER=none` switch it off. Sampling,
-batching, headers and limits are those of the SDK's variables. OpenTelemetry's global provider is left alone: libraries
-that trace by themselves would send paths, queries and statements through it.
+**Conventions.** Entry points call `setup_tracing` after the last fork. Without this call (tests, tools) spans are the
+API's no-ops and the SDK is not loaded. Tracing is on if `OTEL_EXPORTER_OTLP_ENDPOINT` (or `…_TRACES_ENDPOINT`) is set
+or `OTEL_TRACES_EXPORTER` is `otlp`; `OTEL_SDK_DISABLED=true` and `OTEL_TRACES_EXPORTER=none` disable it. The SDK's
+variables set sampling, batching, headers and limits. OpenTelemetry's global provider stays unset: libraries with
+tracing of their own would send paths, queries and statements through it.
 """
 
 import atexit
@@ -30,7 +30,7 @@ _OPENED: list[tuple[Tracer, Callable[[], None]]] = []
 
 
 def is_asked_for(environment: Mapping[str, str] = os.environ) -> bool:
-    """Whether the variables switch tracing on."""
+    """Return whether the variables enable tracing."""
     if environment.get("OTEL_SDK_DISABLED", "").strip().lower() == "true":
         return False
     exporter = environment.get("OTEL_TRACES_EXPORTER", "").strip()
@@ -40,10 +40,10 @@ def is_asked_for(environment: Mapping[str, str] = os.environ) -> bool:
 
 
 def setup_tracing(service: str) -> None:
-    """Send this process's spans from now on, if that is asked for, as `OTEL_SERVICE_NAME` or else as `service`."""
+    """If tracing is enabled, send this process's spans as `OTEL_SERVICE_NAME`, or by default as `service`."""
     if _OPENED or not is_asked_for():
         return
-    from services.runtime.telemetry.otlp import provider_of  # a sixth of a second: only for who wants it
+    from services.runtime.telemetry.otlp import provider_of  # the import takes a sixth of a second
 
     provider = provider_of(service)
     _OPENED.append((provider.get_tracer("stone"), provider.shutdown))
@@ -51,7 +51,7 @@ def setup_tracing(service: str) -> None:
 
 
 def close_tracing() -> None:
-    """Send what has ended and is not sent; a collector that is away holds nobody up for long."""
+    """Send all ended spans; an unreachable collector delays this only briefly."""
     while _OPENED:
         _, shutdown = _OPENED.pop()
         closing = Thread(target=shutdown, name="tracing", daemon=True)
@@ -60,7 +60,7 @@ def close_tracing() -> None:
 
 
 def tracer() -> Tracer:
-    """This process's; OpenTelemetry's no-op where tracing is off."""
+    """Return this process's tracer, or OpenTelemetry's no-op if tracing is off."""
     return _OPENED[0][0] if _OPENED else _OFF
 
 
@@ -72,9 +72,10 @@ def span(
     within: Context | None = None,
     attributes: Mapping[str, AttributeValue] | None = None,
 ) -> Iterator[Span]:
-    """`with span(…) as made:`, the current one meanwhile. What raises leaves its class behind, never its words.
+    """Open a span (`with span(…) as current:`). An exception leaves its class in the span, never its message.
 
-    `within` as `origins.context_of` says; None is within the current one. Attributes are ids, kinds, codes and numbers.
+    `within` comes from `origins.context_of`; None continues the current span. Attributes are ids, kinds, codes and
+    numbers.
     """
     with tracer().start_as_current_span(
         name, within, kind, attributes, record_exception=False, set_status_on_exception=False
@@ -87,21 +88,18 @@ def span(
 
 
 def mark_failed(span: Span, code: str) -> None:
-    """It ended badly, with this code."""
+    """Mark the span as failed with this code."""
     span.set_attribute("error.type", code)
     span.set_status(StatusCode.ERROR)
 
 
-# Links between traces of consecutive user actions, which may be hours apart.
-#
-#     upload ← recording (register) ← processing (synchronise, label) ← export;  upload ← submission (open, part, join)
-#
-# **Conventions.** A trace is one act of a person with all the jobs it caused; a link goes back to the act before it.
-# Nothing is looked up unless the span is sent.
+# Links between traces of consecutive user actions, which may be hours apart: upload ← recording (register) ← processing
+# (synchronise, label) ← export; upload ← submission (open, part, join) **Conventions.** A trace is one act of a person
+# with all the jobs it caused; a link leads back to the previous act. The database is queried only if the span is sent.
 
 
 def link_uploads_of(session: Session, recording_id: str) -> None:
-    """What is done now is done to the files of this recording."""
+    """Link the current span to the uploads of this recording's files."""
     if get_current_span().is_recording():
         of_recording = RecordingFile.recording_id == recording_id
         sent = select(Upload.traceparent).join(RecordingFile, RecordingFile.upload_id == Upload.id)
@@ -110,16 +108,16 @@ def link_uploads_of(session: Session, recording_id: str) -> None:
 
 
 def link_job(session: Session, job_id: str) -> None:
-    """What is done now is done to what this job, or run, has made."""
+    """Link the current span to the job, or run, that produced its inputs."""
     if get_current_span().is_recording():
         link_to(session.scalar(select(Job.traceparent).where(Job.id == job_id)) or "")
 
 
-# The stages of an attempt as spans within the attempt's, each ended by the next.
+# The stages of an attempt as child spans, each ended by the next.
 
 
 class StageSpans:
-    """Of the span that is current when this is made; any thread may enter a stage."""
+    """Stage spans within the span that is current at construction; any thread may enter a stage."""
 
     def __init__(self) -> None:
         self._within = get_current()
@@ -127,7 +125,7 @@ class StageSpans:
         self._span: Span = INVALID_SPAN
 
     def enter(self, name: str) -> None:
-        """From now on it is at `name`, until another is entered; empty: at none."""
+        """End the current stage and start the stage `name`; an empty name starts none."""
         if name == self._name or not get_current_span(self._within).is_recording():
             return
         with self._lock:

@@ -1,4 +1,4 @@
-"""Selects the backend that has an upload's bytes."""
+"""Select the backend that has an upload's bytes."""
 
 import os
 import re
@@ -23,97 +23,95 @@ from services.runtime.uploads.part_rows import STORE, UploadPart
 from services.runtime.uploads.part_writer import LockedUploadParts, copy_parts
 from services.runtime.uploads.rows import duplicates_of
 
-# The upload backend interface, implemented by a shared folder and by the object store.
-#
-# **Conventions.** An upload's row says in which backend its bytes are. A backend knows bytes and offsets; states,
-# quotas and owners are the rows' (`rows.py`), and a row changes before its bytes go. Whoever holds bytes reads the row
-# again.
+# The upload backend interface, implemented by a shared folder and by the object store. **Conventions.** An upload's row
+# names the backend of its bytes. A backend handles bytes and offsets; `rows.py` handles states, quotas and owners. A
+# row changes before its bytes are deleted. After locking the bytes, read the row again.
 
 
 class LockedUpload(Protocol):
-    """The bytes of an upload, held by one request: `append` what comes, `accept` or `discard` it, then `close`."""
+    """The bytes of an upload, locked by one request: `append` bytes, `accept` or `discard` them, then `close`."""
 
     @property
     def kept_bytes(self) -> int:
-        """The number of bytes that stay when this process is killed now."""
+        """Return the number of bytes that stay if this process is killed now."""
         ...
 
     def mark_unverified(self) -> None:
-        """Let what is appended from now on not count until `accept`, even when the process is killed before."""
+        """Do not count bytes appended from now on until `accept`, even if the process is killed before it."""
         ...
 
     def append(self, pieces: Sequence[bytes], offset_bytes: int) -> None:
-        """Add `pieces` at `offset_bytes`, the end of what was appended. Raises `DiskFullError`; what fitted counts."""
+        """Add `pieces` at `offset_bytes`, the end of the bytes. Raise `DiskFullError`; bytes that fitted count."""
         ...
 
     def accept(self, *, is_whole: bool) -> None:
-        """All that was appended counts; a whole upload survives a power cut from now on. Raises `DiskFullError`."""
+        """Count all appended bytes; a whole upload survives a power cut from now on. Raise `DiskFullError`."""
         ...
 
     def discard(self) -> None:
-        """Drop what was appended and not accepted, as far as it is not kept for ever already."""
+        """Drop bytes that were appended and not accepted, unless they are kept permanently already."""
         ...
 
     def sha256(self) -> str:
-        """The hash of all bytes, read again from the first one; in hex."""
+        """Return the hash of all bytes in hex, reading them again from the first."""
         ...
 
     def close(self) -> None:
-        """Let go. May be called twice."""
+        """Release the lock. It may be called twice."""
         ...
 
 
 class UploadBackend(Protocol):
-    """Bytes under way by upload; `FileNotFoundError` where those of an upload are gone."""
+    """Bytes of unfinished uploads; methods raise `FileNotFoundError` if an upload's bytes are gone."""
 
     def begin(self, upload: Upload) -> bool:
-        """Make room before the row comes to be; true when the owner's own file has given it all its bytes already.
+        """Reserve space before the row is created; return True if the owner's own file has supplied all bytes already.
 
-        Raises `DiskFullError`.
+        Raise `DiskFullError`.
         """
         ...
 
     def enter(self, session: Session, upload: Upload) -> bool:
-        """Within the transaction that makes the row, after it: as `begin`, for a backend whose bytes have rows."""
+        """Do as `begin` for a backend whose bytes have rows, after the row and within its transaction."""
         ...
 
     def offset_of(self, upload_id: str) -> int:
-        """The number of bytes that count."""
+        """Return the number of bytes that count."""
         ...
 
     def hold(self, upload: Upload) -> LockedUpload:
-        """Raises `UploadLockedError` while another request holds them."""
+        """Lock the bytes for one request. Raise `UploadLockedError` while another request has the lock."""
         ...
 
     def remove(self, upload_id: str) -> None:
-        """The bytes go; nothing happens where there are none."""
+        """Delete the bytes, if there are any."""
         ...
 
     def local(self, upload: Upload) -> AbstractContextManager[Path]:
-        """A file on this machine with all bytes of a whole upload, to be read only; a copy goes with the block."""
+        """Yield a local file with all bytes of a whole upload, for reading only; a copy is deleted afterwards."""
         ...
 
     def holding(self) -> Iterator[str]:
-        """The uploads that have bytes here, in no order, found as they are asked for: over minutes, if need be."""
+        """Yield the uploads that have bytes in this backend, in no order. The listing is lazy and may last minutes."""
         ...
 
     def is_forgotten(self, upload_id: str) -> bool:
-        """Whether bytes without a row are so old that no row is about to come."""
+        """Return whether bytes without a row are so old that no row will follow."""
         ...
 
 
 def backend_of(platform: Platform, upload: Upload) -> UploadBackend:
-    """Where the bytes of `upload` are, or are to come."""
+    """Return the backend that has, or will have, the bytes of `upload`."""
     return StoreUploadBackend(platform) if upload.backend == STORE else FolderUploadBackend(platform)
 
 
 def backends(platform: Platform) -> tuple[UploadBackend, ...]:
-    """Every backend that bytes may be in."""
+    """Return every backend that may have bytes."""
     return (FolderUploadBackend(platform), StoreUploadBackend(platform))
 
 
 def remove_bytes(platform: Platform, upload_ids: Iterable[str]) -> None:
-    """The bytes of these uploads go, wherever they are."""
+    """Delete the bytes of these uploads from all backends."""
     for backend in backends(platform):
         for upload_id in upload_ids:
             backend.remove(upload_id)
@@ -127,15 +125,15 @@ ORPHAN_S = 3600.0
 
 
 class FolderUploadBackend:
-    """`Place` of the uploads folder."""
+    """The backend whose bytes are files of the uploads folder."""
 
     def __init__(self, platform: Platform) -> None:
         self._platform = platform
 
     def begin(self, upload: Upload) -> bool:
-        """An empty file; or a second name for the same bytes on disk, where the owner has the declared file already.
+        """Create an empty file, or a hard link to the same bytes if the owner has the declared file already.
 
-        Raises `DiskFullError`.
+        Raise `DiskFullError`.
         """
         path = self._path(upload.id)
         if self._link_duplicate(upload, path):
@@ -157,13 +155,13 @@ class FolderUploadBackend:
 
     @contextmanager
     def local(self, upload: Upload) -> Iterator[Path]:
-        """The file itself."""
+        """Yield the file itself."""
         path = self._path(upload.id)
         path.stat()
         yield path
 
     def holding(self) -> Iterator[str]:
-        """Uploads that have a file, or a mark whose file is gone; twice those that have both."""
+        """Yield uploads that have a file, or a mark without a file; an upload with both appears twice."""
         folder = self._platform.settings.uploads_folder
         if not folder.is_dir():
             return
@@ -181,31 +179,30 @@ class FolderUploadBackend:
         return upload_file(self._platform.settings, upload_id)
 
     def _link_duplicate(self, upload: Upload, path: Path) -> bool:
-        """Whether the owner had the declared bytes already, and `path` names them now."""
+        """Return whether the owner had the declared bytes already; `path` then links to them."""
         if not upload.declared_sha256:
             return False
         path.parent.mkdir(parents=True, exist_ok=True)
         for duplicate in duplicates_of(self._platform, upload):
             try:
                 os.link(duplicate, path)
-            except OSError:  # consumed or collected meanwhile, or on another filesystem: then it is sent again
+            except OSError:  # consumed or collected meanwhile, or on another filesystem: the client sends the bytes
                 continue
             sync_folder(path.parent)
             return True
         return False
 
 
-# The object store backend of uploads: each part is an object with a row (`part_rows.py`).
-#
-# **Conventions.** Nothing is shared between machines but database and store. A worker that reads an upload copies it
-# into its cache and removes the copy; what a killed one leaves is found by the next attempt, or evicted.
+# The object store backend of uploads: each part is an object with a row (`part_rows.py`). **Conventions.** Machines
+# share only database and store. A worker that reads an upload copies it into its cache and deletes the copy afterwards.
+# The next attempt reuses the copy of a killed worker, or the cache evicts it.
 
 
 BATCH = 500
 
 
 class StoreUploadBackend:
-    """`Place` of the store."""
+    """The backend whose bytes are objects of the store."""
 
     def __init__(self, platform: Platform) -> None:
         self._platform = platform
@@ -225,13 +222,13 @@ class StoreUploadBackend:
         return LockedUploadParts(self._platform, upload)
 
     def remove(self, upload_id: str) -> None:
-        """The rows go; garbage collection deletes the objects."""
+        """Delete the rows; garbage collection deletes the objects."""
         if self.offset_of(upload_id):
             part_rows.forget(self._platform, upload_id)
 
     @contextmanager
     def local(self, upload: Upload) -> Iterator[Path]:
-        """A copy in this machine's cache; of what is a blob the store's own."""
+        """Yield a copy in this machine's cache, or the store's own copy of a blob."""
         with self._platform.database.reading() as session:
             parts = part_rows.upload_parts_of(session, upload.id)
         if sum(part.length_bytes for part in parts) != upload.length_bytes:
@@ -243,19 +240,19 @@ class StoreUploadBackend:
             yield path
 
     def holding(self) -> Iterator[str]:
-        """Uploads with parts, in the order of their ids."""
+        """Yield uploads with parts, in the order of their ids."""
         after = ""
         while True:
             ordered = select(UploadPartRow.upload_id).where(FIRST, UploadPartRow.upload_id > after)
             with self._platform.database.reading() as session:
-                found = session.scalars(ordered.order_by(UploadPartRow.upload_id).limit(BATCH)).all()
-            yield from found
-            if len(found) < BATCH:
+                upload_ids = session.scalars(ordered.order_by(UploadPartRow.upload_id).limit(BATCH)).all()
+            yield from upload_ids
+            if len(upload_ids) < BATCH:
                 return
-            after = found[-1]
+            after = upload_ids[-1]
 
     def is_forgotten(self, upload_id: str) -> bool:
-        """There are no parts without a row."""
+        """Return False: no part exists without a row."""
         return False
 
     def _cache(self) -> Cache:

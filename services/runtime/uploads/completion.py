@@ -1,8 +1,8 @@
-"""Finishes uploads: verifies the whole file and completes or fails it.
+"""Finish uploads: verify the whole file, then complete or fail the upload.
 
-**Conventions.** Whoever settles holds the upload's bytes; where processes do not lock each other out, the row's
-compare-and-set lets it happen once. A process that dies before the row has changed leaves an open upload with all its
-bytes; the next look at it, or the sweeper, settles it.
+**Conventions.** Only the holder of an upload's bytes settles it. If processes do not lock each other out, the row's
+compare-and-set lets one of them succeed. If a process dies before it changes the row, the upload stays open with all
+its bytes; the next request for it, or the sweeper, settles it.
 """
 
 from contextlib import suppress
@@ -22,17 +22,17 @@ ENDABLE = ("open", "complete")
 
 
 def settle(platform: Platform, upload: Upload, held: LockedUpload, sha256: str = "") -> Upload:
-    """Complete an open upload whose bytes are all kept; `sha256` as seen while they came, else it is read again.
+    """Complete an open upload whose bytes are all kept; if `sha256` is empty, read the bytes again to compute it.
 
-    Raises `FileMismatchError` when it is not the declared file, which is removed then.
+    Delete the file and raise `FileMismatchError` if it is not the declared file.
     """
-    found = sha256 or held.sha256()
-    if upload.declared_sha256 not in ("", found):
-        mismatch = FileMismatchError(upload.id, found, upload.declared_sha256)
+    digest = sha256 or held.sha256()
+    if upload.declared_sha256 not in ("", digest):
+        mismatch = FileMismatchError(upload.id, digest, upload.declared_sha256)
         end(platform, upload, "failed", str(mismatch))
         raise mismatch
     with platform.database.transaction() as session:
-        moved = move(session, upload, "complete", sha256=found, detail="", expires_ns=expiry_ns(platform))
+        moved = move(session, upload, "complete", sha256=digest, detail="", expires_ns=expiry_ns(platform))
     current = find(platform.database, upload.id, upload.owner_id)
     if not moved and current.state not in WHOLE:  # another process may have settled it: then it is complete as well
         raise upload_state(upload.id, current.state, "completed", "open")
@@ -40,7 +40,7 @@ def settle(platform: Platform, upload: Upload, held: LockedUpload, sha256: str =
 
 
 def end(platform: Platform, upload: Upload, state: str, detail: str = "") -> bool:
-    """Leave for a state without bytes: row and quota first, then the bytes; false when somebody else was first."""
+    """Move to a state without bytes: row and quota first, then the bytes. Return False if another process was first."""
     with platform.database.transaction() as session:
         moved = leave(session, upload, state, detail)
     if moved:
@@ -82,9 +82,9 @@ def _held_if_there(platform: Platform, upload: Upload) -> LockedUpload | None:
 
 
 def settle_if_whole(platform: Platform, upload: Upload) -> Upload:
-    """The upload, settled first when its bytes are all there and nobody is at it.
+    """Return the upload; if all its bytes are present and no request holds them, settle it first.
 
-    Raises `FileMismatchError`, `FileNotFoundError`.
+    Raise `FileMismatchError`, `FileNotFoundError`.
     """
     backend, is_joined = backend_of(platform, upload), bool(part_ids_of(upload))
     if upload.state != "open" or (not is_joined and backend.offset_of(upload.id) < upload.length_bytes):
@@ -103,7 +103,7 @@ def settle_if_whole(platform: Platform, upload: Upload) -> Upload:
 
 
 def bytes_here(platform: Platform, upload: Upload) -> int:
-    """The offset to show: bytes that count while it is open, all of them once it is whole, 0 when it is gone."""
+    """Return the offset to show: counted bytes of an open upload, all bytes of a whole one, 0 of one that is gone."""
     if upload.state != "open":
         return upload.length_bytes if upload.state in WHOLE else 0
     try:

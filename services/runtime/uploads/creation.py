@@ -1,8 +1,8 @@
-"""Creates uploads: space for the bytes first, then the row and its quota.
+"""Create uploads: space for the bytes first, then the row and its quota.
 
-**Conventions.** Bytes without a row are swept (`expiry`), a row whose backend knows nothing of it is never made. A file
-the owner has already is not sent again: the new upload is given the same bytes and is complete at once. What others
-have is never looked at, so nothing can be learnt about it.
+**Conventions.** The sweeper deletes bytes without a row (`expiry`); each row has its bytes in a backend. If the owner
+has the declared file already, the new upload shares its bytes and is complete at once. Other owners' files are never
+compared, so an upload reveals nothing about them.
 """
 
 import re
@@ -23,10 +23,8 @@ from services.runtime.uploads.errors import BadMetadataError, upload_too_large
 from services.runtime.uploads.rows import PART, UploadOwner, expiry_ns, is_waiting
 from stone.errors import Refused, StoneError
 
-# The client's declaration of a file to upload, validated.
-#
-# **Conventions.** Everything here comes from outside. Nothing is repaired: a name that needs cleaning is refused, so
-# that what the platform shows is what the owner called it.
+# The client's declaration of a file to upload, validated. **Conventions.** All fields come from outside and are never
+# repaired: a bad name is refused, so the platform shows exactly the owner's name.
 
 
 FOLDER = "folder"
@@ -39,7 +37,7 @@ UNSEEN = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")
 
 @dataclass(frozen=True)
 class UploadDeclaration:
-    """A file to come. `sha256` and `target_id` may be empty. Raises `BadMetadataError`."""
+    """A file to upload. `sha256` and `target_id` may be empty. The constructor raises `BadMetadataError`."""
 
     filename: str
     purpose: str
@@ -58,7 +56,7 @@ class UploadDeclaration:
 
 
 def check_filename(name: str) -> None:
-    """Raises `BadMetadataError` unless it is a plain last component of a path, printable, at most 255 bytes."""
+    """Raise `BadMetadataError` unless the name is one path component, printable, at most 255 bytes."""
     if not name.strip() or name in (".", ".."):
         raise BadMetadataError("filename", name, "the name of a file")
     if len(name.encode("utf-8", "surrogatepass")) > LONGEST_NAME_BYTES:
@@ -70,9 +68,9 @@ def check_filename(name: str) -> None:
 
 
 def create(platform: Platform, owner: UploadOwner, declared: UploadDeclaration) -> Upload:
-    """A new upload, open, or complete when the owner has these bytes already.
+    """Create an upload: open, or complete if the owner has these bytes already.
 
-    Raises `upload_too_large`, `upload_target_missing`, `not_as_announced`, `too_many_uploads_of_draft`,
+    Raise `upload_too_large`, `upload_target_missing`, `not_as_announced`, `too_many_uploads_of_draft`,
     `quota_exceeded`, `too_many_uploads`, `DiskFullError`, `StorageFullError`.
     """
     limit_bytes = platform.settings.uploads.max_bytes
@@ -95,20 +93,20 @@ def create(platform: Platform, owner: UploadOwner, declared: UploadDeclaration) 
             elif upload.backend == FOLDER or not platform.settings.store.s3_bucket:
                 reserve_bytes = platform.settings.store.reserve_bytes
                 require_room(platform.settings.uploads_folder, declared.length_bytes, reserve_bytes)
-    except StoneError:  # after any other error (the answer to COMMIT was lost) the row may exist and need its bytes
+    except StoneError:  # after any other error (such as a lost reply to COMMIT) the row may exist and need its bytes
         backend.remove(upload.id)
         raise
     return upload
 
 
 def owner_limit_bytes(platform: Platform, owner: UploadOwner) -> int:
-    """The most bytes the owner may have stored or under way."""
+    """Return the owner's storage limit in bytes, for stored and unfinished files together."""
     settings = platform.settings
     return settings.submissions.participant_bytes if owner.is_participant else settings.uploads.owner_bytes
 
 
 def new_upload(platform: Platform, owner: UploadOwner, declared: UploadDeclaration, length_bytes: int) -> Upload:
-    """An open upload, not added to a session yet."""
+    """Return an open upload that is not in a session yet."""
     return Upload(
         id=new_id(),
         owner_id=owner.user_id,
@@ -126,17 +124,16 @@ def new_upload(platform: Platform, owner: UploadOwner, declared: UploadDeclarati
     )
 
 
-# Checks that an upload's target exists and belongs to its owner.
-#
-# **Conventions.** A recording may name its sequence. A submission names its draft, which announced the very file: so
-# what a phase's frames bound is known before anything comes, and what comes can only be that.
+# Check that an upload's target exists and belongs to its owner. **Conventions.** A recording may name its sequence. A
+# submission names its draft, which announced this file. The platform can therefore check the announcement against the
+# phase's frames before any bytes arrive.
 
 
 SUBMISSION = "submission"
 
 
 def refuse_foreign_target(platform: Platform, owner: UploadOwner, declared: UploadDeclaration) -> None:
-    """Raises `upload_target_missing`, `not_as_announced`."""
+    """Raise `upload_target_missing`, `not_as_announced`."""
     if declared.purpose == SUBMISSION:
         _refuse_foreign_draft(platform, owner, declared)
     elif declared.purpose == "recording" and declared.target_id:
@@ -144,7 +141,7 @@ def refuse_foreign_target(platform: Platform, owner: UploadOwner, declared: Uplo
 
 
 def _refuse_foreign_sequence(platform: Platform, owner: UploadOwner, declared: UploadDeclaration) -> None:
-    """A recording for a sequence that is not there would be found out only after hours of sending."""
+    """Raise an error if the recording's sequence does not exist, before hours of uploading."""
     with platform.database.reading() as session:
         sequence = session.get(SequenceRow, declared.target_id)
     is_theirs = sequence is not None and (owner.is_administrator or sequence.owner_id == owner.user_id)
@@ -153,7 +150,7 @@ def _refuse_foreign_sequence(platform: Platform, owner: UploadOwner, declared: U
 
 
 def _refuse_foreign_draft(platform: Platform, owner: UploadOwner, declared: UploadDeclaration) -> None:
-    """Only for a draft of a team that the owner belongs to, and only the file that it announces."""
+    """Require a draft of the owner's team that announces exactly this file."""
     with platform.database.reading() as session:
         draft = session.get(SubmissionRow, declared.target_id)
         is_member = draft is not None and session.get(TeamMember, (draft.team_id, owner.user_id)) is not None
@@ -165,17 +162,15 @@ def _refuse_foreign_draft(platform: Platform, owner: UploadOwner, declared: Uplo
         raise undeclared_upload("sha256", declared.sha256, draft.declared_sha256)
 
 
-# Limits on how many uploads may wait: of one owner, and for one draft of a submission.
-#
-# **Conventions.** An upload waits from its creation until it is used or ends, whether its bytes have come or not. It
-# is counted in the transaction that makes it, under the locks of its draft and of its owner, in this order, so that of
-# two at once only one takes the last place. What is overdue counts until it is swept, as its bytes do.
+# Limits on waiting uploads: per owner, and per draft of a submission. **Conventions.** An upload waits from its
+# creation until it is used or ends. Its transaction counts the waiting uploads under the locks of its draft and then of
+# its owner, so concurrent requests cannot exceed the limit. Overdue uploads count until they are swept.
 
 
 def hold_draft(session: Session, settings: Settings, declared: UploadDeclaration) -> None:
-    """Lock the draft that a submission is for, for which one more may wait.
+    """Lock the submission's draft and check that it may have one more waiting upload.
 
-    Raises `upload_target_missing` for one that went or was finalised meanwhile, `too_many_uploads_of_draft`.
+    Raise `upload_target_missing` if the draft was deleted or finalised meanwhile, `too_many_uploads_of_draft`.
     """
     if declared.purpose != SUBMISSION:
         return
@@ -192,7 +187,7 @@ def hold_draft(session: Session, settings: Settings, declared: UploadDeclaration
 
 
 def refuse_too_many(session: Session, settings: Settings, owner: UploadOwner) -> None:
-    """The owner, whose row the caller has locked, may have one more. Raises `too_many_uploads`."""
+    """Raise `too_many_uploads` if the owner, whose row the caller has locked, may have no further upload."""
     limit = settings.submissions.participant_waiting if owner.is_participant else settings.uploads.owner_waiting
     if _waiting(session, Upload.owner_id == owner.user_id, limit) >= limit:
         raise Refused(
@@ -203,7 +198,7 @@ def refuse_too_many(session: Session, settings: Settings, owner: UploadOwner) ->
 
 
 def _waiting(session: Session, among: ColumnElement[bool], most: int) -> int:
-    """How many of these wait, none counted beyond `most`."""
+    """Return the number of waiting uploads among these, at most `most`."""
     some = select(literal_column("1")).select_from(Upload).where(among, is_waiting()).limit(most).subquery()
     return session.scalar(select(func.count()).select_from(some)) or 0
 

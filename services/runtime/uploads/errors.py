@@ -4,7 +4,7 @@ from stone.errors import Refused, StoneError
 
 
 class BadMetadataError(StoneError):
-    """Something said about the file cannot be meant."""
+    """Invalid upload metadata."""
 
     code = "bad_upload_metadata"
 

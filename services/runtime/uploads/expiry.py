@@ -1,8 +1,8 @@
-"""Sweeper chores of uploads: expire overdue ones, finish complete ones, delete leftovers.
+"""Sweeper chores of uploads: expire overdue uploads, settle whole ones, delete leftovers.
 
-**Conventions.** Several sweepers may run beside the API: what is locked is in use and left alone, every change is a
-compare-and-set. A row changes before its bytes go; bytes whose row says that they should be gone are removed. A turn
-looks at a slice of all there is (`sweep_cursor`), each upload in a transaction of its own, files outside of it.
+**Conventions.** Several sweepers may run beside the API: locked bytes are in use and skipped, and every change is a
+compare-and-set. A row changes before its bytes are deleted. A turn processes a slice (`UploadCursor`), with one
+transaction per upload and file operations outside of it.
 """
 
 import time
@@ -24,11 +24,10 @@ from services.runtime.uploads.completion import settle_if_whole
 from services.runtime.uploads.errors import FileMismatchError, UploadLockedError
 from services.runtime.uploads.rows import GONE, PART, is_waiting, leave
 
-# The cursor of the uploads' sweep, which looks at some of very many uploads each time.
-#
-# **Conventions.** How many uploads wait, and how many files lie about, is up to whoever uploads; how long a turn takes
-# is not. Each walk goes on where its last turn ended, and from the beginning once it came to the end. What could not
-# be dealt with is passed by and looked at again in the next round. Where a turn ended is forgotten with the process.
+# The cursor of the uploads' sweep, which processes a bounded slice each time. **Conventions.** The number of waiting
+# uploads and files is unbounded; the duration of a turn is bounded. Each walk continues from the end of its last turn,
+# and restarts at the beginning after the last entry. Entries that failed are skipped until the next round. The process
+# keeps the cursor in memory only.
 
 
 SLICE = 1000
@@ -39,29 +38,29 @@ NEVER_NS = 2**63 - 1
 
 @dataclass
 class ExpiryWalk:
-    """A walk through the uploads that wait, in the order in which they expire."""
+    """A walk through the waiting uploads, in the order of their expiry."""
 
     _after: tuple[int, str] = (0, "")
 
     def turn(self, database: Database, most: int, first_ns: int = 0, last_ns: int = NEVER_NS) -> Iterator[Upload]:
-        """At most so many of those that expire within [first, last]; one that is not asked for comes next time."""
-        place = tuple_(Upload.expires_ns, Upload.id)
-        ordered = select(Upload).where(is_waiting(), place > max(self._after, (first_ns, "")))
+        """Yield up to `most` uploads that expire in [first, last]; later calls return the rest."""
+        position = tuple_(Upload.expires_ns, Upload.id)
+        ordered = select(Upload).where(is_waiting(), position > max(self._after, (first_ns, "")))
         ordered = ordered.where(Upload.expires_ns <= last_ns).order_by(Upload.expires_ns, Upload.id)
         with database.reading() as session:
-            found = list(session.scalars(ordered.limit(most)))
-        for upload in found:
+            uploads = list(session.scalars(ordered.limit(most)))
+        for upload in uploads:
             self._after = (upload.expires_ns, upload.id)
             yield upload
-        if len(found) < most:
+        if len(uploads) < most:
             self._after = (0, "")
 
 
 @dataclass
 class UploadCursor:
-    """Where each walk goes on: `slice_rows` uploads and `slice_files` files of a backend a turn, at most.
+    """The positions of all walks: at most `slice_rows` uploads and `slice_files` files per backend in a turn.
 
-    Files that are whole are read again for `share_s` a turn, and one of them at least.
+    A turn hashes whole files again for up to `share_s`, and at least one file.
     """
 
     slice_rows: int = SLICE
@@ -72,11 +71,11 @@ class UploadCursor:
     _names: dict[type, ListingWalk[str]] = field(default_factory=dict)
 
     def until_s(self) -> float:
-        """When this turn's share will be used up, on the monotonic clock."""
+        """Return the end of this turn's share, on the monotonic clock."""
         return time.monotonic() + self.share_s
 
     def names_in(self, backend: type) -> ListingWalk[str]:
-        """The walk through the files of a kind of backend."""
+        """Return the walk through the files of this kind of backend."""
         return self._names.setdefault(backend, ListingWalk())
 
 
@@ -86,9 +85,9 @@ log = structlog.get_logger(__name__)
 
 
 def expire(platform: Platform, cursor: UploadCursor | None = None) -> int:
-    """End what expired, settle what is whole, remove bytes that belong to nothing; how many uploads expired.
+    """Expire overdue uploads, settle whole ones, delete superfluous bytes; return the number of expired uploads.
 
-    Some of each: what comes after the `cursor`, or from the beginning.
+    It processes one slice of each kind after the `cursor`, or from the beginning.
     """
     cursor = cursor or UploadCursor()
     _settle(platform, cursor)
@@ -103,7 +102,7 @@ def _expire(platform: Platform, upload: Upload) -> bool:
     detail = "it expired before it was " + ("finished" if upload.state == "open" else "used")
     try:
         held = backend_of(platform, upload).hold(upload) if upload.state == "open" else None
-    except UploadLockedError:  # bytes are coming in
+    except UploadLockedError:  # bytes are arriving
         return False
     except FileNotFoundError:
         held = None
@@ -115,7 +114,7 @@ def _expire(platform: Platform, upload: Upload) -> bool:
 
 
 def _end_overdue(platform: Platform, upload: Upload, detail: str) -> bool:
-    """False when somebody else was first, or bytes came in and put its end off."""
+    """Expire the upload; return False if another process was first, or if new bytes extended its time."""
     with platform.database.transaction() as session:
         current = session.get_one(Upload, upload.id, with_for_update={"key_share": True})
         moved = current.expires_ns <= now_ns() and leave(session, upload, "expired", detail)
@@ -125,7 +124,7 @@ def _end_overdue(platform: Platform, upload: Upload, detail: str) -> bool:
 
 
 def _settle(platform: Platform, cursor: UploadCursor) -> None:
-    """Uploads that have all their bytes but whose process died before it could say so."""
+    """Settle uploads that have all their bytes but whose process died before it updated the row."""
     until_s = cursor.until_s()
     for upload in cursor.unsettled.turn(platform.database, cursor.slice_rows, first_ns=now_ns()):
         try:
@@ -139,7 +138,7 @@ def _settle(platform: Platform, cursor: UploadCursor) -> None:
 
 
 def _remove_superfluous(platform: Platform, backend: UploadBackend, cursor: UploadCursor) -> None:
-    """Bytes of ended uploads, of what is kept as blobs or gone, and of uploads that never were."""
+    """Delete bytes of ended uploads, of uploads stored as blobs or deleted since, and bytes without a row."""
     names = cursor.names_in(type(backend)).turn(backend.holding(), cursor.slice_files)
     upload_ids = iter(dict.fromkeys(names))
     while batch := list(islice(upload_ids, BATCH)):
@@ -148,16 +147,16 @@ def _remove_superfluous(platform: Platform, backend: UploadBackend, cursor: Uplo
 
 
 def _superfluous(platform: Platform, backend: UploadBackend, upload_ids: Sequence[str]) -> Iterator[str]:
-    asked = select(Upload.id, _is_needed_no_more()).where(Upload.id.in_(upload_ids))
+    statement = select(Upload.id, _is_needed_no_more()).where(Upload.id.in_(upload_ids))
     with platform.database.reading() as session:
-        known = {upload_id: is_superfluous for upload_id, is_superfluous in session.execute(asked)}
+        known = {upload_id: is_superfluous for upload_id, is_superfluous in session.execute(statement)}
     for upload_id in upload_ids:
         if known[upload_id] if upload_id in known else backend.is_forgotten(upload_id):
             yield upload_id
 
 
 def _is_needed_no_more() -> ColumnElement[bool]:
-    """Whether an upload ended without its bytes, or what used it has its bytes in the store or is gone."""
+    """Return whether an upload ended without its bytes, or its user has them in the store or is deleted."""
     recorded = exists().where(RecordingFile.upload_id == Upload.id, RecordingFile.blob_sha256.is_(None))
     submitted = exists().where(SubmissionRow.upload_id == Upload.id, SubmissionRow.blob_sha256.is_(None))
     unread = (DatasetImport.blob_sha256.is_(None), DatasetImport.finished_ns.is_(None))

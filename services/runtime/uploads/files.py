@@ -1,11 +1,10 @@
 """The file of an upload: its size is the offset, its lock admits one writer.
 
-**Conventions.** `<uploads folder>/<upload id>` holds the bytes; `<upload id>.unverified`, where there is one, holds the
-offset at which a request with a checksum began: bytes beyond it do not count until the checksum was right, even when
-the process is killed in between. The lock is a `flock` on the file itself, so it is held between threads, processes
-and (on NFS with Linux ≥ 2.6.12) machines, and goes with whoever dies. A whole upload is flushed before it is accepted,
-pieces on the way every `FLUSHED_BYTES`: a power cut costs at most that much being sent again, and nothing of a file
-that was said to be here.
+**Conventions.** `<uploads folder>/<upload id>` contains the bytes. `<upload id>.unverified`, if it exists, contains the
+first offset of a request with a checksum: bytes beyond it do not count until the checksum matches, even if the process
+is killed. The lock is a `flock` on the file itself. It works between threads, processes and (on NFS with Linux ≥
+2.6.12) machines, and ends with its process. A whole upload is flushed before it is accepted, and pieces every
+`FLUSHED_BYTES`. A power cut therefore costs at most that many bytes, and no accepted file.
 """
 
 import errno
@@ -30,12 +29,12 @@ FLUSHED_BYTES = 64 << 20
 
 
 def upload_file(settings: Settings, upload_id: str) -> Path:
-    """The file of an upload."""
+    """Return the path of an upload's file."""
     return settings.uploads_folder / upload_id
 
 
 def make_file(path: Path) -> None:
-    """An empty file that survives a power cut. Raises `DiskFullError`."""
+    """Create an empty file that survives a power cut. Raise `DiskFullError`."""
     with refusing_full(lambda: 0):
         path.parent.mkdir(parents=True, exist_ok=True)
         os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o640))
@@ -43,7 +42,7 @@ def make_file(path: Path) -> None:
 
 
 def remove_file(path: Path) -> None:
-    """The file and its mark go; nothing happens where there is none."""
+    """Delete the file and its mark, if they exist."""
     path.unlink(missing_ok=True)
     _mark_of(path).unlink(missing_ok=True)
 
@@ -57,16 +56,16 @@ def sync_folder(folder: Path) -> None:
 
 
 def offset_of(path: Path) -> int:
-    """The number of bytes that count. Raises `FileNotFoundError`."""
+    """Return the number of bytes that count. Raise `FileNotFoundError`."""
     size_bytes = path.stat().st_size
     marked = _marked_offset(path)
     return size_bytes if marked is None else min(size_bytes, marked)
 
 
 class LockedUploadFile:
-    """`HeldBytes` of an upload's file, open and locked by this request alone.
+    """An upload's file, opened and locked by this request alone (a `LockedUpload`).
 
-    Raises `UploadLockedError` when another request holds it, `FileNotFoundError` when there is no file.
+    Raises `UploadLockedError` if another request has the lock, `FileNotFoundError` if there is no file.
     """
 
     def __init__(self, path: Path, reserve_bytes: int = NO_RESERVE) -> None:
@@ -88,10 +87,10 @@ class LockedUploadFile:
         return os.fstat(self._descriptor).st_size
 
     def append(self, pieces: Sequence[bytes], offset_bytes: int) -> None:
-        """Write `pieces` at `offset_bytes`, the end of the file. Raises `DiskFullError`; what fitted stays.
+        """Write `pieces` at `offset_bytes`, the end of the file. Raise `DiskFullError`; bytes that fitted stay.
 
-        What was written is handed to the disk early and need not stay in memory: the flush at the end is short, and a
-        bag larger than memory pushes nothing else out of it.
+        The kernel writes these bytes to disk early and drops them from its cache. The final flush is therefore short,
+        and a bag larger than memory does not evict other files.
         """
         with refusing_full(lambda: self.kept_bytes):
             views = [memoryview(piece) for piece in pieces]
@@ -101,14 +100,14 @@ class LockedUploadFile:
             self._handed_bytes = offset_bytes
 
     def mark_unverified(self) -> None:
-        """Let what is written from now on not count until `accept`. Raises `DiskFullError`."""
+        """Do not count bytes written from now on until `accept`. Raise `DiskFullError`."""
         with refusing_full(lambda: self.kept_bytes):
             _mark_of(self.path).write_text(str(self.kept_bytes), "ascii")
 
     def accept(self, *, is_whole: bool) -> None:
-        """Count what was written; it is flushed where it is the last of the file or much has come since.
+        """Count the written bytes; flush them if they end the file or if many have arrived since the last flush.
 
-        Should a power cut bring the mark back, the client sends again from there. Raises `DiskFullError`.
+        If a power cut restores the mark, the client sends the bytes again. Raise `DiskFullError`.
         """
         self._mark_verified()
         if is_whole or self._first_byte // FLUSHED_BYTES != self.kept_bytes // FLUSHED_BYTES:
@@ -117,20 +116,20 @@ class LockedUploadFile:
     def discard(self) -> None:
         """Undo the writes of this request."""
         os.ftruncate(self._descriptor, self._first_byte)
-        self._sync()  # or a power cut brings back bytes that nothing marks any more
+        self._sync()  # otherwise a power cut could restore bytes without their mark
         self._mark_verified()
 
     def sha256(self) -> str:
         return sha256_of(self._descriptor)
 
     def close(self) -> None:
-        """Give the lock back. May be called twice."""
+        """Release the lock. It may be called twice."""
         descriptor, self._descriptor = self._descriptor, -1
         if descriptor >= 0:
             os.close(descriptor)
 
     def _discard_unverified(self) -> None:
-        """A request with a checksum was killed here: what it had written does not count."""
+        """Discard the bytes of a request with a checksum that was killed before `accept`."""
         marked = _marked_offset(self.path)
         if marked is not None and marked < self.kept_bytes:
             os.ftruncate(self._descriptor, marked)
@@ -140,13 +139,13 @@ class LockedUploadFile:
         _mark_of(self.path).unlink(missing_ok=True)
 
     def _sync(self) -> None:
-        """Flush to survive a power cut. Raises `DiskFullError` where the disk learns of it only now."""
+        """Flush to survive a power cut. Raise `DiskFullError` if the disk reports it only now."""
         with refusing_full(lambda: self.kept_bytes):
             os.fdatasync(self._descriptor)
 
 
 def write_all(descriptor: int, pieces: Sequence[memoryview], offset_bytes: int, reserve_bytes: int) -> int:
-    """Write `pieces` at `offset_bytes`; return their end. Raises `StorageFullError` before it writes anything."""
+    """Write `pieces` at `offset_bytes`; return their end. Raise `StorageFullError` before writing anything."""
     left = list(pieces)
     require_room(descriptor, sum(map(len, left)), reserve_bytes)
     while left:
@@ -170,7 +169,7 @@ def refusing_full(kept_bytes: Callable[[], int]) -> Iterator[None]:
 
 
 def _after(views: list[memoryview], written: int) -> list[memoryview]:
-    """What is left of the pieces when the first `written` bytes are gone."""
+    """Return the pieces after the first `written` bytes."""
     for index, view in enumerate(views):
         if written < len(view):
             return [view[written:], *views[index + 1 :]]
@@ -188,25 +187,24 @@ def _marked_offset(path: Path) -> int | None:
     return None
 
 
-# Rolling sha256 of uploads, so that a complete file need not be read again.
-#
-# **Conventions.** A state is kept only between two requests of one process that continue each other; it is taken out
-# to be used, so nobody else can add to it. Whoever finds none hashes the file instead. A state is true for the bytes
-# below its offset for ever: what a request cuts off again lies above the offset at which it began.
+# Rolling sha256 of uploads, so that a complete file need not be read again. **Conventions.** A process keeps a state
+# between two consecutive requests, and takes it out to use it, so no other request can add to it. Without a state, the
+# file is hashed instead. A state stays valid for the bytes below its offset: a request only cuts off bytes above its
+# first offset.
 
 
 PIECE_BYTES = 1 << 20
 
 
 class RollingHashes:
-    """The states of the uploads this process received last, at most `capacity` of them."""
+    """Hash states of the uploads that this process received last, at most `capacity`."""
 
     def __init__(self, capacity: int = 1024) -> None:
         self._states: LRUCache[str, tuple[int, hashlib._Hash | None]] = LRUCache(capacity)
         self._guard = threading.Lock()
 
     def take(self, upload_id: str, offset_bytes: int) -> "hashlib._Hash | None":
-        """The state over the bytes [0, offset), a fresh one at 0; None when this process has not seen them all."""
+        """Return and remove the state over the bytes [0, offset), fresh at 0; None if this process missed bytes."""
         with self._guard:
             seen_bytes, state = self._states.pop(upload_id, (0, None))
         if offset_bytes == 0:
@@ -214,7 +212,7 @@ class RollingHashes:
         return state if seen_bytes == offset_bytes else None
 
     def keep(self, upload_id: str, offset_bytes: int, state: "hashlib._Hash") -> None:
-        """Remember the state over the bytes [0, offset)."""
+        """Keep the state over the bytes [0, offset)."""
         with self._guard:
             self._states[upload_id] = (offset_bytes, state)
 
@@ -223,7 +221,7 @@ ROLLING = RollingHashes()
 
 
 def sha256_of(descriptor: int) -> str:
-    """The sha256 of an open file from its first byte, in hex."""
+    """Return the sha256 of an open file from its first byte, in hex."""
     state = hashlib.sha256()
     piece = bytearray(PIECE_BYTES)
     offset = 0

@@ -1,9 +1,9 @@
-"""Uploads that are made of others: a file comes in parts side by side, which are then one after the other.
+"""Joined uploads: a client sends parts of a file in parallel, and the platform concatenates them.
 
-**Conventions.** A part is an upload of the purpose `part`; once it is used, its target is the whole. The whole is open
-with the ids of its parts in `detail` until they are joined: in the store by moving rows in the transaction that makes
-it; in a folder by appending a part to the file, flushing it, and removing the part, so that little more than the file
-is stored, and a process that is killed goes on where the file ends.
+**Conventions.** A part is an upload of the purpose `part`; once used, its target is the whole. The whole is open, with
+the ids of its parts in `detail`, until they are joined. In the store, rows move in the transaction that creates the
+whole. In a folder, each part is appended, flushed and deleted in turn. The folder therefore stores little more than the
+file, and a killed process continues at the end of the file.
 """
 
 from collections.abc import Sequence
@@ -31,16 +31,16 @@ from services.runtime.uploads.rows import PART, UploadOwner, move
 from stone.errors import Refused
 
 MOST_PARTS = 15
-"""As many ids as `detail` holds."""
+"""The number of ids that fit into `detail`."""
 COPIED_BYTES = 8 << 20
 
 
 def create_joined(
     platform: Platform, owner: UploadOwner, declared: UploadDeclaration, part_ids: Sequence[str]
 ) -> Upload:
-    """The upload whose bytes are those of complete parts of the owner's, in this order; its length is theirs.
+    """Create an upload from the owner's complete parts, in this order; its length is the sum of theirs.
 
-    Raises `bad_parts`, `upload_missing`, `wrong_upload_state`, and what `create` raises.
+    Raise `bad_parts`, `upload_missing`, `wrong_upload_state`, and the errors of `create`.
     """
     if not 1 <= len(part_ids) <= MOST_PARTS or len(set(part_ids)) < len(part_ids):
         raise _bad_parts(f"the request names {len(part_ids)} parts, {len(set(part_ids))} of them different")
@@ -70,14 +70,14 @@ def create_joined(
 
 
 def part_ids_of(upload: Upload) -> list[str]:
-    """The parts of an open upload that is made of others; [] of any other."""
+    """Return the parts of an open joined upload; [] for any other upload."""
     return upload.detail.split() if upload.state == "open" else []
 
 
 def join_parts(platform: Platform, whole: Upload, held: LockedUpload) -> str:
-    """Append what is not in its file yet, and remove it; the hash of all, if all was appended now.
+    """Append the missing parts and delete them; return the hash of all bytes if this call appended all of them, or "".
 
-    Raises `FileNotFoundError`, `DiskFullError`.
+    Raise `FileNotFoundError`, `DiskFullError`.
     """
     backend = FolderUploadBackend(platform)
     state, start = sha256(), 0
@@ -102,7 +102,7 @@ def _parts_of(platform: Platform, whole: Upload) -> list[Upload]:
 
 
 def _taken_part(session: Session, part_id: str, owner: UploadOwner) -> Upload:
-    """A complete part of the owner's, locked."""
+    """Return a complete part of the owner's, locked."""
     held = select(Upload).where(Upload.id == part_id, Upload.owner_id == owner.user_id).with_for_update()
     part = session.scalar(held)
     if part is None:

@@ -1,9 +1,9 @@
 """Upload part rows: appended by compare-and-set, shared between equal uploads, released to garbage collection.
 
-**Conventions.** An object belongs to whoever takes its row out of `loose_objects` (`services/runtime/store/blobs.py`),
-which is committed before its first byte is stored. Parts are only ever added, so what was said to be here stays until
-the upload ends; whoever adds holds the upload's row, and of two that would add at one offset the second is told where
-to resume.
+**Conventions.** The process that takes an object's row out of `loose_objects` owns the object
+(`services/runtime/store/blobs.py`); that row is committed before the first byte is stored. Parts are only added, so
+counted bytes stay until the upload ends. To add parts, a process locks the upload's row. If two add at the same offset,
+the second receives `offset_mismatch`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -27,7 +27,7 @@ STORE = "store"
 
 @dataclass(frozen=True)
 class UploadPart:
-    """The bytes [offset, offset + length) of an upload, in the object `key`, which may be that of a blob."""
+    """The bytes [offset, offset + length) of an upload, in the object `key`, which may be a blob's object."""
 
     key: str
     offset_bytes: int
@@ -40,7 +40,7 @@ class UploadPart:
 
 
 def upload_parts_of(session: Session, upload_id: str) -> list[UploadPart]:
-    """The parts of an upload in the order of their bytes."""
+    """Return the parts of an upload in the order of their bytes."""
     rows = session.scalars(
         select(UploadPartRow).where(UploadPartRow.upload_id == upload_id).order_by(UploadPartRow.offset_bytes)
     )
@@ -48,7 +48,7 @@ def upload_parts_of(session: Session, upload_id: str) -> list[UploadPart]:
 
 
 def end_of(session: Session, upload_id: str) -> int:
-    """The number of bytes in the parts."""
+    """Return the number of bytes in the parts."""
     ends = select(UploadPartRow.offset_bytes + UploadPartRow.length_bytes).where(UploadPartRow.upload_id == upload_id)
     return session.scalar(ends.order_by(UploadPartRow.offset_bytes.desc()).limit(1)) or 0
 
@@ -58,21 +58,21 @@ def count_of(session: Session, upload_id: str) -> int:
 
 
 def announce(platform: Platform, key: str, expected_bytes: int) -> None:
-    """An object is about to be stored, and will be added before so many bytes could come by a slow line."""
+    """Announce an object before it is stored; its deadline allows `expected_bytes` over a slow connection."""
     expected_ns = now_ns() + expected_bytes * 10**9 // SLOW_BYTES_PER_S
     with platform.database.transaction() as session:
         session.add(LooseObject(object_key=key, expected_ns=expected_ns))
 
 
 def add(platform: Platform, upload_id: str, parts: Sequence[UploadPart]) -> None:
-    """All of them are the upload's from now on, or none. An upload that goes on does not expire.
+    """Add all of the parts to the upload, or none. An upload that receives bytes does not expire.
 
-    Raises `upload_gone`, and `offset_mismatch` when somebody else was first or the objects were collected.
+    Raise `upload_gone`, or `offset_mismatch` if another process was first or the objects were collected.
     """
     first = parts[0].offset_bytes
     with platform.database.transaction() as session:
         upload = session.get_one(Upload, upload_id, with_for_update={"key_share": True})
-        if upload.state != "open":  # one that is only overdue goes on, for bytes come in
+        if upload.state != "open":  # an overdue upload that receives bytes continues
             refuse_gone(upload)
         end = upload.length_bytes if upload.state in WHOLE else end_of(session, upload_id)
         if end != first or not _taken(session, [part.key for part in parts]):
@@ -83,14 +83,14 @@ def add(platform: Platform, upload_id: str, parts: Sequence[UploadPart]) -> None
 
 
 def give_up(platform: Platform, keys: Sequence[str]) -> None:
-    """Objects that were announced and never added are to be collected."""
+    """Release objects that were announced and never added to garbage collection."""
     for batch in _batches(keys):
         with platform.database.transaction() as session:
             session.execute(update(LooseObject).where(LooseObject.object_key.in_(batch)).values(is_condemned=True))
 
 
 def forget(platform: Platform, upload_id: str) -> None:
-    """The upload has no parts any more; objects that nobody else has are to be collected."""
+    """Delete the upload's parts; release objects without another user to garbage collection."""
     with platform.database.transaction() as session:
         session.get(Upload, upload_id, with_for_update={"key_share": True})
         gone = delete(UploadPartRow).where(UploadPartRow.upload_id == upload_id, UploadPartRow.blob_sha256.is_(None))
@@ -104,21 +104,21 @@ def forget(platform: Platform, upload_id: str) -> None:
 
 
 def join(session: Session, whole_id: str, lengths: Sequence[tuple[str, int]]) -> None:
-    """Give an upload the bytes of others, in this order; what is asked for is each one's id and length."""
+    """Give an upload the bytes of others, in this order; `lengths` contains the id and the length of each."""
     start = 0
     for part_id, length_bytes in lengths:
         moved = update(UploadPartRow).where(UploadPartRow.upload_id == part_id)
-        place = UploadPartRow.offset_bytes + start
+        offset = UploadPartRow.offset_bytes + start
         session.execute(
-            moved.values(upload_id=whole_id, offset_bytes=place), execution_options={"synchronize_session": False}
+            moved.values(upload_id=whole_id, offset_bytes=offset), execution_options={"synchronize_session": False}
         )
         start += length_bytes
 
 
 def share(session: Session, upload: Upload) -> bool:
-    """Give a new upload the bytes that its owner has here already; false when there are none.
+    """Share the owner's existing bytes with a new upload; return False if there are none.
 
-    Of uploads that somebody is just ending none is waited for: then the bytes are sent again.
+    It does not wait for uploads that another process is ending: the client sends the bytes again.
     """
     if not upload.declared_sha256:
         return False
@@ -144,7 +144,7 @@ def _row(upload_id: str, part: UploadPart) -> UploadPartRow:
 
 
 def _taken(session: Session, keys: Sequence[str]) -> bool:
-    """Whether all objects are ours now; one that garbage collection condemned is not."""
+    """Take all objects; return False if garbage collection condemned any of them."""
     taken = 0
     for batch in _batches(keys):
         ours = delete(LooseObject).where(LooseObject.object_key.in_(batch), LooseObject.is_condemned.is_(False))

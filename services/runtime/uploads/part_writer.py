@@ -1,10 +1,10 @@
-"""Writes the bytes of one request to the store, part by part.
+"""Write the bytes of one request to the store, part by part.
 
-**Conventions.** What comes is spooled; a full part, or one that is old because the line is slow, is stored by a thread
-while the next one comes, and is added to the upload once it is stored: in order, so that what counts is always a prefix
-of what was sent. kill −9 costs what was not added yet, at most `UNDER_WAY` + 1 parts. Requests of one process lock each
-other out as they do in a folder. Those of several processes do not: whose part is added first goes on, the other is
-told where to resume (`part_rows.py`), and at most one part of its bytes is lost.
+**Conventions.** Received bytes are spooled. A thread stores each part when it is full, or old because the connection is
+slow, while the next part arrives. Stored parts are added to the upload in order, so counted bytes are always a prefix
+of the file. A kill −9 costs the parts not added yet, at most `UNDER_WAY` + 1. Requests of one process lock each other
+out, as in a folder. Requests of several processes do not: the first to add its part continues, the other receives its
+resume offset (`part_rows.py`) and loses at most one part.
 """
 
 import hashlib
@@ -43,14 +43,14 @@ log = structlog.get_logger(__name__)
 
 
 class _UploadLocks:
-    """The uploads that requests of this process hold."""
+    """The uploads that requests of this process have locked."""
 
     def __init__(self) -> None:
         self._ids: set[str] = set()
         self._guard = threading.Lock()
 
     def take(self, upload_id: str) -> None:
-        """Raises `UploadLockedError`."""
+        """Lock an upload. Raise `UploadLockedError`."""
         with self._guard:
             if upload_id in self._ids:
                 raise UploadLockedError(upload_id)
@@ -65,7 +65,7 @@ UPLOAD_LOCKS = _UploadLocks()
 
 
 class LockedUploadParts:
-    """`HeldBytes` of an upload in the store. Raises `UploadLockedError`."""
+    """An upload in the store, locked by one request (a `LockedUpload`). Raises `UploadLockedError`."""
 
     def __init__(self, platform: Platform, upload: Upload) -> None:
         UPLOAD_LOCKS.take(upload.id)
@@ -89,11 +89,14 @@ class LockedUploadParts:
         return self._kept_bytes
 
     def mark_unverified(self) -> None:
-        """Parts are stored as they come, and added all at once by `accept`."""
+        """Store parts as they arrive, but add them all at once in `accept`."""
         self._is_unverified = True
 
     def append(self, pieces: Sequence[bytes], offset_bytes: int) -> None:
-        """Raises `DiskFullError`, `too_many_small_requests`, and what adding raises; what was added before counts."""
+        """Append bytes; added parts count.
+
+        Raise `DiskFullError`, `too_many_small_requests`, and the errors of adding.
+        """
         with self._failing():
             if self._count >= MOST_PARTS:
                 raise Refused(
@@ -103,29 +106,29 @@ class LockedUploadParts:
                 )
             try:
                 self._take(pieces)
-            except DiskFullError:  # of this machine: what fitted may still go to the store
+            except DiskFullError:  # this machine's disk is full: store the bytes that fitted
                 self._store_all()
                 raise
             self._add_stored(UNDER_WAY)
 
     def accept(self, *, is_whole: bool) -> None:
-        """All of it is stored and added. Raises as `append`."""
+        """Store and add all bytes. Raise as `append`."""
         with self._failing():
             self._is_unverified = False
             self._store_all()
 
     def discard(self) -> None:
-        """Drop what was not added yet; what was added is the upload's for ever."""
+        """Drop bytes that were not added yet; added bytes stay."""
         self._give_up()
 
     def sha256(self) -> str:
-        """Read back from the store."""
+        """Return the hash of the bytes, read back from the store."""
         with self._platform.database.reading() as session:
             parts = part_rows.upload_parts_of(session, self._upload.id)
         return sha256_of_parts(self._platform.store, parts)
 
     def close(self) -> None:
-        """Add what a request that was cut off brought, unless a checksum was to cover it."""
+        """Add the bytes of an interrupted request, unless a checksum was declared for them."""
         if not self._is_held:
             return
         self._is_held = False
@@ -160,7 +163,7 @@ class LockedUploadParts:
         return self._spool
 
     def _hand_over(self) -> None:
-        """Have what is spooled stored by a thread."""
+        """Start a thread that stores the spooled bytes."""
         spool, self._spool = self._spool, None
         if spool is None:
             return
@@ -186,7 +189,7 @@ class LockedUploadParts:
         self._add_stored(0)
 
     def _add_stored(self, most_under_way: int) -> None:
-        """Add what is stored; wait as long as more than `most_under_way` are not."""
+        """Add stored parts; wait until at most `most_under_way` parts are not stored."""
         while len(self._under_way) > most_under_way or (self._under_way and self._under_way[0][1].done()):
             self._under_way[0][1].result()
             self._stored.append(self._under_way.popleft()[0])
@@ -198,7 +201,7 @@ class LockedUploadParts:
 
     @contextmanager
     def _failing(self) -> Iterator[None]:
-        """Whatever is raised, what was not added by then is given up."""
+        """Release all parts not added yet if the block raises."""
         try:
             yield
         except (DiskFullError, StoreFullError) as error:
@@ -218,15 +221,15 @@ class LockedUploadParts:
         self._under_way.clear()
         try:
             part_rows.give_up(self._platform, keys)
-        except SQLAlchemyError as error:  # garbage collection comes upon them by itself, later
+        except SQLAlchemyError as error:  # garbage collection finds them later
             log.warning("objects left behind", keys=len(keys), reason=type(error).__name__)
 
 
-# Reads upload parts from the store: to hash the whole, or to copy it into one local file.
+# Read upload parts from the store: to hash the whole, or to copy it into one local file.
 
 
 AHEAD = 3
-"""Parts that are read while one is worked on; all of them are in memory."""
+"""The number of parts read ahead, all in memory."""
 
 
 def sha256_of_parts(store: Store, parts: Sequence[UploadPart]) -> str:
@@ -238,9 +241,9 @@ def sha256_of_parts(store: Store, parts: Sequence[UploadPart]) -> str:
 
 
 def copy_parts(store: Store, parts: Sequence[UploadPart], target: Path, reserve_bytes: int) -> None:
-    """Write them into the file `target`, flushed.
+    """Write the parts into the file `target` and flush it.
 
-    Raises `ObjectMissingError`, `store_unavailable`, `StoreFullError`.
+    Raise `ObjectMissingError`, `store_unavailable`, `StoreFullError`.
     """
     require_room(target.parent, sum(part.length_bytes for part in parts), reserve_bytes)
     with refusing_full(target.parent), target.open("wb") as file, ThreadPoolExecutor(AHEAD) as pool:

@@ -1,9 +1,9 @@
-"""Receives the bytes of one request into an upload.
+"""Receive the bytes of one request into an upload.
 
-**Conventions.** `receive` opens, `write` is called piece by piece, then `end` (all came) or `break_off` (the client is
-gone), and always `close`. None of them waits for the network, all of them for the disk or the database: async callers
-use threads, one call at a time. Bytes are added at the end, never beyond the declared length, so a process killed
-anywhere leaves a prefix of what was sent; where they lie, and what a power cut may take, is the backend's.
+**Conventions.** Call `receive` first, `write` for each piece, then `end` (all bytes arrived) or `break_off` (the client
+disconnected), and always `close`. These calls block on the disk or the database, never on the network: async callers
+use threads, one call at a time. Bytes are added at the end, never beyond the declared length, so a killed process
+leaves a prefix of the file. The backend decides where they lie and what a power cut may cost.
 """
 
 import hashlib
@@ -35,7 +35,7 @@ class Checksum:
 
 @dataclass(frozen=True)
 class UploadChunk:
-    """The declaration of one request's bytes; `length_bytes` is None where only their end will tell."""
+    """The declaration of one request's bytes; `length_bytes` is None if only their end determines it."""
 
     offset_bytes: int
     length_bytes: int | None = None
@@ -43,10 +43,10 @@ class UploadChunk:
 
 
 class UploadReceiver:
-    """One request's hold on an upload, whose row was read under the lock.
+    """One request's lock on an upload, whose row was read under the lock.
 
-    A thread that still works for a request that was cancelled is waited for by `close`: no descriptor is closed, and
-    perhaps given to another file, while it is used.
+    If a thread still works for a cancelled request, `close` waits for it: a closed descriptor might be given to another
+    file while the thread uses it.
     """
 
     def __init__(self, platform: Platform, upload: Upload, held: LockedUpload, piece: UploadChunk) -> None:
@@ -61,22 +61,22 @@ class UploadReceiver:
             held.mark_unverified()
 
     def write(self, pieces: Sequence[bytes]) -> None:
-        """Append bytes. Raises `over_length` (this request's bytes are cut off again), `DiskFullError`."""
+        """Append bytes. Raise `over_length` (and discard this request's bytes), `DiskFullError`."""
         with self._guard:
             self._write(pieces)
 
     def end(self, last: Sequence[bytes] = ()) -> Upload:
-        """All bytes of the request came, these the last: check them, flush them, complete the upload if it is whole.
+        """Append the last bytes of the request, check and flush them, and complete the upload if it is whole.
 
-        Raises `checksum_mismatch` (they are cut off again), `FileMismatchError`, and what `write` raises.
+        Raise `checksum_mismatch` (and discard the bytes), `FileMismatchError`, and the errors of `write`.
         """
-        with self._guard:  # once: between two holds of it the request could end, and the file be closed
+        with self._guard:  # take it once: between two locks the request could end and the file be closed
             if last:
                 self._write(last)
             return self._end()
 
     def break_off(self) -> None:
-        """The client is gone: what came counts, unless a checksum was to cover it. Raises what `accept` raises."""
+        """End a request whose client disconnected: its bytes count unless it declared a checksum. Raise as `accept`."""
         with self._guard:
             self._give_up_unverified()
             if self._checksum is None:
@@ -132,7 +132,7 @@ class UploadReceiver:
             self._cut()
 
     def _cut(self) -> None:
-        """Undo this request."""
+        """Discard this request's bytes."""
         self._held.discard()
         self.offset_bytes = self._first_byte
         if self._before is not None:
@@ -143,7 +143,7 @@ class UploadReceiver:
             ROLLING.keep(self._upload.id, self.offset_bytes, self._rolling)
 
     def _extended(self) -> Upload:
-        """An upload that goes on does not expire: once half its time is over it is given all of it again."""
+        """Return the upload; renew its full time if less than half is left."""
         half_ns = int(self._platform.settings.uploads.expires_s * 5e8)
         if self._upload.expires_ns - now_ns() < half_ns:
             self._upload.expires_ns = expiry_ns(self._platform)
@@ -153,10 +153,9 @@ class UploadReceiver:
 
 
 def receive(platform: Platform, upload_id: str, owner_id: str, piece: UploadChunk) -> UploadReceiver | None:
-    """Make ready to take the bytes of a request; None when the upload is whole already and they are none.
+    """Prepare to receive a request's bytes; return None if the upload is whole already and the request adds none.
 
-    Raises `upload_missing`, `upload_gone`, `UploadLockedError`, `offset_mismatch`, `over_length`,
-    `DiskFullError`.
+    Raise `upload_missing`, `upload_gone`, `UploadLockedError`, `offset_mismatch`, `over_length`, `DiskFullError`.
     """
     upload = find_alive(platform.database, upload_id, owner_id)
     if upload.state in WHOLE:
@@ -181,7 +180,7 @@ def receive(platform: Platform, upload_id: str, owner_id: str, piece: UploadChun
 def _held(platform: Platform, upload: Upload) -> LockedUpload:
     try:
         return backend_of(platform, upload).hold(upload)
-    except FileNotFoundError:  # it ended between our look at the row and now, or a person removed the file
+    except FileNotFoundError:  # it ended after the row was read, or a person deleted the file
         refuse_gone(find_alive(platform.database, upload.id, upload.owner_id))
         raise upload_gone(upload.id, "lost", "its file is not in the uploads folder") from None
 

@@ -1,8 +1,8 @@
-"""Upload rows: found by owner, moved between states by compare-and-set.
+"""Upload rows: selected by owner, moved between states by compare-and-set.
 
-**Conventions.** States: open, then complete (all bytes there, sha256 known), then consumed; or failed, expired,
-terminated, which have no bytes and hold no quota. Whoever changes `open` holds the upload's bytes; complete → consumed
-and complete → expired are decided by the compare-and-set alone.
+**Conventions.** States: open, then complete (all bytes present, sha256 known), then consumed; or failed, expired,
+terminated, without bytes or quota. To change `open`, a process must hold the upload's bytes. The compare-and-set alone
+decides complete → consumed and complete → expired.
 """
 
 from collections.abc import Iterator
@@ -26,14 +26,14 @@ from services.runtime.uploads.files import upload_file
 from stone.errors import Refused
 
 PART = "part"
-"""The purpose of an upload that is to be joined with others (`joining.py`)."""
+"""The purpose of an upload that will be joined with others (`joining.py`)."""
 WHOLE = ("complete", "consumed")
 GONE = ("failed", "expired", "terminated")
 
 
 @dataclass(frozen=True)
 class UploadOwner:
-    """For whom; administrators may also name targets of others, participants have a quota of their own."""
+    """The owner of an upload. Administrators may also name other users' targets; participants have their own quota."""
 
     user_id: str
     is_administrator: bool = False
@@ -41,17 +41,17 @@ class UploadOwner:
 
 
 def expiry_ns(platform: Platform) -> int:
-    """When an upload that is touched now expires."""
+    """Return the expiry time of an upload that is used now."""
     return now_ns() + int(platform.settings.uploads.expires_s * 1e9)
 
 
 def is_waiting() -> ColumnElement[bool]:
-    """Whether an upload is unfinished, or finished and not used yet; in the literals that its partial indexes know."""
+    """Return whether an upload is unfinished, or finished and unused. The literals match the partial indexes."""
     return Upload.state.in_([literal_column("'open'"), literal_column("'complete'")])
 
 
 def find(database: Database, upload_id: str, owner_id: str) -> Upload:
-    """The owner's upload. Raises `upload_missing`, also for one that is somebody else's."""
+    """Return the owner's upload. Raise `upload_missing`, also for another user's upload."""
     with database.reading() as session:
         upload = session.get(Upload, upload_id)
     if upload is None or upload.owner_id != owner_id:
@@ -60,14 +60,14 @@ def find(database: Database, upload_id: str, owner_id: str) -> Upload:
 
 
 def find_alive(database: Database, upload_id: str, owner_id: str) -> Upload:
-    """The owner's upload, which has or awaits its bytes. Raises `upload_missing`, `upload_gone`."""
+    """Return the owner's upload if it has or expects bytes. Raise `upload_missing`, `upload_gone`."""
     upload = find(database, upload_id, owner_id)
     refuse_gone(upload)
     return upload
 
 
 def refuse_gone(upload: Upload) -> None:
-    """Raises `upload_gone`, also for one whose time is over but that was not swept yet."""
+    """Raise `upload_gone`, also for an overdue upload that is not swept yet."""
     if upload.state in GONE:
         raise upload_gone(upload.id, upload.state, upload.detail)
     if upload.state == "open" and upload.expires_ns <= now_ns():
@@ -75,14 +75,14 @@ def refuse_gone(upload: Upload) -> None:
 
 
 def move(session: Session, upload: Upload, state: str, **columns: Any) -> bool:
-    """Compare-and-set from the state `upload` shows; false when somebody else was first."""
+    """Move from the state `upload` shows by compare-and-set; return False if another process was first."""
     held = update(Upload).where(Upload.id == upload.id, Upload.state == upload.state)
     result = session.execute(held.values(state=state, **columns), execution_options={"synchronize_session": False})
     return cast("CursorResult[None]", result).rowcount == 1
 
 
 def leave(session: Session, upload: Upload, state: str, detail: str = "") -> bool:
-    """Move to a state without bytes and give the quota back; false when somebody else was first."""
+    """Move to a state without bytes and release the quota; return False if another process was first."""
     moved = move(session, upload, state, detail=detail[:512])
     if moved:
         release(session, upload.id, state)
@@ -90,9 +90,9 @@ def leave(session: Session, upload: Upload, state: str, detail: str = "") -> boo
 
 
 def consume(session: Session, upload_id: str, owner_id: str, purpose: str) -> Upload:
-    """Take a complete upload for its purpose, once; its bytes stay where they are and its quota stays taken.
+    """Use a complete upload for its purpose, once; its bytes stay in place and its quota stays reserved.
 
-    Raises `upload_missing`, `wrong_upload_purpose`, `wrong_upload_state`.
+    Raise `upload_missing`, `wrong_upload_purpose`, `wrong_upload_state`.
     """
     upload = session.scalar(select(Upload).where(Upload.id == upload_id, Upload.owner_id == owner_id).with_for_update())
     if upload is None:
@@ -108,17 +108,15 @@ def consume(session: Session, upload_id: str, owner_id: str, purpose: str) -> Up
     return upload
 
 
-# Finds an owner's existing files of equal content, so that bytes are not sent twice.
-#
-# **Conventions.** What others have is never looked at. A file may go while it is looked at: whoever links it tries the
-# next one.
+# Find an owner's existing files of equal content, so that bytes are not sent twice. **Conventions.** Other owners'
+# files are never compared. A file may be deleted meanwhile: the caller then tries the next one.
 
 
 MOST = 8
 
 
 def duplicates_of(platform: Platform, upload: Upload) -> Iterator[Path]:
-    """Files with the declared bytes on this machine: uploads, then what is kept of them in a folder."""
+    """Yield local files with the declared bytes: uploads, then blobs of a folder store."""
     with platform.database.reading() as session:
         ids = session.scalars(uploads_like(upload).order_by(Upload.id.desc()).limit(MOST)).all()
         blob = kept_blob(session, upload)
@@ -129,7 +127,7 @@ def duplicates_of(platform: Platform, upload: Upload) -> Iterator[Path]:
 
 
 def uploads_like(upload: Upload) -> Select[str]:
-    """The ids of its owner's whole uploads of the declared bytes."""
+    """Return the ids of the owner's whole uploads with the declared bytes."""
     return select(Upload.id).where(
         Upload.owner_id == upload.owner_id,
         Upload.sha256 == upload.declared_sha256,
@@ -139,16 +137,16 @@ def uploads_like(upload: Upload) -> Select[str]:
 
 
 def kept_blob(session: Session, upload: Upload) -> Blob | None:
-    """The blob of a recording, or of a submission that the owner sent."""
-    found = select(Blob).where(Blob.sha256 == upload.declared_sha256, Blob.size_bytes == upload.length_bytes)
+    """Return the blob of the owner's recording or submission with the declared bytes."""
+    declared = select(Blob).where(Blob.sha256 == upload.declared_sha256, Blob.size_bytes == upload.length_bytes)
     recorded = (
-        found.join(RecordingFile, RecordingFile.blob_sha256 == Blob.sha256)
+        declared.join(RecordingFile, RecordingFile.blob_sha256 == Blob.sha256)
         .join(Recording, Recording.id == RecordingFile.recording_id)
         .join(SequenceRow, SequenceRow.id == Recording.sequence_id)
         .where(SequenceRow.owner_id == upload.owner_id, SequenceRow.deleted_ns.is_(None))
     )
     submitted = (
-        found.join(SubmissionRow, SubmissionRow.blob_sha256 == Blob.sha256)
+        declared.join(SubmissionRow, SubmissionRow.blob_sha256 == Blob.sha256)
         .join(Upload, Upload.id == SubmissionRow.upload_id)
         .where(Upload.owner_id == upload.owner_id)
     )

@@ -14,7 +14,7 @@ class Spool:
     """Bytes on this machine's disk, to be stored as one object from `path`."""
 
     def __init__(self, folder: Path, reserve_bytes: int) -> None:
-        """Raises `DiskFullError`."""
+        """Open the spool. Raise `DiskFullError`."""
         self._reserve_bytes = reserve_bytes
         with refusing_full(lambda: 0):
             folder.mkdir(parents=True, exist_ok=True)
@@ -23,11 +23,11 @@ class Spool:
 
     @property
     def path(self) -> Path:
-        """Leads to the file as long as it is open in this process."""
+        """A path that leads to the file while it is open in this process."""
         return Path(f"/proc/self/fd/{self._file.fileno()}")
 
     def write(self, pieces: Sequence[memoryview]) -> None:
-        """Add all of them, or nothing. Raises `DiskFullError`."""
+        """Add all pieces, or none. Raise `DiskFullError`."""
         try:
             with refusing_full(lambda: self.size_bytes):
                 self.size_bytes = write_all(self._file.fileno(), pieces, self.size_bytes, self._reserve_bytes)
@@ -41,7 +41,7 @@ class Spool:
 
 
 def split(pieces: Sequence[memoryview], room_bytes: int) -> tuple[list[memoryview], list[memoryview]]:
-    """The first `room_bytes` of the pieces, and the rest."""
+    """Return the first `room_bytes` of the pieces, and the rest."""
     fitting: list[memoryview] = []
     for index, piece in enumerate(pieces):
         if len(piece) >= room_bytes:

@@ -74,7 +74,7 @@ def test_of_two_replicas_that_write_at_once_one_goes_on_and_the_other_is_told_wh
     first.write([CONTENT[:2500]])
     first.break_off()
     second.write([CONTENT[:900]])
-    with refused_as("offset_mismatch", match=r"^2500 "):
+    with refused_as("offset_mismatch", match=r"^the server has 2500 "):
         second.end()
     first.close()
     second.close()
