@@ -91,8 +91,8 @@ def prepare_all(
 ) -> Iterator[PreparedBlob]:
     """Prepare several files: hash a few at once, store them one after another, with one transaction for all."""
     with hashed_beside(store, paths, adopt=adopt) as hashed:
-        found = hashed()
-    yield from prepare_hashed(database, found)
+        prepared = hashed()
+    yield from prepare_hashed(database, prepared)
 
 
 @contextmanager
@@ -107,7 +107,7 @@ def hashed_beside(
     with ThreadPoolExecutor(HASHERS) as pool:
         coming = [pool.submit(_hashed, store, path, adopt, given_up.is_set) for path in paths]
         try:
-            yield lambda: [one.result() for one in coming]
+            yield lambda: [future.result() for future in coming]
         finally:
             given_up.set()
 
@@ -116,15 +116,15 @@ def prepare_hashed(database: Database, hashed: Sequence[PreparedBlob]) -> Iterat
     """Prepare files that `hashed_beside` has hashed, as `prepare_all` does."""
     with database.reading() as session:
         standing = _object_keys(session, hashed)
-    fresh = [one if one.sha256 in standing else replace(one, object_key=_fresh_key(one.sha256)) for one in hashed]
-    _make_known(database, [one for one in fresh if one.object_key])
-    for one in fresh:
-        if one.object_key:
-            _store(one, one.object_key)
-        elif _mend(one, standing):
+    fresh = [blob if blob.sha256 in standing else replace(blob, object_key=_fresh_key(blob.sha256)) for blob in hashed]
+    _make_known(database, [blob for blob in fresh if blob.object_key])
+    for blob in fresh:
+        if blob.object_key:
+            _store(blob, blob.object_key)
+        elif _mend(blob, standing):
             with database.transaction() as session:
-                forget(session, [one.sha256])
-        yield one
+                forget(session, [blob.sha256])
+        yield blob
 
 
 def link(session: Session, prepared: PreparedBlob) -> Blob:
@@ -138,19 +138,19 @@ def link(session: Session, prepared: PreparedBlob) -> Blob:
 
 def link_all(session: Session, prepared: Iterable[PreparedBlob]) -> dict[str, Blob]:
     """Return the rows of several contents by sha256, locked in an order that avoids deadlocks."""
-    wanted = {one.sha256: one for one in sorted(prepared, key=lambda one: one.sha256)}
-    keys = _taken(session, [one.object_key for one in wanted.values() if one.object_key])
-    ours = {sha256: one.object_key for sha256, one in wanted.items() if one.object_key in keys}
+    wanted = {blob.sha256: blob for blob in sorted(prepared, key=lambda blob: blob.sha256)}
+    keys = _taken(session, [blob.object_key for blob in wanted.values() if blob.object_key])
+    ours = {sha256: blob.object_key for sha256, blob in wanted.items() if blob.object_key in keys}
     blobs = _held(session, wanted)
-    while missing := [one for sha256, one in wanted.items() if sha256 not in blobs]:
-        for one in missing:
-            if one.sha256 not in ours:
-                ours[one.sha256] = _stored_within(session, one)
+    while missing := [blob for sha256, blob in wanted.items() if sha256 not in blobs]:
+        for blob in missing:
+            if blob.sha256 not in ours:
+                ours[blob.sha256] = _stored_within(session, blob)
         facts = [
-            {"sha256": one.sha256, "object_key": ours[one.sha256], "size_bytes": one.size_bytes} for one in missing
+            {"sha256": blob.sha256, "object_key": ours[blob.sha256], "size_bytes": blob.size_bytes} for blob in missing
         ]
         insert_new(session, Blob, facts)
-        blobs |= _held(session, [one.sha256 for one in missing])
+        blobs |= _held(session, [blob.sha256 for blob in missing])
     # Another process stored the same content first:
     doubled = [key for sha256, key in ours.items() if key and blobs[sha256].object_key != key]
     insert_new(session, LooseObject, [{"object_key": key, "is_condemned": True} for key in doubled])
@@ -161,10 +161,10 @@ def _make_known(database: Database, fresh: Sequence[PreparedBlob]) -> None:
     """Register loose objects of contents that will be stored in this order, with ascending deadlines."""
     if not fresh:
         return
-    bytes_until = accumulate(one.size_bytes for one in fresh)
+    bytes_until = accumulate(blob.size_bytes for blob in fresh)
     begun_ns = now_ns()
     expected = [begun_ns + until * 10**9 // SLOW_BYTES_PER_S for until in bytes_until]
-    rows = [{"object_key": one.object_key, "expected_ns": at} for one, at in zip(fresh, expected, strict=True)]
+    rows = [{"object_key": blob.object_key, "expected_ns": at} for blob, at in zip(fresh, expected, strict=True)]
     with database.transaction() as session:
         insert_new(session, LooseObject, rows)
 
@@ -184,8 +184,8 @@ def _held(session: Session, sha256s: Iterable[str]) -> dict[str, Blob]:
 
 def _object_keys(session: Session, prepared: Iterable[PreparedBlob]) -> dict[str, str]:
     """Return the object key of each content that a blob has, by sha256."""
-    asked = select(Blob.sha256, Blob.object_key).where(Blob.sha256.in_([one.sha256 for one in prepared]))
-    return {sha256: key for sha256, key in session.execute(asked)}
+    statement = select(Blob.sha256, Blob.object_key).where(Blob.sha256.in_([blob.sha256 for blob in prepared]))
+    return {sha256: key for sha256, key in session.execute(statement)}
 
 
 def _stored_within(session: Session, prepared: PreparedBlob) -> str:
@@ -203,8 +203,8 @@ def _hashed(store: Store, path: Path, adopt: bool, is_given_up: Callable[[], boo
 
 
 def _store(prepared: PreparedBlob, key: str) -> None:
-    place = prepared.store.adopt if prepared.is_adopted else prepared.store.write
-    place(key, prepared.path)
+    store = prepared.store.adopt if prepared.is_adopted else prepared.store.write
+    store(key, prepared.path)
 
 
 def _mend(prepared: PreparedBlob, standing: Mapping[str, str]) -> bool:

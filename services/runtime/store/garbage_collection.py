@@ -112,8 +112,8 @@ def _condemn_loose(platform: Platform, before_ns: int, until_s: float) -> None:
 
 def _condemn_unknown(platform: Platform, before_ns: int, listed: Iterable[StoredObject]) -> None:
     """Condemn objects without a row: from transactions rolled back, or after a restore of an earlier database."""
-    found = (stored for stored in listed if stored.modified_ns <= before_ns)
-    while batch := [stored.key for stored in islice(found, BATCH)]:
+    old = (stored for stored in listed if stored.modified_ns <= before_ns)
+    while batch := [stored.key for stored in islice(old, BATCH)]:
         with platform.database.reading() as session:
             unknown = sorted(set(batch) - _known(session, batch))
         with platform.database.transaction() as session:
@@ -166,9 +166,9 @@ def _workspaces(platform: Platform) -> Iterator[tuple[str, list[int]]]:
 
 def _is_over(platform: Platform, root_id: str, is_old: bool) -> bool:
     """Return whether no job of the run will need its work again; for an unknown run, whether it is old."""
-    asked = select(is_gc_held(), Job.state, Job.finished_ns).where(Job.id == root_id)
+    statement = select(is_gc_held(), Job.state, Job.finished_ns).where(Job.id == root_id)
     with platform.database.reading() as session:
-        known = session.execute(asked).one_or_none()
+        known = session.execute(statement).one_or_none()
         if known is None:
             return is_old and not session.scalar(select(is_gc_held()))
     held, state, finished_ns = known

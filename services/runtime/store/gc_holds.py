@@ -117,10 +117,10 @@ class ListingWalk(Generic[T]):
         """Return up to `most` entries. `listed` starts anew if the last turn reached its end or could not continue."""
         left = iter(listed) if self._left is None else self._left
         self._left = None
-        found = list(islice(left, most))
-        if len(found) == most:
+        entries = list(islice(left, most))
+        if len(entries) == most:
             self._left = left
-        return found
+        return entries
 
 
 @dataclass

@@ -83,16 +83,16 @@ class _Stream:
     def take(self, content: ArchiveMemberRange) -> Iterator[memoryview]:
         """Yield the content in pieces. Raise `short_pack`."""
         number = int(self._files.packs[content.ordinal])
-        place = int(self._files.offsets_bytes[content.ordinal]) + content.start
-        if len(content) and (number, place) != self._at:
-            self._pieces, self._rest = self._read(number, place, place + self._most_bytes), memoryview(b"")
+        offset = int(self._files.offsets_bytes[content.ordinal]) + content.start
+        if len(content) and (number, offset) != self._at:
+            self._pieces, self._rest = self._read(number, offset, offset + self._most_bytes), memoryview(b"")
         left = len(content)
         while left:
             self._rest = self._rest or memoryview(next(self._pieces, b""))
             if not self._rest:
-                raise short_pack(number, place)
+                raise short_pack(number, offset)
             part, self._rest = self._rest[:left], self._rest[left:]
-            left, place, self._at = left - len(part), place + len(part), (number, place + len(part))
+            left, offset, self._at = left - len(part), offset + len(part), (number, offset + len(part))
             yield part
 
 

@@ -124,9 +124,9 @@ class S3Store:
         )
         with self._translated(prefix):
             for page in pages:
-                for found in page.get("Contents", []):
-                    modified_ns = int(found["LastModified"].timestamp() * 1e9)
-                    yield StoredObject(found["Key"], found["Size"], modified_ns)
+                for entry in page.get("Contents", []):
+                    modified_ns = int(entry["LastModified"].timestamp() * 1e9)
+                    yield StoredObject(entry["Key"], entry["Size"], modified_ns)
 
     def tidy(self, grace_s: float) -> int:
         """Abort multipart uploads started before the grace, and delete leftovers of dead downloads from the cache."""
@@ -228,10 +228,10 @@ def _stands(client: "S3Client", bucket: str) -> bool:
 
 
 def _made(client: "S3Client", store: StoreSettings) -> bool:
-    place: dict[str, Any] = {"LocationConstraint": store.s3_region}
-    where: dict[str, Any] = {} if store.s3_region == UNCONSTRAINED else {"CreateBucketConfiguration": place}
+    constraint: dict[str, Any] = {"LocationConstraint": store.s3_region}
+    arguments: dict[str, Any] = {} if store.s3_region == UNCONSTRAINED else {"CreateBucketConfiguration": constraint}
     try:
-        client.create_bucket(Bucket=store.s3_bucket, **where)
+        client.create_bucket(Bucket=store.s3_bucket, **arguments)
     except ClientError as error:
         if _code(error) in EXISTING:  # another process created it first
             return False

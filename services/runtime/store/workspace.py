@@ -67,9 +67,9 @@ class Workspace:
         stored = self._stored(heads)
         new = {key for key, path in files.items() if key not in stored or not _is_same(path, stored[key])}
         _all(lambda key: self._store.write(key, files[key]), new)
-        for key, found in (self._stored(heads) if new else {}).items():
+        for key, object_ in (self._stored(heads) if new else {}).items():
             if key in new:  # it equals its object: later pulls and pushes skip it
-                os.utime(files[key], ns=(found.modified_ns, found.modified_ns))
+                os.utime(files[key], ns=(object_.modified_ns, object_.modified_ns))
 
     def delete(self, prefix: str, is_spent: Callable[[str], bool]) -> None:
         """Delete the files with this prefix whose names are spent, here and in the store."""
@@ -134,8 +134,8 @@ def fresh_folder(work: Path, prefix: str, ended: Iterable[str] = ()) -> Iterator
 
     After success the folder stays, since stored objects may share its bytes. Raise `StoreFullError`.
     """
-    for one in {prefix, *ended}:
-        for earlier in work.glob(f"{one}-*"):
+    for name in {prefix, *ended}:
+        for earlier in work.glob(f"{name}-*"):
             shutil.rmtree(earlier, ignore_errors=True)
     folder = work / f"{prefix}-{token_hex(8)}"
     try:

@@ -91,13 +91,13 @@ class ProcessCounters:
 
     def observe(self, meter: MetricDefinition, labels: tuple[str, ...], value: float) -> None:
         """Add a value to the histogram."""
-        one = [0.0] * (len(meter.bounds) + 2)
-        one[bisect_left(meter.bounds, value)] = 1.0
-        one[-1] = max(value, 0.0)
+        sample = [0.0] * (len(meter.bounds) + 2)
+        sample[bisect_left(meter.bounds, value)] = 1.0
+        sample[-1] = max(value, 0.0)
         with self._lock:
             of_meter = self._counts.setdefault(meter.name, {})
             key = BETWEEN.join(labels)
-            of_meter[key] = added(of_meter.get(key, one), one) if key in of_meter else one
+            of_meter[key] = added(of_meter.get(key, sample), sample) if key in of_meter else sample
 
     def merge(self, more: Counts) -> None:
         """Add the counts of another process."""
@@ -142,7 +142,7 @@ def _copied(value: Value) -> Value:
 
 
 def _negated(value: Value) -> Value:
-    return [-one for one in value] if isinstance(value, list) else -value
+    return [-count for count in value] if isinstance(value, list) else -value
 
 
 NAMED = {meter.name: meter for meter in METERS}

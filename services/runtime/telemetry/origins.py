@@ -29,8 +29,8 @@ def origin_request() -> str:
 
 def context_of(traceparent: str) -> Context | None:
     """Return a context for spans within the span of `traceparent`; None if it is invalid."""
-    found = W3C.extract({"traceparent": traceparent}, Context())
-    return found if get_current_span(found).get_span_context().is_valid else None
+    context = W3C.extract({"traceparent": traceparent}, Context())
+    return context if get_current_span(context).get_span_context().is_valid else None
 
 
 def link_to(traceparent: str) -> None:

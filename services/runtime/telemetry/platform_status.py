@@ -43,7 +43,7 @@ class PlatformStatus:
 def platform_status(session: Session, heartbeat_s: float) -> PlatformStatus:
     """Return the current platform status with every queue, also empty ones."""
     return PlatformStatus(
-        jobs={key: count for state, one in STATES for key, count in _counted(session, state, one).items()},
+        jobs={key: count for state, predicate in STATES for key, count in _counted(session, state, predicate).items()},
         oldest_ready_s={queue: _oldest_s(session, queue) for queue in QUEUES},
         paused=frozenset(session.scalars(select(Queue.name).where(Queue.mode == "paused"))),
         uploads_open=_uploads_open(session),
@@ -60,11 +60,11 @@ def _age() -> ColumnElement[int]:
 
 def _counted(session: Session, state: str, predicate: str) -> dict[tuple[str, str], int]:
     """Return the number of jobs by queue, from the partial index of this predicate."""
-    found = {}
+    counts = {}
     for queue in QUEUES:
         some = select(ONE).select_from(Job).where(Job.queue == queue, text(predicate)).limit(MOST).subquery()
-        found[queue, state] = session.scalar(select(func.count()).select_from(some)) or 0
-    return found
+        counts[queue, state] = session.scalar(select(func.count()).select_from(some)) or 0
+    return counts
 
 
 def _oldest_s(session: Session, queue: str) -> float:

@@ -54,7 +54,7 @@ def note_served(cpu_s: float, peak_bytes: int) -> None:
 def used_cpu_s() -> float:
     """Return the processor time, user and system, in seconds."""
     used = [resource.getrusage(who) for who in OURS]
-    return sum(one.ru_utime + one.ru_stime for one in used) + _SERVED.cpu_s
+    return sum(usage.ru_utime + usage.ru_stime for usage in used) + _SERVED.cpu_s
 
 
 def peak_bytes() -> int:
@@ -69,9 +69,9 @@ def usage_of(pid: int, proc: Path = PROC) -> ProcessUsage:
         status = (proc / str(pid) / "status").read_text()
     except OSError:
         return ProcessUsage()
-    found = {name: int(kib) * 1024 for name, kib in re.findall(r"^(VmHWM|VmRSS):\s+(\d+) kB$", status, re.MULTILINE)}
+    sizes = {name: int(kib) * 1024 for name, kib in re.findall(r"^(VmHWM|VmRSS):\s+(\d+) kB$", status, re.MULTILINE)}
     cpu_s = sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
-    return ProcessUsage(cpu_s, found.get("VmRSS", 0), found.get("VmHWM", 0))
+    return ProcessUsage(cpu_s, sizes.get("VmRSS", 0), sizes.get("VmHWM", 0))
 
 
 def held_bytes(proc: Path = PROC) -> int | None:
@@ -98,10 +98,10 @@ def memory(proc: Path = PROC, cgroup: Path = CGROUP) -> Room:
 def disk(folder: Path) -> Room:
     """Return the space on the disk of the folder, which need not exist yet."""
     try:
-        found = shutil.disk_usage(next(path for path in (folder, *folder.parents) if path.exists()))
+        usage = shutil.disk_usage(next(path for path in (folder, *folder.parents) if path.exists()))
     except OSError:
         return Room()
-    return Room(found.free, found.total)
+    return Room(usage.free, usage.total)
 
 
 def _machine_memory(proc: Path) -> Room:
@@ -109,5 +109,5 @@ def _machine_memory(proc: Path) -> Room:
         lines = (proc / "meminfo").read_text("ascii")
     except (OSError, ValueError):
         return Room()
-    found = {name: int(kib) * 1024 for name, kib in re.findall(r"^(\w+):\s+(\d+) kB$", lines, re.MULTILINE)}
-    return Room(found.get("MemAvailable"), found.get("MemTotal"))
+    sizes = {name: int(kib) * 1024 for name, kib in re.findall(r"^(\w+):\s+(\d+) kB$", lines, re.MULTILINE)}
+    return Room(sizes.get("MemAvailable"), sizes.get("MemTotal"))
