@@ -81,7 +81,7 @@ def record(session: Session, new: NewEvent) -> bool:
 
 TOLD = {
     "sequence.process": "processing",
-    "dataset.import": "the import of a dataset",
+    "dataset.import": "a dataset import",
     "labeler.export": "the export",
     "dataset.inputs": "creating a dataset's inputs",
     "phase.inputs": "creating a phase's inputs",

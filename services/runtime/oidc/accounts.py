@@ -72,7 +72,7 @@ def role_of(claims: Mapping[str, Any], settings: OidcSettings) -> Role | None:
         raise Refused(
             "not_admitted",
             f"none of your groups (the claim {settings.groups_claim!r}) is admitted here; ask an administrator "
-            "which one is",
+            "for a group that is",
         )
     return "participant" if administrators or curators else None
 

@@ -5,11 +5,9 @@ from stone.errors import PlatformFaultError
 
 def provider_unavailable(host: str, reason: str) -> PlatformFaultError:
     return PlatformFaultError(
-        "provider_unavailable", f"{host} cannot be asked who signs in: {reason[:200]}; try again in a minute"
+        "provider_unavailable", f"the sign-in provider {host} is unavailable: {reason[:200]}; try again in a minute"
     )
 
 
 def provider_answer(what: str, reason: str) -> PlatformFaultError:
-    return PlatformFaultError(
-        "provider_answer", f"the provider's {what} {reason[:300]}; is STONE_OIDC__ISSUER the right one?"
-    )
+    return PlatformFaultError("provider_answer", f"the provider's {what} {reason[:300]}; check STONE_OIDC__ISSUER")

@@ -41,7 +41,7 @@ def read_json(url: str, what: str, timeout_s: float) -> Json:
     """The object at `url`, which `what` names in a refusal. Raises `provider_unavailable`, `provider_answer`."""
     status, content = _answer(httpx.Request("GET", url, headers=HEADERS), timeout_s)
     if status != 200:
-        raise provider_answer(what, f"is answered with status {status}")
+        raise provider_answer(what, f"returned status {status}")
     return _object(content, what)
 
 
@@ -58,7 +58,7 @@ def _answer(request: httpx.Request, timeout_s: float) -> tuple[int, bytes]:
         with ThreadPoolExecutor(1) as apart:  # the caller's own thread may stand within an event loop
             return apart.submit(_run, request, timeout_s).result()
     except TimeoutError:
-        raise provider_unavailable(host, f"it did not answer within {timeout_s:g} s") from None
+        raise provider_unavailable(host, f"it did not respond within {timeout_s:g} s") from None
     except (httpx.HTTPError, httpx.InvalidURL, OSError, UnicodeError) as error:
         raise provider_unavailable(host, f"{type(error).__name__}: {error}") from None
 
@@ -80,7 +80,7 @@ async def _exchange(request: httpx.Request, timeout_s: float) -> tuple[int, byte
 
 async def _content(answer: httpx.Response) -> bytes:
     if answer.headers.get("content-encoding", "identity") != "identity":
-        raise provider_answer("answer", "is compressed, which was not asked for")
+        raise provider_answer("answer", "is compressed, although the request excluded it")
     content = bytearray()
     async for piece in answer.aiter_raw():
         content += piece
@@ -161,7 +161,7 @@ def read_metadata(settings: OidcSettings) -> ProviderMetadata:
     described = read_json(settings.issuer.rstrip("/") + WELL_KNOWN, DESCRIPTION, settings.timeout_s)
     if described.get("issuer") != settings.issuer:
         raise provider_answer(
-            DESCRIPTION, f"says the issuer {str(described.get('issuer'))[:100]!r}, not {settings.issuer!r}"
+            DESCRIPTION, f"names the issuer {str(described.get('issuer'))[:100]!r}, not {settings.issuer!r}"
         )
     methods = described.get("token_endpoint_auth_methods_supported", ["client_secret_basic"])
     return ProviderMetadata(
@@ -198,5 +198,5 @@ def _address(settings: OidcSettings, described: Json, name: str) -> str:
         raise provider_answer(DESCRIPTION, f"has no address at {name!r}")
     is_near = parts.scheme == "http" and is_local(parts) and settings.issuer.startswith("http://")
     if parts.scheme != "https" and not is_near:
-        raise provider_answer(DESCRIPTION, f"has an address at {name!r} that is not https")
+        raise provider_answer(DESCRIPTION, f"has an address without https at {name!r}")
     return str(address)

@@ -68,9 +68,9 @@ def verified(
     _check_times(claims, time.time() if now_s is None else now_s)
     nonce, subject = claims.get("nonce"), claims.get("sub")
     if not isinstance(nonce, str) or not compare_digest(nonce.encode(), expected.nonce.encode()):
-        raise id_token_refused("answers another request: its nonce is not the one that was sent")
+        raise id_token_refused("belongs to another request: its nonce differs")
     if not isinstance(subject, str) or not 0 < len(subject) <= LONGEST_SUBJECT or not subject.isprintable():
-        raise id_token_refused(f"names nobody: sub must be 1 to {LONGEST_SUBJECT} characters")
+        raise id_token_refused(f"has no valid subject: sub must be 1 to {LONGEST_SUBJECT} characters")
     return VerifiedIdentity(expected.issuer, subject, claims)
 
 
@@ -91,22 +91,22 @@ def _signed_claims(token: str, keys: Callable[[str | None], KeySet]) -> dict[str
 def _check_parties(claims: Mapping[str, Any], expected: TokenExpectation) -> None:
     issuer, audience, party = claims.get("iss"), claims.get("aud"), claims.get("azp")
     if issuer != expected.issuer:
-        raise id_token_refused(f"is by the issuer {str(issuer)[:100]!r}, not {expected.issuer!r}")
+        raise id_token_refused(f"comes from the issuer {str(issuer)[:100]!r}, not {expected.issuer!r}")
     audiences = audience if isinstance(audience, list) else [audience]
     if expected.client_id not in audiences or not all(isinstance(one, str) for one in audiences):
         raise id_token_refused(f"is for {str(audience)[:100]!r}, not for {expected.client_id!r}")
     if party != expected.client_id and (party is not None or len(audiences) > 1):
-        raise id_token_refused(f"was given to {str(party)[:100]!r}, not to {expected.client_id!r} (azp)")
+        raise id_token_refused(f"was issued to {str(party)[:100]!r}, not to {expected.client_id!r} (azp)")
 
 
 def _check_times(claims: Mapping[str, Any], now_s: float) -> None:
     ends_s, made_s, begins_s = (_instant(claims, name) for name in ("exp", "iat", "nbf"))
     if ends_s is None or made_s is None:
-        raise id_token_refused("does not say when it was made and ends (iat, exp)")
+        raise id_token_refused("has no issue or expiry time (iat, exp)")
     if now_s > ends_s + LEEWAY_S:
-        raise id_token_refused(f"ended {now_s - ends_s:.0f} s ago; is the clock of one of the machines wrong?")
+        raise id_token_refused(f"expired {now_s - ends_s:.0f} s ago; check the clocks of both machines")
     if not now_s - OLDEST_S <= made_s <= now_s + LEEWAY_S or (begins_s or 0.0) > now_s + LEEWAY_S:
-        raise id_token_refused(f"was made {now_s - made_s:.0f} s ago; is the clock of one of the machines wrong?")
+        raise id_token_refused(f"was issued {now_s - made_s:.0f} s ago; check the clocks of both machines")
 
 
 def _instant(claims: Mapping[str, Any], name: str) -> float | None:
@@ -225,11 +225,11 @@ class Provider:
     def _asking(self) -> Iterator[None]:
         if not self._settings.issuer:
             raise Refused(
-                "no_provider", "this platform has no provider to sign in with; an administrator sets STONE_OIDC__ISSUER"
+                "no_provider", "this platform has no sign-in provider; an administrator can set STONE_OIDC__ISSUER"
             )
         if not self._places.acquire(blocking=False):
             host = urlsplit(self._settings.issuer).hostname or ""
-            raise provider_unavailable(host, f"{AT_ONCE} sign-ins wait for it already")
+            raise provider_unavailable(host, f"{AT_ONCE} sign-ins are waiting for it already")
         try:
             yield
         finally:
@@ -238,22 +238,22 @@ class Provider:
 
 def _refuse_strange(request: CodeRequest | None, answer: CodeAnswer, issuer: str) -> None:
     if request is None:
-        raise sign_in_state("this browser began no sign-in, or it was finished or given up")
+        raise sign_in_state("this browser has no sign-in in progress")
     if not compare_digest(answer.state.encode(), request.state.encode()):
         raise sign_in_state("the answer belongs to another sign-in")
     if answer.issuer and answer.issuer != issuer:
-        raise sign_in_state("the answer is another provider's")
+        raise sign_in_state("the answer comes from another provider")
     if answer.error:
         raise provider_refused(_word(answer.error))
     if not 0 < len(answer.code) <= LONGEST_CODE:
-        raise sign_in_state("the answer brings no code")
+        raise sign_in_state("the answer contains no code")
 
 
 def _refusal(status: int, error: str) -> Refused | PlatformFaultError:
     """A code that is none of this sign-in is its owner's mistake; anything else is ours, in the settings."""
     if error == "invalid_grant":
         return provider_refused(error)
-    reason = f"refused us with status {status} {error!r}; are client id and secret right"
+    reason = f"returned status {status} {error!r}; check client id and secret"
     return provider_answer("token endpoint", reason)
 
 
@@ -275,14 +275,16 @@ def _url64(content: bytes) -> str:
 
 
 def sign_in_state(reason: str) -> Refused:
-    return Refused("sign_in_state", f"{reason}; begin again at the sign-in page, in one window, within ten minutes")
+    return Refused("sign_in_state", f"{reason}; start again at the sign-in page, in one window, within ten minutes")
 
 
 def provider_refused(error: str) -> Refused:
     return Refused(
-        "provider_refused", f"the provider answered {error[:80]!r}; sign in there as somebody who may use this platform"
+        "provider_refused",
+        f"the provider answered {error[:80]!r}; sign in there with an account that may use STONE"
+        f"the provider answered {error[:80]!r}; sign in there with an account that may use this platform",
     )
 
 
 def id_token_refused(reason: str) -> Refused:
-    return Refused("id_token_refused", f"the ID token {reason[:300]}; nobody was signed in")
+    return Refused("id_token_refused", f"sign-in failed: the ID token {reason[:300]}")

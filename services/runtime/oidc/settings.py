@@ -59,16 +59,16 @@ LONGEST_ISSUER = 500
 def provider_contradictions(oidc: OidcSettings, is_by_password: bool) -> Iterator[str]:
     """Yield one sentence per contradiction. With passwords off, the provider must have administrators."""
     if not is_by_password and not oidc.issuer:
-        yield "STONE_API__PASSWORDS is off and STONE_OIDC__ISSUER is not set: then nobody could sign in"
+        yield "STONE_API__PASSWORDS is off and STONE_OIDC__ISSUER is not set: no user could sign in"
     elif not is_by_password and not groups_in(oidc.administrators):
         yield (
-            "STONE_API__PASSWORDS is off and STONE_OIDC__ADMINISTRATORS names no group: then nobody could administer; "
-            "name one, sign in as a member, then switch passwords off"
+            "STONE_API__PASSWORDS is off and STONE_OIDC__ADMINISTRATORS names no group: there would be no "
+            "administrator; name a group, sign in as a member, then switch passwords off"
         )
     if oidc.issuer:
         yield from _of_issuer(oidc)
     elif oidc.client_id or oidc.client_secret.get_secret_value():
-        yield "STONE_OIDC__CLIENT_ID or __CLIENT_SECRET is set and STONE_OIDC__ISSUER is not: then there is no provider"
+        yield "STONE_OIDC__CLIENT_ID or __CLIENT_SECRET is set, but STONE_OIDC__ISSUER is not"
 
 
 def groups_in(names: str) -> frozenset[str]:
@@ -84,13 +84,13 @@ def is_local(parts: SplitResult) -> bool:
 
 def _of_issuer(oidc: OidcSettings) -> Iterator[str]:
     if not oidc.client_id:
-        yield "STONE_OIDC__ISSUER needs STONE_OIDC__CLIENT_ID: what the provider calls this platform"
+        yield "STONE_OIDC__ISSUER requires STONE_OIDC__CLIENT_ID, the provider's id of this platform"
     if "openid" not in oidc.scopes.split():
-        yield "STONE_OIDC__SCOPES must hold openid: without it the provider tells nothing of who signed in"
+        yield "STONE_OIDC__SCOPES must contain openid: without it the provider sends no identity"
     if len(oidc.issuer) > LONGEST_ISSUER or not _is_sound(oidc.issuer):
         yield (
             f"STONE_OIDC__ISSUER is {oidc.issuer[:80]!r} and must be an https:// address without query, fragment or "
-            "name (http:// on this machine alone): whoever is on the way could say who signs in"
+            "user name (http:// only on this machine): otherwise an attacker on the network could forge identities"
         )
 
 

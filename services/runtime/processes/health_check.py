@@ -94,8 +94,8 @@ ANSWER_S = 10.0
 def silence(found: list[LiveProcess], within_s: float) -> str:
     """The processes that beat too long ago, in words; empty when all beat."""
     if not found:
-        return "no process of this container beats"
-    late = [f"{_name_of(one)} beat {one.age_s:.0f} s ago" for one in found if one.age_s > within_s]
+        return "no process of this container has sent a heartbeat"
+    late = [f"{_name_of(one)}: last heartbeat {one.age_s:.0f} s ago" for one in found if one.age_s > within_s]
     return "; ".join(late)
 
 

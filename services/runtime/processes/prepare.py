@@ -35,13 +35,13 @@ def prepare(settings: Settings) -> None:
         from services.runtime.store.s3 import ensure_bucket
 
         is_new = insist(lambda: ensure_bucket(settings.store), settings.database.awaited_s)
-        log.info("bucket stands", bucket=settings.store.s3_bucket, is_new=is_new)
+        log.info("bucket ready", bucket=settings.store.s3_bucket, is_new=is_new)
     insist(lambda: upgrade(settings), settings.database.awaited_s)
-    log.info("database is at the schema of this version")
+    log.info("database schema is that of this version")
     log.info("database roles ready", are_separate=ensure_roles(settings))
     platform = open_platform(settings)
     try:
-        log.info("administrator stands", is_new=ensure_administrator(platform))
+        log.info("administrator ready", is_new=ensure_administrator(platform))
     finally:
         platform.database.close()
 
@@ -56,7 +56,7 @@ def ensure_administrator(platform: Platform) -> bool:
         if find_administrator(session) is not None:
             return False
         if not password:
-            log.warning("nobody administers, and STONE_API__FIRST_PASSWORD is not set")
+            log.warning("there is no administrator, and STONE_API__FIRST_PASSWORD is not set")
             return False
         create_user(session, ADMINISTRATOR, "administrator", password)
         return True

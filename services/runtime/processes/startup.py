@@ -28,8 +28,8 @@ def schema_missing(stands: str, wanted: str) -> PlatformFaultError:
     stood = f"at revision {stands!r}" if stands else "empty"
     return PlatformFaultError(
         "schema_missing",
-        f"the database is {stood} and this version works on {wanted!r}; "
-        "has `python -m services.runtime.processes.prepare` of this version run?",
+        f"the database is {stood}, but this version requires {wanted!r}; "
+        "run `python -m services.runtime.processes.prepare` of this version",
     )
 
 

@@ -70,7 +70,7 @@ def arguments(queues: Sequence[str], concurrency: int) -> list[str]:
     if not queues or not set(queues) <= set(QUEUES):
         raise Refused(
             "unknown_queue",
-            f"a worker is started for some of {', '.join(QUEUES)}, not for {', '.join(queues) or 'none'}",
+            f"no worker for the queues {', '.join(queues) or '(none)'}: name at least one of {', '.join(QUEUES)}",
         )
     loaded = ",".join(f"services.{name}.tasks" for name in services_of(queues))
     return [

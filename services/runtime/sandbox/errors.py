@@ -10,7 +10,7 @@ class SandboxCrashedError(StoneError):
 
     def __init__(self, fate: str) -> None:
         self.fate = fate
-        super().__init__(f"the process that read the input {fate}; is the file damaged or malicious?")
+        super().__init__(f"the process that read the input {fate}; the file may be damaged or malicious")
 
 
 class SandboxInterruptedError(PlatformFaultError):
@@ -18,4 +18,4 @@ class SandboxInterruptedError(PlatformFaultError):
 
     def __init__(self, fate: str) -> None:
         self.fate = fate
-        super().__init__("reader_interrupted", f"the process that read the input {fate}; it is tried again")
+        super().__init__("reader_interrupted", f"the process that read the input {fate}; the platform tries again")

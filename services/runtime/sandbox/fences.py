@@ -38,7 +38,7 @@ def enter_sandbox(limits: SandboxLimits) -> SandboxMechanisms:
     The isolation cannot be undone. Raises `RuntimeError` for a process of several threads, which would stay outside.
     """
     if len(os.listdir("/proc/self/task")) > 1:
-        raise RuntimeError("a process of several threads cannot be fenced in")
+        raise RuntimeError("a process of several threads cannot enter the sandbox")
     folder = limits.folder
     has_landlock = restrict_files(limits)
     has_seccomp = seccomp.allow_calls(seccomp.kind_of(limits))

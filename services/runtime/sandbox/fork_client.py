@@ -65,7 +65,7 @@ class ForkServer:
                 with self._lock:
                     if self._requests is requests:
                         self._end()
-        raise SandboxInterruptedError("could not be forked: its fork server ends at once")
+        raise SandboxInterruptedError("could not be forked: the fork server keeps ending")
 
     def close(self) -> None:
         """End the server, with the children that it has."""
@@ -149,7 +149,7 @@ class ServedChild:
             while self._status is None:
                 self._listen(socket.MSG_DONTWAIT)
         if self.begun_s is None and time.monotonic() - self._asked_s > WARMED_WITHIN_S:
-            raise SandboxInterruptedError(f"was not begun within {WARMED_WITHIN_S:g} s: what does its fork server do?")
+            raise SandboxInterruptedError(f"did not start within {WARMED_WITHIN_S:g} s: check the fork server")
         return self._status is not None
 
     def reap(self) -> int:
@@ -176,7 +176,7 @@ class ServedChild:
             _, self._status, user_s, system_s, peak_bytes = FATE.unpack(message)
             self._note(user_s + system_s, peak_bytes)
         else:
-            raise SandboxInterruptedError("was lost with the process that forked it (out of memory?)")
+            raise SandboxInterruptedError("was lost with its fork server (out of memory?)")
 
     def note_usage(self) -> ProcessUsage:
         """Count what it has used by now, while it lives on."""

@@ -229,7 +229,7 @@ class RunChildren:
             try:
                 return self._answer(kept, asked)
             except SandboxCrashedError as error:
-                log.warning("a child that had done other jobs broke: a fresh one is asked", fate=error.fate)
+                log.warning("a reused child broke: the job runs again in a fresh child", fate=error.fate)
         return self._answer(begun_child(server, asked.run_id, asked.limits), asked)
 
     def close(self) -> None:

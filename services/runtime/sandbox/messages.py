@@ -32,7 +32,7 @@ class SandboxMessage:
         match _json(self.payload):
             case [str(stage), int(done), int(total)]:
                 return stage[:LONGEST_STAGE], done, total
-        raise SandboxCrashedError("told no progress but something else")
+        raise SandboxCrashedError("sent invalid progress")
 
     def texts(self) -> dict[str, str]:
         """Texts by name; empty where it is something else."""
@@ -68,7 +68,7 @@ class SandboxMessageReader:
         while len(self._kept) >= HEAD.size:
             kind, length = HEAD.unpack_from(self._kept)
             if kind > FENCED or length > (self._answer_bytes if kind == ANSWER else LONGEST_JSON_BYTES):
-                raise SandboxCrashedError(f"said something of kind {kind} and {length} bytes")
+                raise SandboxCrashedError(f"sent an invalid message (kind {kind}, {length} bytes)")
             stop = HEAD.size + length
             if len(self._kept) < stop:
                 return

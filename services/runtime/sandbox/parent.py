@@ -263,7 +263,7 @@ def _note(fences: SandboxMechanisms) -> None:
     if NONE not in fences.values() or known in _NOTED or len(_NOTED) >= MOST_NOTED:
         return
     _NOTED.add(known)
-    log.warning("sandbox is not wholly fenced", **dict(known))
+    log.warning("sandbox fences are missing", **dict(known))
 
 
 def _answered(word: SandboxMessage | None, child: SandboxProcess, limits: SandboxLimits) -> bytes:
@@ -281,7 +281,7 @@ def _answered(word: SandboxMessage | None, child: SandboxProcess, limits: Sandbo
     log.warning("sandboxed work raised", traceback=said.get("traceback", said.get("sentence", "")))
     raised = said.get("exception", "an error") if limits.may_quote else "an error"
     if word.kind == MACHINE:
-        raise SandboxInterruptedError(f"met {raised} of the machine")
+        raise SandboxInterruptedError(f"failed on this machine with {raised}")
     raise SandboxCrashedError(f"raised {raised}")
 
 
@@ -291,7 +291,7 @@ def _ended(status: int, limits: SandboxLimits) -> StoneError:
     if code == -signal.SIGXCPU:
         return SandboxCrashedError(f"took longer than {limits.cpu_s} s of processor time")
     if code == -signal.SIGKILL:
-        return SandboxInterruptedError("was killed from outside (is the machine short of memory?)")
+        return SandboxInterruptedError("was killed from outside (out of memory?)")
     return SandboxCrashedError(f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}")
 
 
@@ -307,7 +307,7 @@ def _refusal(word: SandboxMessage) -> StoneError:
             StoneError.__init__(error, said.get("sentence", ""))
             error.code = code
             return error
-    return SandboxCrashedError("gave a refusal that nobody knows")
+    return SandboxCrashedError("sent an unknown refusal")
 
 
 def _leaves(root: type[StoneError]) -> list[type[StoneError]]:

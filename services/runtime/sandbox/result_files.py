@@ -70,4 +70,4 @@ def _files(listed: list[Any], answer: bytes, start: int) -> Iterable[File]:
 
 
 def _nonsense() -> SandboxCrashedError:
-    return SandboxCrashedError("answered something else than what was asked")
+    return SandboxCrashedError("sent a malformed result")

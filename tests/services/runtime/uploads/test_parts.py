@@ -95,7 +95,7 @@ def test_a_writer_that_was_overtaken_in_the_middle_adds_nothing_more(stored: Pla
         slow.write([CONTENT[1000:3000]])
         slow.end()
 
-    with refused_as("offset_mismatch", match=r"^1400 "):
+    with refused_as("offset_mismatch", match=r"^the server has 1400 "):
         go_on()
     slow.close()
     overtaking.close()
