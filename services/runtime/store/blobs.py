@@ -80,7 +80,7 @@ def prepare(store: Store, database: Database, path: Path, *, adopt: bool = False
     If a blob has the content, its object is read and compared. A missing or different object, which the platform itself
     never causes, is replaced.
 
-    Unlinked content is collected after the grace. Raise `StoreFullError`, `store_unavailable`.
+    Unlinked content is collected after the grace. Raises `StoreFullError`, `store_unavailable`.
     """
     (prepared,) = prepare_all(store, database, [path], adopt=adopt)
     return prepared

@@ -32,7 +32,7 @@ class Cache:
         self._limit_bytes = limit_bytes
 
     def file(self, key: str, download: Callable[[str, Path], None]) -> Path:
-        """Return the file of `key`; `download(key, path)` fills it if it is missing. Raise `StoreFullError`."""
+        """Return the file of `key`; `download(key, path)` fills it if it is missing. Raises `StoreFullError`."""
         path = self._objects / key
         with refusing_full(self._objects):
             for folder in (path.parent, self._partial):

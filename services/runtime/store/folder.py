@@ -41,7 +41,7 @@ class FolderStore:
         self._staging = root / ".staging"
 
     def write(self, key: str, source: Path) -> None:
-        """Store a copy of `source`. Raise `StoreFullError`, leaving nothing behind."""
+        """Store a copy of `source`. Raises `StoreFullError`, leaving nothing behind."""
         target = self.root / checked(key)
         if (size_bytes := source.stat().st_size) > SMALL_BYTES:
             require_room(self.root, size_bytes, self._reserve_bytes)

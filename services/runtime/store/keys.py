@@ -47,14 +47,14 @@ def is_key(key: str) -> bool:
 
 
 def checked(key: str) -> str:
-    """Return `key`. Raise `bad_key`."""
+    """Return `key`. Raises `bad_key`."""
     if not is_key(key):
         raise bad_key(key)
     return key
 
 
 def checked_prefix(prefix: str) -> str:
-    """Return `prefix`, which may be empty or end anywhere within a key. Raise `bad_key`."""
+    """Return `prefix`, which may be empty or end anywhere within a key. Raises `bad_key`."""
     if len(prefix) > MAX_KEY or not _PREFIX.fullmatch(prefix):
         raise bad_key(prefix)
     return prefix

@@ -17,7 +17,7 @@ NAMES_FOLDER = "names"  # below the data folder
 
 
 def named(folder: Path, path: Path, filename: str) -> Path:
-    """Return a path that ends in `filename` and leads to `path`. Raise `ValueError` for a bad file name."""
+    """Return a path that ends in `filename` and leads to `path`. Raises `ValueError` for a bad file name."""
     _refuse_path(filename)
     link = folder / path.name / filename
     _lead(folder, link, path)
@@ -25,7 +25,7 @@ def named(folder: Path, path: Path, filename: str) -> Path:
 
 
 def named_folder(folder: Path, files: Iterable[tuple[Path, str]], name: str) -> Path:
-    """Return a folder that ends in `name` with a link to each (path, filename). Raise as `named`."""
+    """Return a folder that ends in `name` with a link to each (path, filename). Raises as `named`."""
     targets = {filename: path for path, filename in files}
     for given in (name, *targets):
         _refuse_path(given)
@@ -39,7 +39,7 @@ def named_folder(folder: Path, files: Iterable[tuple[Path, str]], name: str) -> 
 def linked_bag(folder: Path, key: str, files: Mapping[str, Path], name: str = "") -> Path:
     """Return a folder for `key` that contains a link to each of the files (by name), and nothing else.
 
-    With a `name`, the folder's path ends in that name, for a bag that is a folder. Raise as `named`.
+    With a `name`, the folder's path ends in that name, for a bag that is a folder. Raises as `named`.
     """
     for given in (*files, *([name] if name else [])):
         _refuse_path(given)
@@ -54,7 +54,7 @@ def linked_bag(folder: Path, key: str, files: Mapping[str, Path], name: str = ""
 def described_folder(folder: Path, bags: Mapping[str, Path], description: tuple[str, bytes], name: str) -> Path:
     """Return a folder that ends in `name` with a named link to each bag, and the file `description` (name, content).
 
-    Bags are paths returned by `named` or `named_folder`. Raise as `named`.
+    Bags are paths returned by `named` or `named_folder`. Raises as `named`.
     """
     called, content = description
     for given in (name, called, *bags):

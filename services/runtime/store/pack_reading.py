@@ -81,7 +81,7 @@ class _Stream:
         self._rest = memoryview(b"")
 
     def take(self, content: ArchiveMemberRange) -> Iterator[memoryview]:
-        """Yield the content in pieces. Raise `short_pack`."""
+        """Yield the content in pieces. Raises `short_pack`."""
         number = int(self._files.packs[content.ordinal])
         offset = int(self._files.offsets_bytes[content.ordinal]) + content.start
         if len(content) and (number, offset) != self._at:
@@ -112,7 +112,7 @@ class ExportLocation:
 
 
 def locate_export(session: Session, export: Export) -> ExportLocation:
-    """Return the locations of an export's files. Raise `export_unfinished`."""
+    """Return the locations of an export's files. Raises `export_unfinished`."""
     if export.index_sha256 is None:
         raise Refused(
             "export_unfinished",

@@ -81,7 +81,7 @@ class PackWriter:
         packs.mkdir(parents=True, exist_ok=True)
 
     def add(self, name: str, pieces: Iterable[Bytes]) -> None:
-        """Write a file from its bytes in pieces. Raise `StoreFullError`, and the errors of `pieces`."""
+        """Write a file from its bytes in pieces. Raises `StoreFullError`, and the errors of `pieces`."""
         number, offset = self._next_place()
         digest, crc, size = sha256(), 0, 0
         with refusing_full(self._packs), pack_path(self._packs, number).open("ab" if offset else "wb") as pack:
@@ -111,7 +111,7 @@ class PackWriter:
 def pack_folder(folder: Path, packs: Path, step: Step, pack_bytes: int = PACK_BYTES) -> PackedFiles:
     """Move every file of `folder` into packs of the empty folder `packs`; delete each file once it is in its pack.
 
-    Raise `bad_member`, before moving anything, and `StoreFullError`.
+    Raises `bad_member`, before moving anything, and `StoreFullError`.
     """
     names = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
     check_names([*names, SUMS])

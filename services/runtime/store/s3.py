@@ -63,7 +63,7 @@ class S3Store:
         self._reserve_bytes = settings.store.reserve_bytes
 
     def write(self, key: str, source: Path) -> None:
-        """Upload `source`, in parts if it is large. Raise `StoreFullError`."""
+        """Upload `source`, in parts if it is large. Raises `StoreFullError`."""
         size_bytes = source.stat().st_size
         with self._translated(checked(key)), span("store write", attributes={"stone.size_bytes": size_bytes}):
             self._client.upload_file(str(source), self.bucket, key, Config=TRANSFER)
@@ -92,7 +92,7 @@ class S3Store:
         return self.cache.file(checked(key), self.download)
 
     def download(self, key: str, target: Path) -> None:
-        """Write the object into the file `target` and flush it. Raise `StoreFullError` if the disk is full.
+        """Write the object into the file `target` and flush it. Raises `StoreFullError` if the disk is full.
 
         Ranges are read in parallel and resumed after interruptions (boto3's own download hung on a broken header).
         """
@@ -207,7 +207,7 @@ EXISTING = {"BucketAlreadyOwnedByYou", "BucketAlreadyExists"}
 def ensure_bucket(store: StoreSettings) -> bool:
     """Create the bucket unless it exists or may not be listed; return whether it was created.
 
-    Raise `store_unavailable`.
+    Raises `store_unavailable`.
     """
     client, bucket = client_of(store), store.s3_bucket
     try:

@@ -54,7 +54,7 @@ class Workspace:
     def push(self, *prefixes: str) -> None:
         """Store every local file whose name starts with one of the prefixes, unless it is stored already.
 
-        After the call the files survive a power cut. Raise `bad_key` if a name cannot be an object's name.
+        After the call the files survive a power cut. Raises `bad_key` if a name cannot be an object's name.
         """
         files = {
             checked(self._prefix + name): self.folder / name for prefix in prefixes for name in self._names(prefix)
@@ -132,7 +132,7 @@ def _is_same(path: Path, stored: StoredObject) -> bool:
 def fresh_folder(work: Path, prefix: str, ended: Iterable[str] = ()) -> Iterator[Path]:
     """Yield a new folder `<prefix>-<random>`; delete folders of `prefix` and `ended` from earlier attempts.
 
-    After success the folder stays, since stored objects may share its bytes. Raise `StoreFullError`.
+    After success the folder stays, since stored objects may share its bytes. Raises `StoreFullError`.
     """
     for name in {prefix, *ended}:
         for earlier in work.glob(f"{name}-*"):

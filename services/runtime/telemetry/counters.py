@@ -111,9 +111,7 @@ class ProcessCounters:
 
 
 def summed(parts: Iterable[Mapping[str, Mapping[str, Value]]]) -> Counts:
-    """Return the sum of all counts. Meters unknown to this version stay; values that do not fit their meter are
-    dropped.
-    """
+    """Return the sum of all counts. Unknown meters stay; values that do not fit their meter are dropped."""
     total: Counts = {}
     for part in parts:
         for name, of_meter in part.items():

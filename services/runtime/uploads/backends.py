@@ -41,11 +41,11 @@ class LockedUpload(Protocol):
         ...
 
     def append(self, pieces: Sequence[bytes], offset_bytes: int) -> None:
-        """Add `pieces` at `offset_bytes`, the end of the bytes. Raise `DiskFullError`; bytes that fitted count."""
+        """Add `pieces` at `offset_bytes`, the end of the bytes. Raises `DiskFullError`; bytes that fitted count."""
         ...
 
     def accept(self, *, is_whole: bool) -> None:
-        """Count all appended bytes; a whole upload survives a power cut from now on. Raise `DiskFullError`."""
+        """Count all appended bytes; a whole upload survives a power cut from now on. Raises `DiskFullError`."""
         ...
 
     def discard(self) -> None:
@@ -67,7 +67,7 @@ class UploadBackend(Protocol):
     def begin(self, upload: Upload) -> bool:
         """Reserve space before the row is created; return True if the owner's own file has supplied all bytes already.
 
-        Raise `DiskFullError`.
+        Raises `DiskFullError`.
         """
         ...
 
@@ -80,7 +80,7 @@ class UploadBackend(Protocol):
         ...
 
     def hold(self, upload: Upload) -> LockedUpload:
-        """Lock the bytes for one request. Raise `UploadLockedError` while another request has the lock."""
+        """Lock the bytes for one request. Raises `UploadLockedError` while another request has the lock."""
         ...
 
     def remove(self, upload_id: str) -> None:
@@ -133,7 +133,7 @@ class FolderUploadBackend:
     def begin(self, upload: Upload) -> bool:
         """Create an empty file, or a hard link to the same bytes if the owner has the declared file already.
 
-        Raise `DiskFullError`.
+        Raises `DiskFullError`.
         """
         path = self._path(upload.id)
         if self._link_duplicate(upload, path):

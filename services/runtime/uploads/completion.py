@@ -84,7 +84,7 @@ def _held_if_there(platform: Platform, upload: Upload) -> LockedUpload | None:
 def settle_if_whole(platform: Platform, upload: Upload) -> Upload:
     """Return the upload; if all its bytes are present and no request holds them, settle it first.
 
-    Raise `FileMismatchError`, `FileNotFoundError`.
+    Raises `FileMismatchError`, `FileNotFoundError`.
     """
     backend, is_joined = backend_of(platform, upload), bool(part_ids_of(upload))
     if upload.state != "open" or (not is_joined and backend.offset_of(upload.id) < upload.length_bytes):

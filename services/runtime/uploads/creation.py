@@ -70,7 +70,7 @@ def check_filename(name: str) -> None:
 def create(platform: Platform, owner: UploadOwner, declared: UploadDeclaration) -> Upload:
     """Create an upload: open, or complete if the owner has these bytes already.
 
-    Raise `upload_too_large`, `upload_target_missing`, `not_as_announced`, `too_many_uploads_of_draft`,
+    Raises `upload_too_large`, `upload_target_missing`, `not_as_announced`, `too_many_uploads_of_draft`,
     `quota_exceeded`, `too_many_uploads`, `DiskFullError`, `StorageFullError`.
     """
     limit_bytes = platform.settings.uploads.max_bytes
@@ -170,7 +170,7 @@ def _refuse_foreign_draft(platform: Platform, owner: UploadOwner, declared: Uplo
 def hold_draft(session: Session, settings: Settings, declared: UploadDeclaration) -> None:
     """Lock the submission's draft and check that it may have one more waiting upload.
 
-    Raise `upload_target_missing` if the draft was deleted or finalised meanwhile, `too_many_uploads_of_draft`.
+    Raises `upload_target_missing` if the draft was deleted or finalised meanwhile, `too_many_uploads_of_draft`.
     """
     if declared.purpose != SUBMISSION:
         return

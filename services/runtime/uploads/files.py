@@ -34,7 +34,7 @@ def upload_file(settings: Settings, upload_id: str) -> Path:
 
 
 def make_file(path: Path) -> None:
-    """Create an empty file that survives a power cut. Raise `DiskFullError`."""
+    """Create an empty file that survives a power cut. Raises `DiskFullError`."""
     with refusing_full(lambda: 0):
         path.parent.mkdir(parents=True, exist_ok=True)
         os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o640))
@@ -56,7 +56,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def offset_of(path: Path) -> int:
-    """Return the number of bytes that count. Raise `FileNotFoundError`."""
+    """Return the number of bytes that count. Raises `FileNotFoundError`."""
     size_bytes = path.stat().st_size
     marked = _marked_offset(path)
     return size_bytes if marked is None else min(size_bytes, marked)
@@ -87,7 +87,7 @@ class LockedUploadFile:
         return os.fstat(self._descriptor).st_size
 
     def append(self, pieces: Sequence[bytes], offset_bytes: int) -> None:
-        """Write `pieces` at `offset_bytes`, the end of the file. Raise `DiskFullError`; bytes that fitted stay.
+        """Write `pieces` at `offset_bytes`, the end of the file. Raises `DiskFullError`; bytes that fitted stay.
 
         The kernel writes these bytes to disk early and drops them from its cache. The final flush is therefore short,
         and a bag larger than memory does not evict other files.
@@ -100,14 +100,14 @@ class LockedUploadFile:
             self._handed_bytes = offset_bytes
 
     def mark_unverified(self) -> None:
-        """Do not count bytes written from now on until `accept`. Raise `DiskFullError`."""
+        """Do not count bytes written from now on until `accept`. Raises `DiskFullError`."""
         with refusing_full(lambda: self.kept_bytes):
             _mark_of(self.path).write_text(str(self.kept_bytes), "ascii")
 
     def accept(self, *, is_whole: bool) -> None:
         """Count the written bytes; flush them if they end the file or if many have arrived since the last flush.
 
-        If a power cut restores the mark, the client sends the bytes again. Raise `DiskFullError`.
+        If a power cut restores the mark, the client sends the bytes again. Raises `DiskFullError`.
         """
         self._mark_verified()
         if is_whole or self._first_byte // FLUSHED_BYTES != self.kept_bytes // FLUSHED_BYTES:
@@ -139,13 +139,13 @@ class LockedUploadFile:
         _mark_of(self.path).unlink(missing_ok=True)
 
     def _sync(self) -> None:
-        """Flush to survive a power cut. Raise `DiskFullError` if the disk reports it only now."""
+        """Flush to survive a power cut. Raises `DiskFullError` if the disk reports it only now."""
         with refusing_full(lambda: self.kept_bytes):
             os.fdatasync(self._descriptor)
 
 
 def write_all(descriptor: int, pieces: Sequence[memoryview], offset_bytes: int, reserve_bytes: int) -> int:
-    """Write `pieces` at `offset_bytes`; return their end. Raise `StorageFullError` before writing anything."""
+    """Write `pieces` at `offset_bytes`; return their end. Raises `StorageFullError` before writing anything."""
     left = list(pieces)
     require_room(descriptor, sum(map(len, left)), reserve_bytes)
     while left:

@@ -40,7 +40,7 @@ def create_joined(
 ) -> Upload:
     """Create an upload from the owner's complete parts, in this order; its length is the sum of theirs.
 
-    Raise `bad_parts`, `upload_missing`, `wrong_upload_state`, and the errors of `create`.
+    Raises `bad_parts`, `upload_missing`, `wrong_upload_state`, and the errors of `create`.
     """
     if not 1 <= len(part_ids) <= MOST_PARTS or len(set(part_ids)) < len(part_ids):
         raise _bad_parts(f"the request names {len(part_ids)} parts, {len(set(part_ids))} of them different")
@@ -77,7 +77,7 @@ def part_ids_of(upload: Upload) -> list[str]:
 def join_parts(platform: Platform, whole: Upload, held: LockedUpload) -> str:
     """Append the missing parts and delete them; return the hash of all bytes if this call appended all of them, or "".
 
-    Raise `FileNotFoundError`, `DiskFullError`.
+    Raises `FileNotFoundError`, `DiskFullError`.
     """
     backend = FolderUploadBackend(platform)
     state, start = sha256(), 0

@@ -67,7 +67,7 @@ def announce(platform: Platform, key: str, expected_bytes: int) -> None:
 def add(platform: Platform, upload_id: str, parts: Sequence[UploadPart]) -> None:
     """Add all of the parts to the upload, or none. An upload that receives bytes does not expire.
 
-    Raise `upload_gone`, or `offset_mismatch` if another process was first or the objects were collected.
+    Raises `upload_gone`, or `offset_mismatch` if another process was first or the objects were collected.
     """
     first = parts[0].offset_bytes
     with platform.database.transaction() as session:

@@ -50,7 +50,7 @@ class _UploadLocks:
         self._guard = threading.Lock()
 
     def take(self, upload_id: str) -> None:
-        """Lock an upload. Raise `UploadLockedError`."""
+        """Lock an upload. Raises `UploadLockedError`."""
         with self._guard:
             if upload_id in self._ids:
                 raise UploadLockedError(upload_id)
@@ -95,7 +95,7 @@ class LockedUploadParts:
     def append(self, pieces: Sequence[bytes], offset_bytes: int) -> None:
         """Append bytes; added parts count.
 
-        Raise `DiskFullError`, `too_many_small_requests`, and the errors of adding.
+        Raises `DiskFullError`, `too_many_small_requests`, and the errors of adding.
         """
         with self._failing():
             if self._count >= MOST_PARTS:
@@ -112,7 +112,7 @@ class LockedUploadParts:
             self._add_stored(UNDER_WAY)
 
     def accept(self, *, is_whole: bool) -> None:
-        """Store and add all bytes. Raise as `append`."""
+        """Store and add all bytes. Raises as `append`."""
         with self._failing():
             self._is_unverified = False
             self._store_all()
@@ -243,7 +243,7 @@ def sha256_of_parts(store: Store, parts: Sequence[UploadPart]) -> str:
 def copy_parts(store: Store, parts: Sequence[UploadPart], target: Path, reserve_bytes: int) -> None:
     """Write the parts into the file `target` and flush it.
 
-    Raise `ObjectMissingError`, `store_unavailable`, `StoreFullError`.
+    Raises `ObjectMissingError`, `store_unavailable`, `StoreFullError`.
     """
     require_room(target.parent, sum(part.length_bytes for part in parts), reserve_bytes)
     with refusing_full(target.parent), target.open("wb") as file, ThreadPoolExecutor(AHEAD) as pool:

@@ -61,14 +61,14 @@ class UploadReceiver:
             held.mark_unverified()
 
     def write(self, pieces: Sequence[bytes]) -> None:
-        """Append bytes. Raise `over_length` (and discard this request's bytes), `DiskFullError`."""
+        """Append bytes. Raises `over_length` (and discard this request's bytes), `DiskFullError`."""
         with self._guard:
             self._write(pieces)
 
     def end(self, last: Sequence[bytes] = ()) -> Upload:
         """Append the last bytes of the request, check and flush them, and complete the upload if it is whole.
 
-        Raise `checksum_mismatch` (and discard the bytes), `FileMismatchError`, and the errors of `write`.
+        Raises `checksum_mismatch` (and discard the bytes), `FileMismatchError`, and the errors of `write`.
         """
         with self._guard:  # take it once: between two locks the request could end and the file be closed
             if last:
@@ -76,7 +76,7 @@ class UploadReceiver:
             return self._end()
 
     def break_off(self) -> None:
-        """End a request whose client disconnected: its bytes count unless it declared a checksum. Raise as `accept`."""
+        """End a request whose client disconnected: its bytes count unless it has a checksum. Raises as `accept`."""
         with self._guard:
             self._give_up_unverified()
             if self._checksum is None:
@@ -155,7 +155,7 @@ class UploadReceiver:
 def receive(platform: Platform, upload_id: str, owner_id: str, piece: UploadChunk) -> UploadReceiver | None:
     """Prepare to receive a request's bytes; return None if the upload is whole already and the request adds none.
 
-    Raise `upload_missing`, `upload_gone`, `UploadLockedError`, `offset_mismatch`, `over_length`, `DiskFullError`.
+    Raises `upload_missing`, `upload_gone`, `UploadLockedError`, `offset_mismatch`, `over_length`, `DiskFullError`.
     """
     upload = find_alive(platform.database, upload_id, owner_id)
     if upload.state in WHOLE:

@@ -51,7 +51,7 @@ def is_waiting() -> ColumnElement[bool]:
 
 
 def find(database: Database, upload_id: str, owner_id: str) -> Upload:
-    """Return the owner's upload. Raise `upload_missing`, also for another user's upload."""
+    """Return the owner's upload. Raises `upload_missing`, also for another user's upload."""
     with database.reading() as session:
         upload = session.get(Upload, upload_id)
     if upload is None or upload.owner_id != owner_id:
@@ -60,7 +60,7 @@ def find(database: Database, upload_id: str, owner_id: str) -> Upload:
 
 
 def find_alive(database: Database, upload_id: str, owner_id: str) -> Upload:
-    """Return the owner's upload if it has or expects bytes. Raise `upload_missing`, `upload_gone`."""
+    """Return the owner's upload if it has or expects bytes. Raises `upload_missing`, `upload_gone`."""
     upload = find(database, upload_id, owner_id)
     refuse_gone(upload)
     return upload
@@ -92,7 +92,7 @@ def leave(session: Session, upload: Upload, state: str, detail: str = "") -> boo
 def consume(session: Session, upload_id: str, owner_id: str, purpose: str) -> Upload:
     """Use a complete upload for its purpose, once; its bytes stay in place and its quota stays reserved.
 
-    Raise `upload_missing`, `wrong_upload_purpose`, `wrong_upload_state`.
+    Raises `upload_missing`, `wrong_upload_purpose`, `wrong_upload_state`.
     """
     upload = session.scalar(select(Upload).where(Upload.id == upload_id, Upload.owner_id == owner_id).with_for_update())
     if upload is None:

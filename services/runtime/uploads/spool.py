@@ -14,7 +14,7 @@ class Spool:
     """Bytes on this machine's disk, to be stored as one object from `path`."""
 
     def __init__(self, folder: Path, reserve_bytes: int) -> None:
-        """Open the spool. Raise `DiskFullError`."""
+        """Open the spool. Raises `DiskFullError`."""
         self._reserve_bytes = reserve_bytes
         with refusing_full(lambda: 0):
             folder.mkdir(parents=True, exist_ok=True)
@@ -27,7 +27,7 @@ class Spool:
         return Path(f"/proc/self/fd/{self._file.fileno()}")
 
     def write(self, pieces: Sequence[memoryview]) -> None:
-        """Add all pieces, or none. Raise `DiskFullError`."""
+        """Add all pieces, or none. Raises `DiskFullError`."""
         try:
             with refusing_full(lambda: self.size_bytes):
                 self.size_bytes = write_all(self._file.fileno(), pieces, self.size_bytes, self._reserve_bytes)
