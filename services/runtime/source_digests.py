@@ -100,7 +100,7 @@ Digests = Mapping[ResultKind, SourceDigest]
 class Reach:
     """The definitions that entries reach, each with its computation, and the modules that are imported for them.
 
-    `known` are computations of the same tree; several reaches share them.
+    `known` contains computations of the same tree; several reaches share them.
     """
 
     tree: SourceTree
@@ -122,7 +122,7 @@ class Reach:
             todo += (effect for module in sorted(made.loaded) for effect in self._load(module))
 
     def _load(self, name: str) -> list[Definition]:
-        """Return the effects of importing a module: its own, those of its packages and of all that it imports."""
+        """Return the effects of importing a module: its own, and those of its packages and of its imports."""
         effects, todo = list[Definition](), [name]
         while todo:
             module = todo.pop()
@@ -137,7 +137,7 @@ class Reach:
 
     @property
     def libraries(self) -> set[str]:
-        """The top-level packages of others that the computations refer to."""
+        """Return the top-level packages of other projects that the computations refer to."""
         return {library for made in self.computations.values() for library in made.libraries if library}
 
     def digest(self) -> str:

@@ -68,7 +68,7 @@ class _Scope:
 
 
 class _Writer:
-    """Writes the words of one definition."""
+    """A writer of the words of one definition."""
 
     def __init__(self, tree: SourceTree, definition: Definition) -> None:
         self.tree, self.definition = tree, definition

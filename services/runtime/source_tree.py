@@ -20,7 +20,7 @@ EFFECTS = ""
 """The name of a module's statements that run at import and define nothing."""
 UNNAMED = frozenset({"__all__"})
 PURE_DECORATORS = frozenset({"cache", "contextmanager", "dataclass", "intrinsic", "lru_cache", "njit", "overload"})
-"""Decorators that only change the function or class below them; any other may register it somewhere."""
+"""Decorators that only change the function or class below them; other decorators may register it."""
 
 
 class Definition(NamedTuple):

@@ -1,5 +1,4 @@
-"""The outbox of notifications: events are recorded in the transaction of what they tell of.
+"""The outbox of notifications: an event is recorded in the transaction of its cause.
 
-Whom an event is told, and in which words, is in `services/domain/notifications`; how it is sent in
-`services/maintenance/notifications`.
+Recipients and texts of events are in `services/domain/notifications`, sending in `services/maintenance/notifications`.
 """

@@ -1,8 +1,8 @@
-"""Events that people may be told of, and their recording.
+"""Notification events, and their recording.
 
-**Conventions.** `record` is part of the caller's transaction: no event without what it tells of, and nothing untold. An
-event costs one row, whoever wants to be told of it; the sweeper makes deliveries of it. Events of `UNASKED` kinds are
-sent by e-mail to the one they concern, whatever they chose.
+**Conventions.** `record` is part of the caller's transaction: an event exists exactly if its cause does. An event costs
+one row for any number of recipients; the sweeper creates its deliveries. Events of `UNASKED` kinds are sent by e-mail
+to the user concerned, regardless of their choices.
 """
 
 from collections.abc import Mapping
@@ -36,7 +36,7 @@ EVENTS: Mapping[str, str] = {
     PHASE_CLOSED: "A phase of a benchmark closes",
     QUOTA_LOW: "My storage or my team's submissions are running low",
 }
-"""What each kind tells, in the words of who chooses."""
+"""Each kind of event, in words for the choice of notifications."""
 EMAIL_VERIFICATION, WEBHOOK_DISABLED = "email.verification", "webhook.disabled"
 UNASKED = (EMAIL_VERIFICATION, WEBHOOK_DISABLED)
 CHANNELS = ("email", "webhook")
@@ -44,9 +44,9 @@ CHANNELS = ("email", "webhook")
 
 @dataclass(frozen=True)
 class NewEvent:
-    """An event to be recorded, told to a user, else to a team, else to everybody.
+    """An event to record, for a user, else for a team, else for all users.
 
-    `key` is what it has in common with itself where it is found again; empty where it happens once.
+    `key` identifies an event that may be detected twice; it is empty if the event happens once.
     """
 
     kind: str
@@ -58,7 +58,7 @@ class NewEvent:
 
 
 def record(session: Session, new: NewEvent) -> bool:
-    """Write the event; false where one of its key is there already."""
+    """Write the event; return False if an event with its key exists already."""
     event_id = new_id()
     values = {
         "id": event_id,
@@ -73,10 +73,10 @@ def record(session: Session, new: NewEvent) -> bool:
     return bool(insert_new(session, NotificationEvent, [values]))
 
 
-# The end of a run as an event to its owner.
+# The end of a run as an event for its owner.
 #
-# **Conventions.** Told are runs that somebody asked for and waits for. A submission's run is told of as the
-# submission; what the platform does by itself (playbacks) and the deliveries of notifications are not told.
+# **Conventions.** Only runs that a user requested create events. A submission's run creates the submission's event;
+# automatic runs (playbacks) and deliveries of notifications create none.
 
 
 TOLD = {
@@ -88,7 +88,7 @@ TOLD = {
     "eval.truth": "creating a ground truth",
     "phase.rescore": "a re-score",
 }
-"""Runs that are told of, by their kind, in words."""
+"""Runs that create events: their kind, in words."""
 TOLD_FAILED = {**TOLD, "ingest.register": "reading a recording"}
 LONGEST_FAILURE = 500
 STOPPED = "cancelled"
@@ -96,24 +96,24 @@ STOPPED = "cancelled"
 
 
 def tell_run_succeeded(session: Session, run: Job) -> None:
-    """Record that the run is done, where that is told."""
+    """Record that the run is done, if its kind creates events."""
     if run.kind in TOLD and not _is_playback(session, run):
         record(session, NewEvent(RUN_DONE, run.id, user_id=run.owner_id))
 
 
 def tell_run_failed(session: Session, run: Job, code: str, sentence: str) -> None:
-    """Record that the run failed with this code and sentence, where that is told."""
+    """Record that the run failed with this code and sentence, if its kind creates events."""
     if run.kind in TOLD_FAILED and not _is_playback(session, run):
         facts = {"code": code, "failure": sentence[:LONGEST_FAILURE]}
         record(session, NewEvent(RUN_FAILED, run.id, user_id=run.owner_id, facts=facts))
 
 
 def tell_run_stopped(session: Session, run: Job, reason: str) -> None:
-    """Record that somebody other than its owner stopped the run, where its failure would be told."""
+    """Record that another user stopped the run, if its failure would create an event."""
     tell_run_failed(session, run, STOPPED, reason)
 
 
 def _is_playback(session: Session, run: Job) -> bool:
-    """Whether it makes the small pictures of the viewer, which nobody asks for."""
+    """Return whether it creates the small pictures of the viewer, which start automatically."""
     format_ = select(Export.format).where(Export.job_id == run.id).limit(1)
     return run.kind == "labeler.export" and session.scalar(format_) == "playback"

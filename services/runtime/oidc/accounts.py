@@ -1,8 +1,8 @@
-"""The account of somebody who signed in by a provider: found by issuer and subject, made at the first sign-in.
+"""The account of a user who signs in by a provider: selected by issuer and subject, created at the first sign-in.
 
-**Conventions.** A name or an e-mail address is no proof of who somebody is: an account of the same name is another's,
-and a newcomer is given a free name. Only where `links_verified_email` says so is an account whose name is the e-mail
-address that the provider verified given to its owner; never an administrator's, never one that is somebody's already.
+**Conventions.** A name or an e-mail address proves no identity: an account of the same name belongs to another user,
+and a new user gets a free name. Only with `links_verified_email` does the owner of a verified e-mail address get the
+account of that name, unless it is an administrator's or linked already.
 """
 
 import re
@@ -23,13 +23,13 @@ from services.runtime.orm import ExternalIdentity, User
 from services.runtime.orm.base import now_ns
 from stone.errors import Refused
 
-LOCK = 0x4F494443  # "OIDC": the advisory lock's number; first sign-ins are made one after another
-LONGEST_BASE = 56  # of a name, so that a number has room
+LOCK = 0x4F494443  # "OIDC": the number of the advisory lock that serialises first sign-ins
+LONGEST_BASE = 56  # leaves room for a number
 
 
 @dataclass(frozen=True)
 class AdmittedUser:
-    """The user, and what this sign-in changed: `is_new`, and the role before where it is another now."""
+    """The user, and the changes of this sign-in: `is_new`, and the former role if the role changed."""
 
     user: User
     is_new: bool
@@ -37,7 +37,7 @@ class AdmittedUser:
 
 
 def admit(session: Session, identity: VerifiedIdentity, settings: OidcSettings) -> AdmittedUser:
-    """The active user of this identity, in the role of their groups.
+    """Return the active user of this identity, in the role of their groups.
 
     Raises `not_admitted`, `account_deactivated`, `last_administrator`.
     """
@@ -57,9 +57,9 @@ def admit(session: Session, identity: VerifiedIdentity, settings: OidcSettings) 
 
 
 def role_of(claims: Mapping[str, Any], settings: OidcSettings) -> Role | None:
-    """The highest role of somebody's groups; None where roles are given on the platform alone.
+    """Return the highest role of a user's groups; None if only the platform assigns roles.
 
-    Raises `not_admitted` for who is in no group, where not everybody is let in.
+    Raises `not_admitted` for a user without an admitted group, if admission is limited.
     """
     groups = _groups(claims, settings.groups_claim)
     administrators, curators = groups_in(settings.administrators), groups_in(settings.curators)
@@ -78,7 +78,7 @@ def role_of(claims: Mapping[str, Any], settings: OidcSettings) -> Role | None:
 
 
 def free_name(session: Session, identity: VerifiedIdentity, claim: str) -> str:
-    """What the claim says, as far as it can be a name; with a number where somebody is called so."""
+    """Return the claim as a valid name, with a number if the name is taken."""
     return next(name for name in _names(identity, claim) if find_user(session, name) is None)
 
 
@@ -126,7 +126,7 @@ def _groups(claims: Mapping[str, Any], name: str) -> frozenset[str]:
 
 
 def _one_at_a_time(session: Session) -> None:
-    """Two first sign-ins at once are one account. A writing transaction of SQLite holds the only lock there is."""
+    """Lock, so that two concurrent first sign-ins create one account; on SQLite a write transaction is a lock."""
     if session.get_bind().dialect.name == "postgresql":
         session.execute(text("SELECT pg_advisory_xact_lock(:number)"), {"number": LOCK})
 

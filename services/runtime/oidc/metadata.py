@@ -1,9 +1,9 @@
-"""A provider's description of itself, and its keys, read from the issuer's address and kept for a while.
+"""A provider's description and keys, read from the issuer's address and cached for a while.
 
-**Conventions.** `issuer` in the description must be the setting's, character by character (Discovery 1.0, section 4.3).
-Addresses are https, or on this machine where the issuer is. Keys are read anew after `KEPT_S`, and when a token names
-one that is not among them: a provider changes its keys at any time. That happens once in `REREAD_S` at most, so that
-false tokens do not make us ask it without end.
+**Conventions.** `issuer` in the description must equal the setting character by character (Discovery 1.0, section 4.3).
+Addresses are https, or on this machine if the issuer is. Keys are read again after `KEPT_S`, and if a token names an
+unknown key, because a provider may change its keys at any time. This happens at most once per `REREAD_S`, so false
+tokens cannot cause endless requests.
 """
 
 import asyncio
@@ -25,11 +25,11 @@ from joserfc.jwk import KeySet
 from services.runtime.oidc.errors import provider_answer, provider_unavailable
 from services.runtime.oidc.settings import OidcSettings, is_local
 
-# Requests to a provider, bounded in size and time whatever it answers: JSON objects only.
+# Requests to a provider, bounded in size and time for any answer: JSON objects only.
 #
-# **Conventions.** `timeout_s` is for the whole exchange, from the name's look-up to the last byte: a provider that
-# answers a byte at a time holds nobody longer. Redirects are not followed: another host's answer is not the
-# provider's. Compressed answers are refused, since their size is not known before.
+# **Conventions.** `timeout_s` limits the whole exchange, from the name lookup to the last byte, so a slow provider
+# cannot delay it further. Redirects are not followed: another host's answer is not the provider's. Compressed answers
+# are refused, since their size is not known in advance.
 
 
 LONGEST_BYTES = 256 * 2**10
@@ -38,7 +38,7 @@ Json = dict[str, Any]
 
 
 def read_json(url: str, what: str, timeout_s: float) -> Json:
-    """The object at `url`, which `what` names in a refusal. Raises `provider_unavailable`, `provider_answer`."""
+    """Return the object at `url`; `what` names it in errors. Raises `provider_unavailable`, `provider_answer`."""
     status, content = _answer(httpx.Request("GET", url, headers=HEADERS), timeout_s)
     if status != 200:
         raise provider_answer(what, f"returned status {status}")
@@ -46,7 +46,7 @@ def read_json(url: str, what: str, timeout_s: float) -> Json:
 
 
 def send_form(url: str, form: Mapping[str, str], headers: Mapping[str, str], timeout_s: float) -> tuple[int, Json]:
-    """The status and object of the answer to a form. Raises as `read_json` does."""
+    """Send a form; return the status and object of the answer. Raises as `read_json` does."""
     request = httpx.Request("POST", url, data=dict(form), headers={**HEADERS, **headers})
     status, content = _answer(request, timeout_s)
     return status, _object(content, "token endpoint")
@@ -55,7 +55,7 @@ def send_form(url: str, form: Mapping[str, str], headers: Mapping[str, str], tim
 def _answer(request: httpx.Request, timeout_s: float) -> tuple[int, bytes]:
     host = request.url.host
     try:
-        with ThreadPoolExecutor(1) as apart:  # the caller's own thread may stand within an event loop
+        with ThreadPoolExecutor(1) as apart:  # the caller's own thread may run an event loop
             return apart.submit(_run, request, timeout_s).result()
     except TimeoutError:
         raise provider_unavailable(host, f"it did not respond within {timeout_s:g} s") from None
@@ -101,7 +101,7 @@ def _object(content: bytes, what: str) -> Json:
 
 @cache
 def _certificates() -> ssl.SSLContext:
-    """The machine's certificate authorities, read once: it takes longer than the request."""
+    """Return the machine's certificate authorities, cached because reading them takes longer than the request."""
     return ssl.create_default_context()
 
 
@@ -114,7 +114,7 @@ MOST_KEYS = 64
 
 @dataclass(frozen=True)
 class ProviderMetadata:
-    """Where a provider is asked for what; `takes_secret_in_body`: it knows no HTTP Basic at its token endpoint."""
+    """A provider's addresses; `takes_secret_in_body`: its token endpoint does not support HTTP Basic."""
 
     authorization_url: str
     token_url: str
@@ -131,7 +131,7 @@ class KeptMetadata:
         self._keys: tuple[float, KeySet] | None = None
 
     def metadata(self) -> ProviderMetadata:
-        """Raises `provider_unavailable`, `provider_answer`."""
+        """Return the description. Raises `provider_unavailable`, `provider_answer`."""
         with self._lock:
             known = self._described
         if known is None or self._now_s() - known[0] > KEPT_S:
@@ -141,7 +141,7 @@ class KeptMetadata:
         return known[1]
 
     def keys(self, wanted_id: str | None) -> KeySet:
-        """Its keys, read again where none has the id that is wanted. Raises as `metadata` does."""
+        """Return its keys, read again if none has the id `wanted_id`. Raises as `metadata` does."""
         with self._lock:
             known = self._keys
         if known is None or self._is_due(known, wanted_id):
@@ -157,7 +157,7 @@ class KeptMetadata:
 
 
 def read_metadata(settings: OidcSettings) -> ProviderMetadata:
-    """Ask the issuer of these settings. Raises `provider_unavailable`, `provider_answer`."""
+    """Read the description from the issuer. Raises `provider_unavailable`, `provider_answer`."""
     described = read_json(settings.issuer.rstrip("/") + WELL_KNOWN, DESCRIPTION, settings.timeout_s)
     if described.get("issuer") != settings.issuer:
         raise provider_answer(
@@ -173,7 +173,7 @@ def read_metadata(settings: OidcSettings) -> ProviderMetadata:
 
 
 def read_keys(url: str, timeout_s: float) -> KeySet:
-    """The keys at this address. Raises `provider_unavailable`, `provider_answer`."""
+    """Return the keys at this address. Raises `provider_unavailable`, `provider_answer`."""
     listed = read_json(url, "key set", timeout_s).get("keys")
     if not isinstance(listed, list) or not 0 < len(listed) <= MOST_KEYS:
         raise provider_answer("key set", f"must list 1 to {MOST_KEYS} keys")
@@ -184,7 +184,7 @@ def read_keys(url: str, timeout_s: float) -> KeySet:
 
 
 def _is_for_signing(key: Any) -> bool:
-    """A secret key among public ones would be everybody's, and one for encryption signs nothing."""
+    """Return whether a key may verify signatures: neither a published secret key nor an encryption key may."""
     return isinstance(key, dict) and key.get("kty") != "oct" and key.get("use", "sig") == "sig"
 
 

@@ -1,8 +1,8 @@
-"""The provider of a platform: where a browser is sent to sign in, and who came back.
+"""The sign-in provider of a platform: the browser's redirect to it, and the identity on its return.
 
-**Conventions.** State, nonce and PKCE verifier (RFC 7636, S256) are derived from one secret that only the browser
-holds, in a cookie: an answer that comes to another browser is refused, no row is written for strangers, and any process
-of the API may take the answer up.
+**Conventions.** State, nonce and PKCE verifier (RFC 7636, S256) are derived from one secret that only the browser has,
+in a cookie. So an answer in another browser is refused, strangers cause no rows, and any process of the API can handle
+the answer.
 """
 
 import math
@@ -29,8 +29,8 @@ from stone.errors import PlatformFaultError, Refused
 
 # Verification of ID tokens (OpenID Connect Core 1.0, section 3.1.3.7).
 #
-# **Conventions.** Signatures are by public keys alone: `none` and `HS…` are in no list (RFC 8725, 3.1). A claim that
-# is missing, or of another type, is as bad as a wrong one.
+# **Conventions.** Only public keys verify signatures: `none` and `HS…` are in no list (RFC 8725, 3.1). A missing claim,
+# or a claim of another type, is refused like a wrong claim.
 
 
 ALGORITHMS = ("RS256", "RS384", "RS512", "PS256", "PS384", "PS512", "ES256", "ES384", "ES512")
@@ -43,7 +43,7 @@ UNREADABLE = (JoseError, ValueError, TypeError, KeyError, AttributeError, Recurs
 
 @dataclass(frozen=True)
 class TokenExpectation:
-    """What a token must say: who made it, for whom, and in answer to which request."""
+    """The expected content of a token: its issuer, its audience, and the request that it answers."""
 
     issuer: str
     client_id: str
@@ -52,7 +52,7 @@ class TokenExpectation:
 
 @dataclass(frozen=True)
 class VerifiedIdentity:
-    """Somebody whom the provider vouches for, and what it says of them."""
+    """An identity verified by the provider, with its claims."""
 
     issuer: str
     subject: str
@@ -62,7 +62,7 @@ class VerifiedIdentity:
 def verified(
     token: str, keys: Callable[[str | None], KeySet], expected: TokenExpectation, now_s: float | None = None
 ) -> VerifiedIdentity:
-    """Who signed in. `keys` gives the provider's, for the id that the token names. Raises `id_token_refused`."""
+    """Return the signed-in identity; `keys` returns the provider's keys for a key id. Raises `id_token_refused`."""
     claims = _signed_claims(token, keys)
     _check_parties(claims, expected)
     _check_times(claims, time.time() if now_s is None else now_s)
@@ -123,7 +123,7 @@ LONGEST_CODE = 4096
 
 @dataclass(frozen=True)
 class CodeRequest:
-    """One sign-in that a browser began; `secret` is in its cookie."""
+    """A sign-in that a browser started; its cookie contains `secret`."""
 
     secret: str
 
@@ -141,13 +141,13 @@ class CodeRequest:
 
     @property
     def challenge(self) -> str:
-        """The verifier's S256."""
+        """The verifier's S256 challenge."""
         return _url64(sha256(self.verifier.encode()).digest())
 
 
 @dataclass(frozen=True)
 class CodeAnswer:
-    """What a browser brings back from the provider; empty where it does not say."""
+    """The browser's answer from the provider; missing parameters are empty."""
 
     code: str = ""
     state: str = ""
@@ -156,7 +156,7 @@ class CodeAnswer:
 
 
 class Provider:
-    """The provider of these settings, if there is one; asked by at most `AT_ONCE` threads of a process."""
+    """The provider of these settings, if there is one; at most `AT_ONCE` threads of a process query it at once."""
 
     def __init__(self, settings: OidcSettings, own_url: str) -> None:
         self._settings, self._kept = settings, KeptMetadata(settings)
@@ -164,7 +164,7 @@ class Provider:
         self._places = BoundedSemaphore(AT_ONCE)
 
     def begin(self) -> tuple[CodeRequest, str]:
-        """A new request, and the address of the provider to which the browser goes.
+        """Return a new request, and the provider's address for the browser.
 
         Raises `no_provider`, `provider_unavailable`, `provider_answer`.
         """
@@ -184,7 +184,7 @@ class Provider:
         return request, f"{where}{'&' if '?' in where else '?'}{urlencode(asked)}"
 
     def finish(self, request: CodeRequest | None, answer: CodeAnswer) -> VerifiedIdentity:
-        """Who came back with this answer to the request of their browser.
+        """Return the identity that this answer to the browser's request proves.
 
         Raises `sign_in_state`, `provider_refused`, `id_token_refused`, and as `begin` does.
         """
@@ -212,7 +212,7 @@ class Provider:
         return token
 
     def _credentials(self, metadata: ProviderMetadata) -> tuple[dict[str, str], dict[str, str]]:
-        """Fields and headers by which we show who asks (RFC 6749, 2.3.1)."""
+        """Return the form fields and headers that authenticate this client (RFC 6749, 2.3.1)."""
         name, secret = self._settings.client_id, self._settings.client_secret.get_secret_value()
         if not secret:
             return {"client_id": name}, {}
@@ -250,7 +250,7 @@ def _refuse_strange(request: CodeRequest | None, answer: CodeAnswer, issuer: str
 
 
 def _refusal(status: int, error: str) -> Refused | PlatformFaultError:
-    """A code that is none of this sign-in is its owner's mistake; anything else is ours, in the settings."""
+    """Return the error: a foreign code is the browser's mistake; any other error is in our settings."""
     if error == "invalid_grant":
         return provider_refused(error)
     reason = f"returned status {status} {error!r}; check client id and secret"
@@ -258,7 +258,7 @@ def _refusal(status: int, error: str) -> Refused | PlatformFaultError:
 
 
 def _word(error: Any) -> str:
-    """A provider's word for what went wrong, as far as it may be shown."""
+    """Return the printable part of a provider's error word."""
     return (
         "".join(one for one in error if one.isascii() and (one.isalnum() or one in "_-."))[:80]
         if isinstance(error, str)

@@ -1,4 +1,4 @@
-"""The ORM models, one module per noun; `Base.metadata` knows them all."""
+"""The ORM models, one module per noun; `Base.metadata` contains all of them."""
 
 from services.runtime.orm.artefacts import (
     Artefact,

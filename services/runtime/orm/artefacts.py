@@ -9,8 +9,9 @@ from services.runtime.orm.base import Base, Bytes, Count, Id, Ns, Record, WithQu
 
 
 class Blob(Base):
-    """Bytes in the store. A row is deleted before its object, and a content stored again gets a new `object_key`, so
-    nothing a row names is ever removed. Whoever refers to a blob does so by a foreign key, which forbids its deletion.
+    """Bytes in the store. A row is deleted before its object, and content that is stored again gets a new `object_key`.
+
+    So every object that a row names exists. Refer to a blob by a foreign key, which forbids its deletion.
     """
 
     __tablename__ = "blobs"
@@ -23,8 +24,8 @@ class Blob(Base):
 class LooseObject(Base):
     """An object of the store that no blob names: being written, or to be deleted (`is_condemned`).
 
-    Whoever takes the row out has the object: `services/runtime/store/blobs.py` to make it a blob, or garbage
-    collection, from which it is safe until `expected_ns` (when even a slow writer should be done) and the grace.
+    The process that deletes the row owns the object: `services/runtime/store/blobs.py` to create a blob, or garbage
+    collection. Garbage collection spares it until `expected_ns` (when even a slow writer should be done) and the grace.
     """
 
     __tablename__ = "loose_objects"
@@ -36,12 +37,12 @@ class LooseObject(Base):
 
 
 class LabelSet(WithQuality, Base):
-    """The labels of a sequence under one recipe (sha256 of inputs, parameters and code version); made once.
+    """The labels of a sequence under one recipe (sha256 of inputs, parameters and code version); created once.
 
-    Of several, the one that was asked for last counts: `chosen_ns`. What it adds up to (how long and how far the robot
-    drove, voxels of all frames by class) is null where an earlier version did not write it down. The paper's `grid` is
-    null. `track` is a `DrivenTrack` (`stone/splits/drives.py`), which only a query for it loads. `source_place` is
-    that of the dataset that the labels were imported from, if it was imported in place.
+    The label set with the newest `chosen_ns` (last request) is active. Its totals (duration and distance of the drive,
+    voxels of all frames by class) are null if an earlier version did not record them. `grid` is null for the paper's
+    grid. `track` is a `DrivenTrack` (`stone/splits/drives.py`), loaded only by queries for it. `source_place` is the
+    place of the dataset if the labels were imported in place.
     """
 
     __tablename__ = "label_sets"
@@ -82,7 +83,7 @@ class Artefact(Base):
 
 
 class LabelledFrameRow(Base):
-    """The place of a frame's `labels.npz`: a byte range [offset, offset + length) of a pack."""
+    """The location of a frame's `labels.npz`: a byte range [offset, offset + length) of a pack."""
 
     __tablename__ = "labelled_frames"
     label_set_id: Mapped[Id] = mapped_column(ForeignKey("label_sets.id", ondelete="CASCADE"), primary_key=True)
@@ -99,10 +100,10 @@ class LabelledFrameRow(Base):
 
 
 class Export(Base):
-    """One label set in one format, since it was asked for; `job_id` makes it, or has made it.
+    """One label set in one format, from its request on; `job_id` is the job that writes it.
 
-    What is below `finished_ns` is set with it, in the transaction of the job's success. `recipe` is that of the label
-    set, the format and the code version: what was exported once is not exported again.
+    The columns below `finished_ns` are set with it, in the transaction of the job's success. `recipe` covers the label
+    set, the format and the code version: an existing export is not created again.
     """
 
     __tablename__ = "exports"
@@ -127,7 +128,7 @@ class Export(Base):
 
 
 class ExportPack(Base):
-    """Files of an export one after another, as one blob; the export's index says where each lies in which pack."""
+    """Files of an export one after another, as one blob; the export's index contains the pack and offset of each."""
 
     __tablename__ = "export_packs"
     export_id: Mapped[Id] = mapped_column(ForeignKey("exports.id", ondelete="CASCADE"), primary_key=True)
@@ -140,7 +141,7 @@ class ExportPack(Base):
 
 
 class LabelComparison(Base):
-    """Label sets A and B of a sequence held against each other, since it was asked for; `job_id` counts, or has.
+    """A comparison of label sets A and B of a sequence, from its request on; `job_id` is the job that counts.
 
     `record` is set with `finished_ns`, in the transaction of the job's success. Label sets never change, so one
     comparison of a pair by one code version is enough.
@@ -164,15 +165,15 @@ class LabelComparison(Base):
 
 
 class DatasetImport(Base):
-    """A dataset that came as one archive, since its import was asked for; `job_id` is the run that imports it, or has.
+    """The import of a dataset from one archive, from its request on; `job_id` is the run that imports it.
 
-    `blob_sha256` is the archive while it is needed, from when it was kept until the import has ended well. An archive
-    in `place` has no upload and no blob. `classes` is the stated class map, null where labels are numbered as ours;
-    `stated` are the layout and the grid that the owner states, null if none; `scenes` (name, frames, splits, region; at
-    the end the sequence and the label set of each) is what the index found, null before. `existing` says what becomes
-    of a scene that is called as a sequence of the owner's: refuse or add. `facts` are columns of every sequence that is
-    new. `left_out` are files that no table names and that are too large to be kept: their total, and the first by name
-    and size. `finished_ns` is set in the transaction that writes all its sequences.
+    `blob_sha256` is the archive, from its storage until the import succeeds. An archive in `place` has no upload and no
+    blob. `classes` is the stated class map, null if labels use our numbers; `stated` are the layout and the grid that
+    the owner states, null if none. `scenes` (name, frames, splits, region; at the end the sequence and the label set of
+    each) is the content of the index, null before it is read. `existing` decides about a scene with the name of an
+    existing sequence: refuse or add. `facts` are columns of every new sequence. `left_out` are files without a table
+    entry that are too large to be kept: their total, and the first by name and size. `finished_ns` is set in the
+    transaction that writes all its sequences.
     """
 
     __tablename__ = "dataset_imports"
@@ -199,9 +200,9 @@ class DatasetImport(Base):
 
 
 class ImportedFile(Base):
-    """An artefact of a scene that is done, until all are; then it belongs to the label set.
+    """An artefact of a finished scene until all scenes are finished; then it belongs to the label set.
 
-    Of no scene (−1) are files that no table names: they stay with the import.
+    Files without a table entry have scene −1 and stay with the import.
     """
 
     __tablename__ = "imported_files"

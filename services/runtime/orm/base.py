@@ -1,8 +1,8 @@
 """The ORM base class, column types and ids.
 
-**Conventions.** An id is 32 hex digits: twelve of a millisecond clock, four of a counter, sixteen at random; so rows
-sort by age and ids cannot be guessed. Times are integer nanoseconds since 1970, `<verb>_ns`. Every constraint has a
-name, so that migrations can speak of it on both databases.
+**Conventions.** An id is 32 hex digits: twelve of a millisecond clock, four of a counter, sixteen random; so rows sort
+by age and ids cannot be guessed. Times are integer nanoseconds since 1970, `<verb>_ns`. Every constraint has a name, so
+that migrations can refer to it on both databases.
 """
 
 import time
@@ -35,7 +35,7 @@ class Base(DeclarativeBase):
 
 
 class WithQuality:
-    """The columns of `LabelQuality` (`stone_base/label_quality.py`), for label sets and whatever repeats theirs."""
+    """The columns of `LabelQuality` (`stone_base/label_quality.py`), for label sets and rows that copy them."""
 
     held_out_recall: Mapped[float | None]
     held_out_m: Mapped[float | None]
@@ -48,12 +48,12 @@ class WithQuality:
 
 
 def now_ns() -> int:
-    """The wall clock. For people and for expiry in days; no lease and no order of work depends on it."""
+    """Return the wall clock, for people and for expiry in days; no lease and no order of work depends on it."""
     return time.time_ns()
 
 
 class _Ids:
-    """Ids of this process: a clock that never runs back, a counter within its millisecond, 64 random bits."""
+    """Ids of this process: a clock that never runs backwards, a counter within its millisecond, 64 random bits."""
 
     def __init__(self) -> None:
         self._lock = Lock()
@@ -69,10 +69,10 @@ _IDS = _Ids()
 
 
 def new_id() -> str:
-    """A fresh id: sortable by age, not guessable. Ids made by one process sort in the order they were made."""
+    """Return a new id: sortable by age, not guessable. Ids created by one process sort in their order."""
     return _IDS.next()
 
 
 def partial_index(name: str, where: str, *columns: str | TextClause) -> Index:
-    """An index of the rows alone for which `where` holds, in literals that both databases understand."""
+    """Return an index of the rows that satisfy `where`, in literals that both databases understand."""
     return Index(name, *columns, sqlite_where=text(where), postgresql_where=text(where))

@@ -1,7 +1,7 @@
 """ORM models of benchmarks: phases, ground truths, activations, re-scores, reported results.
 
-**Conventions.** A ground truth is immutable once it is ready: what it is made of is held by foreign keys to blobs. The
-board of a phase shows one evaluation version (a ground truth and a metric) at a time: that of its newest activation.
+**Conventions.** A ground truth is immutable once it is ready: foreign keys to blobs keep its contents. The board of a
+phase shows one evaluation version (a ground truth and a metric) at a time, that of its newest activation.
 """
 
 from sqlalchemy import JSON, ForeignKey, Index, String, Text, false, text
@@ -11,7 +11,7 @@ from services.runtime.orm.base import Base, Bytes, Id, Ns, Record, new_id, now_n
 
 
 class Benchmark(Base):
-    """`name` is what URLs call it; `title` and `description` are plain text. A public one needs no account."""
+    """`name` is used in URLs; `title` and `description` are plain text. A public benchmark requires no account."""
 
     __tablename__ = "benchmarks"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
@@ -24,11 +24,11 @@ class Benchmark(Base):
 
 
 class Phase(Base):
-    """One part of a dataset version to predict, and the rules of doing so.
+    """One part of a dataset version to predict, and the phase's rules.
 
-    `mask` says which voxels are evaluated (all, lidar, camera). While `is_hidden`, nothing of its ground truth is told
-    but rounded totals, until `closes_ns`. `scorings_per_window` and `scorings_total` bound what a team may have scored,
-    null for as many as it likes. Team names are shown from `named_from_ns` on. `revision` counts changes (ETag).
+    `mask` selects the evaluated voxels (all, lidar, camera). While `is_hidden`, only rounded totals of its ground truth
+    are shown, until `closes_ns`. `scorings_per_window` and `scorings_total` limit a team's scored submissions; null
+    means no limit. Team names are shown from `named_from_ns` on. `revision` counts changes (ETag).
 
     With `every_nth`, inputs and ground truth are one frame in `every_nth`, without poses, stamps or order, under tokens
     made with `token_key`; null means all frames, unchanged.
@@ -60,9 +60,9 @@ class Phase(Base):
 
 
 class GroundTruthRow(Base):
-    """A version of what a phase is scored against; `ready_ns` is null until the job has made it.
+    """A version of a phase's ground truth; `ready_ns` is null until its job has succeeded.
 
-    `sha256` is that of every evaluated voxel in the signature of a score. `facts` tell each sequence's frames,
+    `sha256` covers every evaluated voxel and is part of a score's signature. `facts` contain each sequence's frames,
     environment, illumination and region, in the order of the manifest.
     """
 
@@ -87,7 +87,7 @@ class GroundTruthRow(Base):
 
 
 class Activation(Base):
-    """From `activated_ns` on the board of a phase shows this evaluation version; the newest counts. Only added to."""
+    """The evaluation version on the phase's board from `activated_ns` on; the newest counts. Rows are only added."""
 
     __tablename__ = "activations"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
@@ -100,7 +100,7 @@ class Activation(Base):
 
 
 class Rescore(Base):
-    """All entries on a phase's board scored by another evaluation version; its jobs are those of the run `job_id`."""
+    """The scoring of all entries on a phase's board by another evaluation version; `job_id` is the run of its jobs."""
 
     __tablename__ = "rescores"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
@@ -118,8 +118,7 @@ class Rescore(Base):
 class Reported(Base):
     """A published result or a ceiling (`kind`): on the board, marked as not scored here, and never ranked.
 
-    `note` is what a reader must know of it beside its source; `percent_digits` are the decimals of its per cent as
-    printed.
+    `note` is a remark for readers beside its source; `percent_digits` are the decimals of its per cent as printed.
     """
 
     __tablename__ = "reported"
@@ -144,7 +143,7 @@ class Reported(Base):
 class PhaseInput(Base):
     """The sensor data of a phase's sequence, without any label, for participants to predict from.
 
-    `name` is the sequence's; files lie in packs as those of an export do.
+    `name` is the sequence's; files lie in packs, as in an export.
     """
 
     __tablename__ = "phase_inputs"
@@ -159,7 +158,7 @@ class PhaseInput(Base):
 
 
 class PhaseInputPack(Base):
-    """A blob in which files of an input lie, as its index numbers them."""
+    """A blob that contains files of an input, numbered as in its index."""
 
     __tablename__ = "phase_input_packs"
     phase_id: Mapped[Id] = mapped_column(ForeignKey("phases.id", ondelete="CASCADE"), primary_key=True)

@@ -1,8 +1,8 @@
 """ORM models of datasets: the draft splits, and published versions.
 
-**Conventions.** A version keeps by itself whatever it is made of: what is said of its sequences stands in its own rows,
-and its bytes are held by foreign keys to blobs; so it stays as it is when sequences are renamed, labelled anew or
-deleted. The database refuses to change its rows; inputs are added to it.
+**Conventions.** A version is independent of its sources: its own rows contain the facts of its sequences, and foreign
+keys to blobs keep its bytes. It stays unchanged when sequences are renamed, labelled again or deleted. The database
+refuses changes of its rows; inputs are added to it.
 """
 
 from sqlalchemy import ForeignKey, String, text
@@ -12,7 +12,7 @@ from services.runtime.orm.base import Base, Bytes, Count, Id, Ns, Record, WithQu
 
 
 class Splits(Base):
-    """The splits under discussion, of which there is one row; `revision` counts changes (ETag)."""
+    """The draft splits, in one row; `revision` counts changes (ETag)."""
 
     __tablename__ = "splits"
     name: Mapped[str] = mapped_column(String(16), primary_key=True)
@@ -21,7 +21,7 @@ class Splits(Base):
 
 
 class SplitMember(Base):
-    """A sequence in the splits under discussion: `part` is train, val or test."""
+    """A sequence in the draft splits: `part` is train, val or test."""
 
     __tablename__ = "split_members"
     sequence_id: Mapped[Id] = mapped_column(ForeignKey("sequences.id", ondelete="CASCADE"), primary_key=True)
@@ -29,8 +29,10 @@ class SplitMember(Base):
 
 
 class Dataset(Base):
-    """A version of the dataset; the manifest is a blob, so its name and its content are one. `grid` is that of all its
-    labels, null if it is the paper's."""
+    """A version of the dataset; its manifest is a blob, so the name identifies the content.
+
+    `grid` is that of all its labels, null for the paper's.
+    """
 
     __tablename__ = "datasets"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
@@ -45,10 +47,10 @@ class Dataset(Base):
 
 
 class DatasetMember(WithQuality, Base):
-    """A sequence of a version as it was then; voxels and distance are null where they were not known.
+    """A sequence of a version at its publication; voxels and distance are null if they were unknown.
 
-    `label_set_id` and `sequence_id` say where it came from and may name nothing any more. `drive` is that of which it
-    is one of several sequences, '' if it is a drive by itself; `first_stamp_ns` orders them, null if it is unknown.
+    `label_set_id` and `sequence_id` name its sources, which may be deleted since. `drive` names the drive that several
+    sequences share, '' if the sequence is a whole drive; `first_stamp_ns` orders them, null if it is unknown.
     """
 
     __tablename__ = "dataset_members"
@@ -72,9 +74,9 @@ class DatasetMember(WithQuality, Base):
 
 
 class DatasetPart(Base):
-    """The files of one part of a version: an index that says where each lies in which pack, and the tar of them all.
+    """The files of one part of a version: an index with the pack and offset of each file, and the tar of all files.
 
-    Test's is never served, and no tar of it is described.
+    The files of test are never served, and it has no tar.
     """
 
     __tablename__ = "dataset_parts"
@@ -88,7 +90,7 @@ class DatasetPart(Base):
 
 
 class DatasetPack(Base):
-    """A blob in which files of a part lie, as the index numbers them."""
+    """A blob that contains files of a part, numbered as in the index."""
 
     __tablename__ = "dataset_packs"
     dataset_id: Mapped[Id] = mapped_column(ForeignKey("datasets.id", ondelete="CASCADE"), primary_key=True)
@@ -112,7 +114,7 @@ class DatasetInput(Base):
 
 
 class DatasetInputPack(Base):
-    """A blob in which files of an input lie, as its index numbers them."""
+    """A blob that contains files of an input, numbered as in its index."""
 
     __tablename__ = "dataset_input_packs"
     dataset_id: Mapped[Id] = mapped_column(ForeignKey("datasets.id", ondelete="CASCADE"), primary_key=True)

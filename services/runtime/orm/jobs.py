@@ -1,7 +1,7 @@
 """ORM models of jobs, their dependencies, attempts and log lines, queues and workers.
 
 **Conventions.** `state` is queued, running, succeeded, failed or cancelled; only `services/runtime/jobs` changes it,
-always by compare-and-set. A job whose `queue` is empty is a run: it holds its children together and no worker takes it.
+always by compare-and-set. A job whose `queue` is empty is a run: it groups its children, and no worker takes it.
 """
 
 from typing import Any
@@ -16,17 +16,17 @@ IS_READY = "state = 'queued' AND needs_left = 0"
 IS_WAITING = "state = 'queued' AND needs_left > 0"
 IS_RUNNING = "state = 'running'"
 IS_RUN = "id = root_id"
-IS_RUN_OF_SEQUENCE = f"{IS_RUN} AND sequence_id IS NOT NULL"  # so that only questions about a sequence find it
-"""What the partial indexes are of. A query uses one only if it says the very same, in literals: a generic plan of a
-prepared statement does not know its parameters."""
+IS_RUN_OF_SEQUENCE = f"{IS_RUN} AND sequence_id IS NOT NULL"  # so that only queries about a sequence use it
+"""The predicates of the partial indexes. A query uses an index only if it repeats its predicate in literals: a generic
+plan of a prepared statement does not contain its parameters.
+"""
 READY = text(IS_READY)
 
 
 class Job(Base):
     """`needs_left` jobs must succeed before this one is ready; `heartbeats` grows while an attempt lives.
 
-    `ready_ns` is since when a worker may take it, null before that. `traceparent` and `request_id` are those it was
-    queued in.
+    From `ready_ns` on a worker may take it; null before. `traceparent` and `request_id` are those of its request.
     """
 
     __tablename__ = "jobs"
@@ -82,7 +82,7 @@ class JobNeed(Base):
 
 
 class JobAttempt(Base):
-    """One try at a job by one process. `outcome` is empty while it runs, else succeeded, failed, cancelled or lost."""
+    """One process's attempt at a job. `outcome` is empty, then succeeded, failed, cancelled or lost."""
 
     __tablename__ = "job_attempts"
     job_id: Mapped[Id] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True)
@@ -111,7 +111,7 @@ class JobLine(Base):
 
 
 class Queue(Base):
-    """The switch of a queue: open, paused (nothing new starts) or draining (what is queued runs, nothing is added)."""
+    """The state of a queue: open, paused (no job starts) or draining (queued jobs run, no job is added)."""
 
     __tablename__ = "queues"
     name: Mapped[str] = mapped_column(String(16), primary_key=True)
@@ -119,10 +119,10 @@ class Queue(Base):
 
 
 class Worker(Base):
-    """A process that takes jobs: what it told of itself last, `beat_ns` by the database's clock.
+    """A process that takes jobs, by its last report; `beat_ns` is on the database's clock.
 
-    `name` is host and pid, as attempts have it; `queues` are those it listens to. Memory and disk are those of its
-    machine (of its container, where that is less), as far as it could find out.
+    `name` is host and pid, as in attempts; `queues` are the queues that it serves. Memory and disk are its machine's
+    (or its container's, if lower), if known.
     """
 
     __tablename__ = "workers"

@@ -9,7 +9,7 @@ from services.runtime.orm.base import Base, Id, Ns, Record, new_id, now_ns
 
 
 class QuotaEntry(Base):
-    """`amount` bytes taken (positive) or given back (negative) by an owner for a subject; the balance is the sum."""
+    """`amount` bytes reserved (positive) or released (negative) by an owner for a subject; the balance is the sum."""
 
     __tablename__ = "quota_ledger"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
@@ -20,12 +20,12 @@ class QuotaEntry(Base):
     reason: Mapped[str] = mapped_column(String(64))
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
 
-    # With the amounts in the index a balance is summed without looking at a row.
+    # With the amounts in the index, a balance is summed without reading rows.
     __table_args__ = (Index("ix_quota_ledger_owner_amount", "owner_id", "amount"),)
 
 
 class AuditEntry(Base):
-    """`hash` = sha256 over the previous entry's hash and this entry: a line taken out or changed is seen."""
+    """`hash` = sha256 over the previous entry's hash and this entry: it reveals a removed or changed line."""
 
     __tablename__ = "audit_log"
     number: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=False)
@@ -46,7 +46,7 @@ class AuditEntry(Base):
 
 
 class AuditAnchor(Base):
-    """The audit log begins behind the line of this number, whose hash its first line follows from."""
+    """The audit log starts after the line of this number, whose hash its first line continues."""
 
     __tablename__ = "audit_anchors"
     number: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=False)
@@ -55,7 +55,7 @@ class AuditAnchor(Base):
 
 
 class IdempotentReply(Base):
-    """The answer to a request that carried an Idempotency-Key; `status` is 0 while the first is in progress.
+    """The reply to a request with an Idempotency-Key; `status` is 0 while the first request is in progress.
 
     `route` is the sha256 of the path and of the caller's rights.
     """
@@ -78,9 +78,9 @@ class IdempotentReply(Base):
 
 
 class GcHoldRow(Base):
-    """While `until_ns`, by the database's clock, is to come, no object of the store is deleted.
+    """Until `until_ns`, on the database's clock, no object of the store is deleted.
 
-    Whoever holds puts it off again and again; a holder that died is forgotten by itself.
+    The holder renews it regularly; the hold of a dead holder expires.
     """
 
     __tablename__ = "gc_holds"
@@ -89,7 +89,7 @@ class GcHoldRow(Base):
     until_ns: Mapped[Ns] = mapped_column(index=True)
 
 
-# ORM models of the store's scrub, and of the faults that it or another reader found.
+# ORM models of the store's scrub, and of the faults that it or another reader detected.
 
 
 class StoreScrub(Base):
@@ -123,7 +123,7 @@ class StoreFault(Base):
 
 
 class CounterRow(Base):
-    """The counters of one process, `told_ns` by the database's clock; one row is the sum of those folded."""
+    """The counters of one process, `told_ns` on the database's clock; one row is the sum of folded rows."""
 
     __tablename__ = "process_counters"
     id: Mapped[Id] = mapped_column(primary_key=True)
@@ -132,7 +132,7 @@ class CounterRow(Base):
 
 
 class ChoreRow(Base):
-    """When a chore of the sweeper was last done, by the database's clock, whichever sweeper did it."""
+    """The time when any sweeper last did a chore, on the database's clock."""
 
     __tablename__ = "chores"
     name: Mapped[str] = mapped_column(String(64), primary_key=True)
@@ -140,7 +140,7 @@ class ChoreRow(Base):
 
 
 class FigureRow(Base):
-    """A number that takes long to find out, and when it was found out."""
+    """A number that is expensive to compute, and its time."""
 
     __tablename__ = "figures"
     name: Mapped[str] = mapped_column(String(64), primary_key=True)

@@ -1,8 +1,8 @@
-"""ORM models of notifications: what happened (the outbox), who wants to be told where, and each delivery.
+"""ORM models of notifications: events (the outbox), users' choices and addresses, and each delivery.
 
-**Conventions.** An event is written in the transaction of what it tells of, so neither is there without the other. A
-delivery's `id` is what its receiver sees, equal in every try. A webhook's secret is kept as it is: it signs, and is no
-password of anybody here.
+**Conventions.** An event is written in the transaction of its cause, so neither exists without the other. A receiver
+sees a delivery's `id`, equal in every attempt. A webhook's secret is stored in plain text: it signs messages, and is
+not a user's password.
 """
 
 from sqlalchemy import JSON, ForeignKey, Index, String
@@ -15,10 +15,10 @@ IS_DUE = "state = 'waiting'"
 
 
 class NotificationEvent(Base):
-    """Something that happened. It is told to `user_id`, or to the members of `team_id`, or to everybody.
+    """An event for `user_id`, or for the members of `team_id`, or for all users.
 
-    `subject_id` is the run, submission, phase or sequence it is about; `key` is unique, so that what is found twice is
-    one event; `spread_ns` is when deliveries were made of it.
+    `subject_id` is its run, submission, phase or sequence. `key` is unique, so an event detected twice is stored once.
+    `spread_ns` is the time when its deliveries were created.
     """
 
     __tablename__ = "notification_events"
@@ -36,7 +36,7 @@ class NotificationEvent(Base):
 
 
 class NotificationChoice(Base):
-    """A user wants events of this kind by this channel (email, webhook). No row: is not told."""
+    """A user wants events of this kind by this channel (email, webhook); without a row, no delivery."""
 
     __tablename__ = "notification_choices"
     user_id: Mapped[Id] = mapped_column(ForeignKey("users.id", ondelete="CASCADE"), primary_key=True)
@@ -45,7 +45,7 @@ class NotificationChoice(Base):
 
 
 class Webhook(Base):
-    """The one webhook of a user; `failing_ns` since when no try succeeded, `disabled_ns` when it was switched off."""
+    """The webhook of a user; `failing_ns`: failing since, null after a success; `disabled_ns`: switched off."""
 
     __tablename__ = "webhooks"
     user_id: Mapped[Id] = mapped_column(ForeignKey("users.id", ondelete="CASCADE"), primary_key=True)
@@ -57,7 +57,7 @@ class Webhook(Base):
 
 
 class EmailAddress(Base):
-    """The one e-mail address of a user, written to once it is verified by the link that was sent there."""
+    """The e-mail address of a user, used once the user has followed the verification link."""
 
     __tablename__ = "email_addresses"
     user_id: Mapped[Id] = mapped_column(ForeignKey("users.id", ondelete="CASCADE"), primary_key=True)
@@ -69,10 +69,10 @@ class EmailAddress(Base):
 
 
 class NotificationDelivery(Base):
-    """One event told to one user by one channel. `state` is queued (a job holds it), waiting (until `due_ns`),
-    delivered, dropped (it may not or need not be told any more) or dead.
+    """One event for one user by one channel. `state`: queued (a job has it), waiting, delivered, dropped, dead.
 
-    `answer` is what came of the last try, in one sentence.
+    It waits until `due_ns`. A dropped delivery is not allowed or not needed any more. `answer` describes the last
+    attempt in one sentence.
     """
 
     __tablename__ = "notification_deliveries"

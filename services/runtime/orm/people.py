@@ -7,7 +7,7 @@ from services.runtime.orm.base import Base, Id, Ns, new_id, now_ns
 
 
 class User(Base):
-    """`role` is administrator, curator or participant; `password_hash` (argon2id) is empty for tokens only."""
+    """`role` is administrator, curator or participant; `password_hash` (argon2id) is empty without a password."""
 
     __tablename__ = "users"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
@@ -21,7 +21,7 @@ class User(Base):
 class Token(Base):
     """`scopes` lists read, upload, submit, admin, account; `secret_hash` is the sha256 of 32 random bytes in base64url.
 
-    `parent_id` is the token that made it, with which it ends; null where a browser, or the platform itself, did.
+    `parent_id` is the token that created it, and ends with it; null if a browser or the platform created it.
     """
 
     __tablename__ = "tokens"
@@ -40,7 +40,7 @@ class Token(Base):
 class WebSession(Base):
     """A signed-in browser: the cookie's hash, and the CSRF token that unsafe requests must repeat.
 
-    `used_ns` is written once a minute at most.
+    `used_ns` is written at most once a minute.
     """
 
     __tablename__ = "web_sessions"
@@ -55,7 +55,7 @@ class WebSession(Base):
 
 
 class FailedSignInRow(Base):
-    """Wrong passwords at a name or from an address; `key` is the sha256 of which."""
+    """Wrong passwords for a name or from an address; `key` is the sha256 of the name or address."""
 
     __tablename__ = "sign_in_guesses"
     key: Mapped[str] = mapped_column(String(64), primary_key=True)
@@ -88,7 +88,7 @@ class TeamMember(Base):
 
 
 class TeamInvitation(Base):
-    """A way into a team, once, for whoever shows the secret, of which the sha256 is kept."""
+    """A single-use invitation to a team; the row contains the sha256 of its secret."""
 
     __tablename__ = "team_invitations"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
@@ -105,7 +105,7 @@ class TeamInvitation(Base):
 
 
 class ExternalIdentity(Base):
-    """A user as a provider knows them; `key` is the sha256 of issuer and subject."""
+    """A user's identity at a provider; `key` is the sha256 of issuer and subject."""
 
     __tablename__ = "external_identities"
     key: Mapped[str] = mapped_column(String(64), primary_key=True)
@@ -118,7 +118,7 @@ class ExternalIdentity(Base):
 
 
 class DeviceGrant(Base):
-    """A program that waits for somebody to approve it in a browser (RFC 8628); both codes are kept as their sha256.
+    """A program that waits for a user's approval in a browser (RFC 8628); both codes are stored as their sha256.
 
     `name` and `address` identify the program. `scopes` are the requested scopes, and after the approval by `user_id`
     the token's scopes. The row is deleted when the token is fetched, or with `session_id`, the browser session that

@@ -12,9 +12,9 @@ UPLOAD_WAITS = "state IN ('open', 'complete')"
 
 
 class CalibrationRow(Base):
-    """A calibration as uploaded; immutable. `sensors` is what a list shows; `findings` are its checks' warnings.
+    """A calibration as uploaded; immutable. `sensors` is its summary; `findings` are the warnings of its checks.
 
-    It is true of recordings of [valid_from_ns, valid_to_ns); where one is null it is open on that side.
+    It applies to recordings in [valid_from_ns, valid_to_ns); a null limit is open.
     """
 
     __tablename__ = "calibrations"
@@ -36,7 +36,7 @@ class CalibrationRow(Base):
 
 
 class ProfileRow(Base):
-    """Which topic plays which role on an owner's robot: `topics` maps a role or channel to a topic's name."""
+    """The topics of an owner's robot: `topics` maps a role or channel to a topic's name."""
 
     __tablename__ = "profiles"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
@@ -52,8 +52,8 @@ class ProfileRow(Base):
 class SequenceRow(Base):
     """One continuous run of the robot. `revision` counts changes (ETag); deleted: the row stays.
 
-    What is made of a public one may be looked at by anybody, signed in or not. `published_ns` is when it first was
-    public, and stays when it is not any more: whoever fetched its labels has them.
+    All visitors may view the products of a public sequence, with or without an account. `published_ns` is the time when
+    it first became public, and stays: its labels may have been downloaded.
     """
 
     __tablename__ = "sequences"
@@ -87,17 +87,18 @@ class SequenceRow(Base):
 
     @validates("is_public")
     def _remember(self, _key: str, is_public: bool) -> bool:
-        """Whoever makes it public, and however: when it first was is kept."""
+        """Record when it first became public."""
         if is_public and self.published_ns is None:
             self.published_ns = now_ns()
         return is_public
 
 
 class Upload(Base):
-    """A file under way. Its offset is the number of bytes that are here, never a column; `backend`: folder or store.
+    """An upload. Its offset is the number of received bytes, never a column; `backend`: folder or store.
 
-    `state`: open, complete (all bytes there, sha256 verified), consumed (by a recording), failed, expired, terminated.
-    The first two wait, and are found by indexes of their own however many ended before.
+    `state`: open, complete (all bytes present, sha256 verified), consumed (by a recording), failed, expired,
+    terminated. Open and complete uploads wait and have indexes of their own, so the number of ended uploads does not
+    slow queries.
     """
 
     __tablename__ = "uploads"
@@ -127,9 +128,9 @@ class Upload(Base):
 
 
 class RecordingFile(Base):
-    """One file of a recording, in the order of names. `blob_sha256` once it is kept.
+    """One file of a recording, in the order of names. `blob_sha256` is set once the file is stored.
 
-    Where the file was cut off, `recovered_blob_sha256` is what could be read of it; that is what is processed.
+    If the file was cut off, `recovered_blob_sha256` is its readable part, which is processed instead.
     """
 
     __tablename__ = "recording_files"
@@ -147,13 +148,13 @@ class RecordingFile(Base):
 
 
 class Recording(Base):
-    """One bag of a sequence: a file, or several that are one bag and were sealed together.
+    """One bag of a sequence: a file, or several files that are one bag and were sealed together.
 
-    `filename`, `size_bytes` and `sha256` are those of the whole (`stone_files/bag_fingerprint.py`). `state`:
-    received, registered (read, and every file kept as a blob), refused (see `findings`).
+    `filename`, `size_bytes` and `sha256` describe the whole (`stone_files/bag_fingerprint.py`). `state`: received,
+    registered (read, and every file stored as a blob), refused (see `findings`).
 
-    One with a `place` (`stone_recordings/sync/stored_recording.py`) stays where it lies: its `sha256` is of its files'
-    sizes and versions and of what was read of them.
+    A recording with a `place` (`stone_recordings/sync/stored_recording.py`) stays in place: its `sha256` covers its
+    files' sizes and versions and the parts that were read.
     """
 
     __tablename__ = "recordings"
@@ -174,7 +175,7 @@ class Recording(Base):
 
 
 class Preview(Base):
-    """A picture or page that shows a recording, or (`recording_id` null) the sequence that one `recipe` made of it."""
+    """A picture or page of a recording, or (`recording_id` null) of the sequence that one `recipe` made."""
 
     __tablename__ = "previews"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
@@ -210,7 +211,7 @@ FIRST = text("offset_bytes = 0")
 class UploadPartRow(Base):
     """A run of an upload's bytes, one object of the store that never changes; the runs of an upload leave no gap.
 
-    Several uploads of an owner may share an object. Where it is that of a blob, `blob_sha256` keeps it.
+    Several uploads of an owner may share an object. If it belongs to a blob, `blob_sha256` keeps it.
     """
 
     __tablename__ = "upload_parts"

@@ -1,9 +1,8 @@
 """ORM models of submissions, their scores, scoring quotas and alarms.
 
 **Conventions.** `state` is draft, queued, scoring, then scored, valid, invalid, failed or cancelled; only
-`services/domain/benchmarks/submissions/submissions.py` changes it, by compare-and-set. That an entry was withdrawn or
-hidden is beside its state. A score belongs to one evaluation version (a ground truth and a metric) and never
-changes.
+`services/domain/benchmarks/submissions/submissions.py` changes it, by compare-and-set. Withdrawal and hiding are
+independent of the state. A score belongs to one evaluation version (a ground truth and a metric) and never changes.
 """
 
 from typing import Any
@@ -17,7 +16,7 @@ IS_UNSCORED = "state IN ('valid', 'invalid', 'failed', 'cancelled')"
 
 
 class PhaseTeam(Base):
-    """The one team with which a user takes part in a phase."""
+    """The one team with which a user participates in a phase."""
 
     __tablename__ = "phase_teams"
     phase_id: Mapped[Id] = mapped_column(ForeignKey("phases.id", ondelete="CASCADE"), primary_key=True)
@@ -28,8 +27,8 @@ class PhaseTeam(Base):
 class SubmissionRow(Base):
     """A zip of predictions. `kind` is entry, baseline (shown, not ranked) or validation (checked, never scored).
 
-    `modality` is a sum of C, L and R. `description` is the plain text of the method's page. `problems` is what the
-    validation found. `blob_sha256` once the file is kept; the file may be purged long after.
+    `modality` is a sum of C, L and R. `description` is the plain text of the method's page. `problems` are the
+    validation's results. `blob_sha256` is set once the file is stored; the file may be deleted long after.
     """
 
     __tablename__ = "submissions"
@@ -71,9 +70,9 @@ class SubmissionRow(Base):
 class Score(Base):
     """One submission against one ground truth by one metric.
 
-    `confusions_sha256` names the kept counts by frame and ring, `spectra_sha256` the spectra that every interval and
-    comparison is read from (bootstrap replicates, where the metric's intervals are withdrawn).
-    `content_sha256` is equal for equal predictions. Ratios are null where undefined.
+    `confusions_sha256` names the stored counts by frame and ring, `spectra_sha256` the spectra that every interval and
+    comparison uses (bootstrap replicates, if the metric's intervals are withdrawn). `content_sha256` is equal for equal
+    predictions. Undefined ratios are null.
     """
 
     __tablename__ = "scores"
@@ -103,9 +102,9 @@ class Score(Base):
 
 
 class ScorePart(Base):
-    """Counts of the frames [start, stop) of a submission, until all parts are there and are joined.
+    """Counts of the frames [start, stop) of a submission, until all parts exist and are joined.
 
-    `code_version` is that of the code which counted them; empty before revision 0020.
+    `code_version` is the version of the code that counted them; empty before revision 0020.
     """
 
     __tablename__ = "score_parts"
@@ -119,9 +118,9 @@ class ScorePart(Base):
 
 
 class ScoringEntry(Base):
-    """`amount` scorings taken (positive) or given back (negative) by a team in a phase; the balance is the sum.
+    """`amount` scorings used (positive) or returned (negative) by a team in a phase; the balance is the sum.
 
-    Without a submission it is a grant of an administrator. Only added to.
+    Without a submission it is a grant of an administrator. Rows are only added.
     """
 
     __tablename__ = "scoring_ledger"
@@ -137,7 +136,7 @@ class ScoringEntry(Base):
 
 
 class Alarm(Base):
-    """Something an administrator should look at: equal content across teams, many near-equal entries of one."""
+    """A fact for an administrator to check: equal content across teams, many near-equal entries of one team."""
 
     __tablename__ = "alarms"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)

@@ -1,5 +1,5 @@
 """Entry points of the deployed processes: `python -m services.runtime.processes.<role>`.
 
-`prepare` once per release, then `api` and `worker` in any number, beside `services.maintenance.sweeper`; `alive` is the
-probe of what has no port. Images, compose file and cluster name these modules and nothing below them.
+Run `prepare` once per release, then `api` and `worker` in any number, beside `services.maintenance.sweeper`;
+`health_check` is the probe of processes without a port. Images, compose file and cluster name only these modules.
 """

@@ -1,8 +1,8 @@
 """The API's process in a deployment: `python -m services.runtime.processes.api`.
 
-**Conventions.** It listens on `STONE_API__HOST` and `STONE_API__PORT`. Whose word about the client's address is
-believed says `STONE_API__TRUSTED_PROXIES`, how many processes answer uvicorn's `WEB_CONCURRENCY`. SIGTERM: no more
-connections; replies may take `REPLIES_S`, then they are cut, uploads at a byte that is known.
+**Conventions.** It listens on `STONE_API__HOST` and `STONE_API__PORT`. `STONE_API__TRUSTED_PROXIES` names the proxies
+whose client addresses it trusts, uvicorn's `WEB_CONCURRENCY` sets the number of processes. On SIGTERM it accepts no
+more connections; replies may take `REPLIES_S`, then they are cut, uploads at a known byte.
 """
 
 import services.runtime.processes.seldom_collected
@@ -25,15 +25,15 @@ REPLIES_S = 20
 
 
 def application(settings: Settings) -> str:
-    """The application that uvicorn loads: the API, with pages unless the settings say otherwise."""
+    """Return the application that uvicorn loads: the API, with pages unless the settings disable them."""
     return SITE if settings.api.pages else API
 
 
 def options(settings: Settings, replies_s: int) -> dict[str, Any]:
-    """Options of uvicorn, wherever it listens.
+    """Return the options of uvicorn for any address.
 
-    Its own `X-Forwarded-For` is right with addresses and networks named, and takes the left-most one with "*", which
-    the settings refuse (`tests/services/runtime/processes/test_trusted_proxies.py`).
+    Its own `X-Forwarded-For` is right with addresses and networks named. With "*" it uses the left-most address, and
+    the settings refuse "*" (`tests/services/runtime/processes/test_trusted_proxies.py`).
     """
     return {
         "factory": True,

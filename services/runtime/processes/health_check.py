@@ -1,11 +1,11 @@
 """The container health check: exit code 0 when healthy, else 1 and the reason.
 
-    python -m services.runtime.processes.health_check              every process of this container that beats has beaten
-    lately python -m services.runtime.processes.health_check 900          … within so many seconds
-    python -m services.runtime.processes.health_check http://…     what answers there answers with success
+    python -m services.runtime.processes.health_check              each process of this container had a recent heartbeat
+    python -m services.runtime.processes.health_check 900          … within this many seconds
+    python -m services.runtime.processes.health_check http://…     a request to this URL succeeds
 
-**Conventions.** Of workers and sweeper it is not asked whether database and broker answer: starting them anew repairs
-neither. Standard library only: it is run every half a minute.
+**Conventions.** For workers and sweeper, the check ignores database and broker: restarting the processes would repair
+neither. Standard library only: it runs every half minute.
 """
 
 import os
@@ -20,20 +20,20 @@ from urllib.request import ProxyHandler, build_opener
 
 # Heartbeat files: touched by a live process, read by its health probe.
 #
-# **Conventions.** `<data folder>/alive/<host>.<pid>.<ticks>`, the ticks being when the process was started (proc(5)),
-# so that neither another container on the same volume nor a pid that came round again is mistaken for it. A process of
-# several parts that go on by themselves has a file for each, `….<part>`. Standard library only: a probe is run every
-# few seconds. A disk that is full or gone does not end what beats.
+# **Conventions.** The name is `<data folder>/alive/<host>.<pid>.<ticks>`; the ticks are the start time of the process
+# (proc(5)). They distinguish it from other containers on the same volume and from a reused pid. A process with several
+# independent parts has a file for each, `….<part>`. Standard library only: a probe runs every few seconds. A full or
+# missing disk does not end the process.
 
 
 FOLDER = "alive"
 _START = 19
-"""Which word of /proc/<pid>/stat after the process's name is its start."""
+"""The index of the start time among the words after the process's name in /proc/<pid>/stat."""
 
 
 @dataclass(frozen=True)
 class LiveProcess:
-    """A living process of this host, or a part of one, and how long ago it beat."""
+    """A living process of this host, or a part of it, and the age of its heartbeat."""
 
     pid: int
     age_s: float
@@ -41,20 +41,20 @@ class LiveProcess:
 
 
 class HeartbeatFile:
-    """`beat()` now and then, `stop()` at the end; of the process that calls, or of its `part`, a word."""
+    """The heartbeat of this process or of its `part` (a word): call `beat()` regularly and `stop()` at the end."""
 
     def __init__(self, root: Path, part: str = "") -> None:
         self._folder = root / FOLDER
         self._end = f".{part}" if part else ""
 
     def beat(self) -> None:
-        """Say that this process lives."""
+        """Touch the file."""
         with suppress(OSError):
             self._folder.mkdir(parents=True, exist_ok=True)
             self._path.touch()
 
     def stop(self) -> None:
-        """Be missed no more."""
+        """Delete the file: the process is no longer expected."""
         with suppress(OSError):
             self._path.unlink(missing_ok=True)
 
@@ -64,7 +64,7 @@ class HeartbeatFile:
 
 
 def live_processes(root: Path) -> list[LiveProcess]:
-    """Every process of this host that beat and still lives; the files of those that ended are removed."""
+    """Return every living process of this host with a heartbeat; delete the files of ended processes."""
     found = []
     ours = re.compile(rf"{re.escape(socket.gethostname())}\.(\d+)\.(\d+)(?:\.([a-z]+))?")
     for path in sorted((root / FOLDER).glob("*")):
@@ -80,7 +80,7 @@ def live_processes(root: Path) -> list[LiveProcess]:
 
 
 def _started(pid: int) -> str:
-    """When the process was started, in clock ticks since boot; empty where there is none."""
+    """Return the start time of a process in clock ticks since boot; empty if it does not exist."""
     try:
         return Path(f"/proc/{pid}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()[_START]
     except (OSError, IndexError):
@@ -92,7 +92,7 @@ ANSWER_S = 10.0
 
 
 def silence(found: list[LiveProcess], within_s: float) -> str:
-    """The processes that beat too long ago, in words; empty when all beat."""
+    """Return the processes whose heartbeat is too old, in words; empty if there are none."""
     if not found:
         return "no process of this container has sent a heartbeat"
     late = [f"{_name_of(one)}: last heartbeat {one.age_s:.0f} s ago" for one in found if one.age_s > within_s]
@@ -104,11 +104,11 @@ def _name_of(one: LiveProcess) -> str:
 
 
 def refusal(url: str) -> str:
-    """Why `url` gave no success; empty when it did. Asked directly, whatever proxy the environment names."""
+    """Return why `url` did not return success, or an empty text. The request ignores proxies of the environment."""
     try:
         with build_opener(ProxyHandler({})).open(url, timeout=ANSWER_S):
             return ""
-    except OSError as error:  # HTTPError is one
+    except OSError as error:  # includes HTTPError
         return f"{url}: {error}"
 
 

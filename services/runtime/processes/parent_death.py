@@ -1,8 +1,8 @@
 """Ends a child process when its parent dies.
 
-**Conventions.** Linux's `PR_SET_PDEATHSIG` (prctl(2)): the signal comes when the *thread* that made the child ends, so
-children are started by a thread that outlives them. It survives `execve` and is not inherited by grandchildren: each
-generation asks for itself.
+**Conventions.** Linux sends the signal of `PR_SET_PDEATHSIG` (prctl(2)) when the *thread* that created the child ends,
+so a thread that outlives the children must start them. The setting survives `execve` and is not inherited by
+grandchildren: each generation sets its own.
 """
 
 import ctypes
@@ -14,7 +14,7 @@ _LIBC = ctypes.CDLL(None, use_errno=True)
 
 
 def die_with(parent_pid: int) -> None:
-    """Have the kernel kill this process when `parent_pid` ends; it ends at once where that has happened already.
+    """Make the kernel kill this process when `parent_pid` ends; exit at once if it has ended already.
 
     Safe between fork and exec: one system call, nothing imported, no lock taken.
     """

@@ -1,10 +1,10 @@
 """Deployment setup, run once before the processes start: `python -m services.runtime.processes.prepare`.
 
-It creates a missing bucket, upgrades the database to the newest schema, creates the services' database roles if their
-passwords are set, and creates the first administrator if there is none.
+It creates a missing bucket and upgrades the database to the newest schema. It creates the services' database roles if
+their passwords are set, and the first administrator if there is none.
 
-**Conventions.** Run again it changes nothing, and two at once are one. What is not up yet is waited for,
-`database.awaited_s` each.
+**Conventions.** A second run changes nothing, and concurrent runs are safe. It waits up to `database.awaited_s` for
+each service that is not available yet.
 """
 
 import services.runtime.processes.sound_settings  # noqa: F401
@@ -47,9 +47,9 @@ def prepare(settings: Settings) -> None:
 
 
 def ensure_administrator(platform: Platform) -> bool:
-    """Add the user `admin` with `api.first_password` where nobody administers; whether it was added.
+    """If there is no administrator, create `admin` with `api.first_password`; return whether it was created.
 
-    Without that password nobody is added. Raises what `create_user` raises.
+    Without that password create no user. Raises the errors of `create_user`.
     """
     password = platform.settings.api.first_password.get_secret_value()
     with platform.database.transaction() as session:

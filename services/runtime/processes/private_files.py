@@ -19,7 +19,7 @@ def keep_private() -> int:
 
 
 def open_data_folder(folder: Path) -> Refused | None:
-    """Return a warning, with the way out, if others may enter the data folder; None if it is private."""
+    """Return a warning, with the remedy, if others may enter the data folder; None if it is private."""
     mode = stat.S_IMODE(folder.stat().st_mode)
     if not mode & PRIVATE:
         return None

@@ -1,7 +1,7 @@
-"""Makes the process collect garbage rarely, from its import on.
+"""GC tuning: the process runs garbage collection rarely from the import of this module on.
 
-**Conventions.** A process imports this before its other modules: loading them cost a sixth more with Python's own
-thresholds. Of multiprocessing's fork server only the modules that it loads can be chosen.
+**Conventions.** A process imports this before its other modules: with Python's own thresholds, loading them took a
+sixth longer. For multiprocessing's fork server, only its modules to load can be chosen.
 """
 
 from stone_base.process_tuning import tune_command

@@ -1,6 +1,6 @@
-"""Importing this ends the process whose settings are refused: one line that says why, exit code 1.
+"""On import, ends the process if its settings are refused: it logs one line with the reason, exit code 1.
 
-**Conventions.** For entry points, before whatever makes something of the settings: Celery's application does when it is
+**Conventions.** For entry points, before any module that uses the settings: Celery's application does so when it is
 loaded.
 """
 

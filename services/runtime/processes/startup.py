@@ -1,6 +1,6 @@
-"""Retries at process start until what the process depends on is available, then reports what is missing.
+"""Retries at process start until dependencies are available, then reports the missing ones.
 
-**Conventions.** Waiting is for outages only; what is refused (a newer schema, a wrong password) ends it at once.
+**Conventions.** Only outages are waited for; a refusal (a newer schema, a wrong password) ends the process at once.
 """
 
 import sys
@@ -34,7 +34,7 @@ def schema_missing(stands: str, wanted: str) -> PlatformFaultError:
 
 
 def insist(act: Callable[[], T], within_s: float) -> T:
-    """Call `act` until it succeeds, every second through outages; the last error is raised after `within_s`."""
+    """Call `act` until it succeeds, every second during outages; raise the last error after `within_s`."""
     until_s = time.monotonic() + within_s
     while True:
         try:
@@ -47,9 +47,9 @@ def insist(act: Callable[[], T], within_s: float) -> T:
 
 
 def await_schema(settings: Settings) -> None:
-    """Return once the database is at the schema of this code, within `database.awaited_s`.
+    """Return once the database has the schema of this code, within `database.awaited_s`.
 
-    Raises `schema_missing`, `schema_newer`, `schema_older`, what the driver raises if the database stays away.
+    Raises `schema_missing`, `schema_newer`, `schema_older`, or the driver's error if the database stays unavailable.
     """
     database = Database(settings)
     try:

@@ -1,8 +1,8 @@
 """A worker's process: `python -m services.runtime.processes.worker QUEUE…`.
 
-**Conventions.** It loads the services of its queues and what these import, and nothing of the others, so that an
-image holds what its role needs. SIGTERM: no more jobs are taken; what runs has `jobs.drain_s`, then its processes are
-killed and their jobs queued again, without costing them an attempt. A second SIGTERM changes nothing.
+**Conventions.** It loads only the services of its queues and their imports, so an image contains only the code of its
+role. On SIGTERM it takes no more jobs. Running jobs have `jobs.drain_s`; then their processes are killed and the jobs
+are queued again without losing an attempt. A second SIGTERM changes nothing.
 """
 
 import services.runtime.one_thread
@@ -37,7 +37,7 @@ from services.runtime.telemetry.descriptors import raise_descriptor_limit
 from services.runtime.telemetry.log_lines import speak_json
 from stone.errors import Refused
 
-# What sandboxed children of a service find loaded: compiled kernels, and the modules of their work.
+# Modules loaded for the sandboxed children of a service: compiled kernels, and the modules of their work.
 FORKED_FROM = {
     "ingest": (
         "services.ingest.kernel_warmup:warm",
@@ -52,7 +52,7 @@ FORKED_FROM = {
         "services.labeler.exports.playback",
         "services.labeler.imports.indexing",
         "services.labeler.imports.scene_import",
-        "pyarrow.compute",  # which tables load when they are written
+        "pyarrow.compute",  # used when tables are written
     ),
     "eval": ("services.eval.kernel_warmup:warm", "services.eval.examination", "services.eval.sandboxed_truth"),
 }
@@ -61,12 +61,12 @@ log = structlog.get_logger(__name__)
 
 
 def services_of(queues: Sequence[str]) -> tuple[str, ...]:
-    """The services that a worker of these queues loads."""
+    """Return the services that a worker of these queues loads."""
     return tuple(name for name in QUEUES if name in queues)
 
 
 def arguments(queues: Sequence[str], concurrency: int) -> list[str]:
-    """Celery's command line. Raises `unknown_queue`."""
+    """Return Celery's command line. Raises `unknown_queue`."""
     if not queues or not set(queues) <= set(QUEUES):
         raise Refused(
             "unknown_queue",
@@ -102,17 +102,17 @@ def _end_after(drain_s: float) -> None:
 
 
 def main() -> None:
-    from services.runtime.processes.startup import await_schema  # Alembic is needed once, not in every child
+    from services.runtime.processes.startup import await_schema  # only this process needs Alembic
 
     keep_private()
     speak_json()
     raise_descriptor_limit()
-    if "TMPDIR" in os.environ:  # a volume that was empty a moment ago; without it all temporary files went to memory
+    if "TMPDIR" in os.environ:  # the volume may be new and empty; without the folder, temporary files use memory
         Path(os.environ["TMPDIR"]).mkdir(parents=True, exist_ok=True)
     settings, queues = Settings(), sys.argv[1:]
     argv = arguments(queues, settings.concurrency)
     server = use_fork_server([loaded for name in services_of(queues) for loaded in FORKED_FROM[name]])
-    server.ensure_running()  # before the pool is forked, whose processes share it
+    server.ensure_running()  # before the fork of the pool, whose processes share it
     await_schema(settings)
     app.worker_main(argv)
 

@@ -1,8 +1,8 @@
 """A sandbox for untrusted bytes: work runs in a forked child process behind fences.
 
-**Conventions.** `parent` is the parent's side and says what holds, `child` the child's, `messages` what they speak,
-`answers` what of it is believed. `limits` bounds the child's resources, `fences` isolates it, with the means of the
-kernel (`seccomp` by the list in `system_calls`); `fork_server` forks it.
+**Conventions.** `parent` is the parent's side and documents the guarantees, `child` is the child's side, `messages`
+their protocol, `answers` the models of valid answers. `limits` bounds the child's resources, `fences` isolates it by
+kernel mechanisms (`seccomp` with the list in `system_calls`); `fork_server` forks it.
 """
 
 from services.runtime.sandbox.child import ProgressCallback

@@ -1,7 +1,7 @@
-"""What a sandboxed child may answer, as strict models of JSON.
+"""Answers of sandboxed children, as strict models of JSON.
 
-**Conventions.** A child may be in the hands of whoever wrote what it reads: nothing is taken that was not asked for,
-and what does not fit ends the child's job (`SandboxCrashedError`).
+**Conventions.** The author of the input may control the child. Only requested data are accepted, and an invalid answer
+ends the child's job (`SandboxCrashedError`).
 """
 
 from typing import Annotated, ClassVar, Self
@@ -14,7 +14,7 @@ Hex256 = Annotated[str, StringConstraints(pattern=r"\A[0-9a-f]{64}\z")]
 
 
 class SandboxAnswer(BaseModel):
-    """One answer."""
+    """An answer of a child."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
     expected: ClassVar[str]
@@ -24,7 +24,7 @@ class SandboxAnswer(BaseModel):
 
     @classmethod
     def believed(cls, answer: bytes) -> Self:
-        """Raises `SandboxCrashedError`."""
+        """Return the validated answer. Raises `SandboxCrashedError`."""
         try:
             return cls.model_validate_json(answer)
         except (ValidationError, RecursionError) as error:

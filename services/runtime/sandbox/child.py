@@ -1,7 +1,7 @@
-"""The child's side of the sandbox: confine itself, answer each work, end.
+"""The child's side of the sandbox: isolate itself, answer each work, end.
 
-**Conventions.** Nothing goes up the stack from here, which is the parent's; nothing of the parent's is finalised, since
-its connections and files are shared.
+**Conventions.** No exception leaves this module, since the stack above is the parent's. Nothing of the parent's is
+finalised, since parent and child share connections and files.
 """
 
 import errno
@@ -36,13 +36,13 @@ from stone.errors import StoneError
 
 ProgressCallback = Callable[[str, int, int], None]
 
-# What our limits and fences answer with; other errors of the system are the machine's.
+# Errors caused by our limits and fences; other errors of the system are the machine's.
 OF_OUR_LIMITS = (errno.EFBIG, errno.EMFILE, errno.ENOMEM, errno.EPERM)
 
 
 @dataclass(frozen=True)
 class SandboxTask:
-    """The works, one after another, their limits, where its words go, and where its works come from, if from afar."""
+    """The works in order, their limits, the descriptor for messages, and that of works from a service."""
 
     works: Iterable[Callable[[ProgressCallback], bytes]]
     limits: SandboxLimits
@@ -50,7 +50,7 @@ class SandboxTask:
     reading: int | None = None
 
     def told(self, work: Callable[[ProgressCallback], bytes]) -> tuple[int, bytes]:
-        """The last word on a work: its kind and payload."""
+        """Return the final message of a work: its kind and payload."""
         try:
             payload = work(self._tell)
             return (ANSWER, payload) if len(payload) <= self.limits.answer_bytes else (FLOODED, b"")
@@ -69,7 +69,7 @@ class SandboxTask:
 
 
 def run_child(answer: SandboxTask, parent: int) -> NoReturn:
-    """All that the child does."""
+    """Isolate this process, answer every work, and exit."""
     status = 1
     try:
         leave_the_user()
@@ -88,7 +88,7 @@ def run_child(answer: SandboxTask, parent: int) -> NoReturn:
 
 
 def _forget_the_parent() -> None:
-    """Its garbage is not ours to finalise, its signals not ours to answer."""
+    """Neither finalise the parent's garbage nor handle its signals."""
     gc.freeze()
     signal.set_wakeup_fd(-1)
     for number in signal.valid_signals() - {signal.SIGKILL, signal.SIGSTOP}:
@@ -110,12 +110,12 @@ def _import_first(answer: SandboxTask) -> None:
 
 
 def _keep_nothing_compiled() -> None:
-    """What numba compiles here is used and not kept: whatever a child added to its cache would run in every worker."""
+    """Disable numba's cache: a kernel that a child adds to it would run in every worker."""
     caching = sys.modules.get("numba.core.caching")
     if caching is not None:
         caching.FunctionCache.save_overload = lambda *_: None
 
 
 def _exception(error: BaseException) -> bytes:
-    """Its type for whoever asked; the text, which may quote anything, for the log of the operator."""
+    """Return the type for the caller; the text, which may quote anything, is for the operator's log."""
     return texts_of(exception=type(error).__name__, traceback=traceback.format_exc()[-1900:])

@@ -4,7 +4,7 @@ from stone.errors import PlatformFaultError, StoneError
 
 
 class SandboxCrashedError(StoneError):
-    """Reading the input broke its process or its limits; the same bytes would do so again."""
+    """The input broke its process or its limits; the same bytes would do so again."""
 
     code = "reader_crashed"
 
@@ -14,7 +14,7 @@ class SandboxCrashedError(StoneError):
 
 
 class SandboxInterruptedError(PlatformFaultError):
-    """Reading the input was cut short by the machine; perhaps no fault of the input."""
+    """The machine interrupted the work; the input may be sound."""
 
     def __init__(self, fate: str) -> None:
         self.fate = fate

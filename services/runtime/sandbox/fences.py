@@ -1,16 +1,16 @@
-"""Isolation of a sandboxed child: network, processes and writing, by whichever kernel mechanism there is.
+"""Isolation of a sandboxed child: network, processes and writing, by the best available kernel mechanism.
 
-| fence     | by seccomp                      | else by                              |
+| fence     | by seccomp                      | otherwise by                         |
 |-----------|---------------------------------|--------------------------------------|
-| network   | no socket at all                | a user and network namespace of its own; Landlock: no TCP |
-| processes | no fork, exec, trace or signal  | Landlock: no signal; a user of its own if root runs the service |
-| writing   | no file is opened for writing   | Landlock; else a file size of zero, where no folder is given |
-| reading   | nothing                         | Landlock: what was given, and the system's own files |
+| network   | no socket at all                | its own user and network namespace; Landlock: no TCP |
+| processes | no fork, exec, trace or signal  | Landlock: no signal; its own user if root runs the service |
+| writing   | no file is opened for writing   | Landlock; without a folder, a file size limit of zero |
+| reading   | nothing                         | Landlock: only the given files and the system's own files |
 
-**Conventions.** A child may be given one folder to write in and files to read; Landlock then keeps it there, and
-without Landlock the file modes alone do. The strongest means are taken that this kernel has, none needs a privilege,
-and the child tells its parent which they were, which is logged once: nobody is silently unprotected. Only a container's
-own seccomp profile may forbid the namespace; Docker's and podman's default profiles allow `seccomp` and `landlock_*`.
+**Conventions.** A child may have one folder to write in and files to read; Landlock enforces this, and without Landlock
+only the file modes do. Each fence uses the strongest mechanism of this kernel; none needs a privilege. The child
+reports its mechanisms to its parent, which logs them once, so a missing fence is always visible. Only a container's own
+seccomp profile may forbid the namespace; Docker's and podman's default profiles allow `seccomp` and `landlock_*`.
 """
 
 import ctypes
@@ -33,9 +33,9 @@ _LIBC = ctypes.CDLL(None, use_errno=True)
 
 
 def enter_sandbox(limits: SandboxLimits) -> SandboxMechanisms:
-    """Isolate this process; return the means of each fence, `none` for a missing fence.
+    """Isolate this process; return the mechanism of each fence, `none` for a missing fence.
 
-    The isolation cannot be undone. Raises `RuntimeError` for a process of several threads, which would stay outside.
+    The isolation cannot be undone. Raises `RuntimeError` if the process has several threads, which would stay outside.
     """
     if len(os.listdir("/proc/self/task")) > 1:
         raise RuntimeError("a process of several threads cannot enter the sandbox")
@@ -71,9 +71,9 @@ def missing_fences() -> Mapping[str, str]:
 
 
 def replace_inherited_descriptors(*kept: int | None) -> None:
-    """Every connection and file of the parent becomes the empty device, but standard output, error and those `kept`.
+    """Replace the parent's descriptors by the empty device, except standard output, error and `kept`.
 
-    They are replaced, not closed: objects that believe to own a number would close what got it next.
+    Closing them instead would be unsafe: an object of the parent might close a later file with the same number.
     """
     held = [int(name) for name in os.listdir("/proc/self/fd")]
     nothing = os.open(os.devnull, os.O_RDONLY)
@@ -83,11 +83,11 @@ def replace_inherited_descriptors(*kept: int | None) -> None:
 
 
 def _leave_the_network() -> bool:
-    """Into namespaces without any interface, still the same user (an inode cannot be made by one unknown there)."""
+    """Enter namespaces without any interface as the same user (an unknown user cannot create inodes there)."""
     user, group = os.getuid(), os.getgid()
     if _LIBC.unshare(CLONE_NEWUSER | CLONE_NEWNET) != 0:
         return False
-    with suppress(OSError):  # an identity that cannot be kept only shows in what it cannot write
+    with suppress(OSError):  # without the mapping, only writing files fails
         for name, content in (
             ("setgroups", "deny"),
             ("uid_map", f"{user} {user} 1"),
@@ -97,13 +97,12 @@ def _leave_the_network() -> bool:
     return True
 
 
-# Landlock rules: a sandboxed child writes below one folder only, reads what it was given and the system's own files,
-# connects nowhere, signals and traces nobody outside.
+# Landlock rules: a sandboxed child writes below one folder only, reads its given files and the system's own, has no
+# network, and cannot signal or trace processes outside.
 #
-# **Conventions.** Linux 5.13 and later (landlock(7)); what a kernel does not know of the list below is left out. It
-# holds for root too, cannot be taken off, and is asked for without any privilege. Other processes' `/proc` entries are
-# closed twice: they are not among the files, and nobody outside the domain may be traced (ptrace(2), access mode
-# checks).
+# **Conventions.** Linux 5.13 and later (landlock(7)); rights that a kernel does not support are left out. The rules
+# also bind root, cannot be removed, and need no privilege. Two rules protect the `/proc` entries of other processes:
+# they are not among the files, and tracing processes outside the domain is forbidden (ptrace(2), access mode checks).
 
 
 CREATE, ADD, RESTRICT = 444, 445, 446  # the same on every machine
@@ -112,21 +111,21 @@ PR_SET_NO_NEW_PRIVS = 38
 EXECUTE, WRITE_FILE, READ_FILE, READ_DIR = 1 << 0, 1 << 1, 1 << 2, 1 << 3
 REFER, TRUNCATE, IOCTL_DEV = 1 << 13, 1 << 14, 1 << 15
 MAKING = sum(1 << bit for bit in range(4, 13))  # remove_dir, remove_file, make_char to make_sym
-REGULAR = sum(1 << bit for bit in (4, 5, 7, 8))  # of those: folders and files
+REGULAR = sum(1 << bit for bit in (4, 5, 7, 8))  # the bits for folders and files
 MAKE_SYM = 1 << 12
-OF_FILES = EXECUTE | WRITE_FILE | READ_FILE | TRUNCATE | IOCTL_DEV  # the others are of folders
+OF_FILES = EXECUTE | WRITE_FILE | READ_FILE | TRUNCATE | IOCTL_DEV  # all other rights apply to folders
 SINCE = {1: EXECUTE | WRITE_FILE | READ_FILE | READ_DIR | MAKING, 2: REFER, 3: TRUNCATE, 5: IOCTL_DEV}
 TCP = 0b11  # bind and connect, since version 4
 SCOPES, WITH_SCOPES = 0b11, 6  # abstract sockets and signals, since that version
 
 
 def version() -> int:
-    """The Landlock version of this kernel; 0 where it has none, or was started without."""
+    """Return the Landlock version of this kernel; 0 if Landlock is missing or disabled."""
     return max(0, int(_LIBC.syscall(CREATE, None, ctypes.c_size_t(0), VERSION_ASKED)))
 
 
 def restrict_files(limits: SandboxLimits) -> bool:
-    """Restrict this process to the files of `limits` and of the system; returns whether the kernel took it."""
+    """Restrict this process to the files of `limits` and of the system; return whether the kernel accepted it."""
     spoken = version()
     if spoken == 0 or _LIBC.prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0:
         return False
@@ -146,7 +145,7 @@ def restrict_files(limits: SandboxLimits) -> bool:
 
 
 def _allowed(limits: SandboxLimits) -> Iterable[tuple[Path, int]]:
-    """Which rights hold for what."""
+    """Yield the allowed paths and their rights."""
     reading = READ_FILE | READ_DIR
     yield from ((path, reading) for path in (*system_files(), *limits.reads))
     yield from ((path, READ_FILE | WRITE_FILE) for path in DEVICES)
@@ -156,7 +155,7 @@ def _allowed(limits: SandboxLimits) -> Iterable[tuple[Path, int]]:
 
 
 def _allow(ruleset: int, path: Path, rights: int) -> bool:
-    """Raises `FileNotFoundError`."""
+    """Add a rule for a path. Raises `FileNotFoundError`."""
     below = os.open(path, os.O_PATH)
     try:
         is_folder = stat.S_ISDIR(os.fstat(below).st_mode)

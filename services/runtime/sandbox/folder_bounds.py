@@ -1,9 +1,9 @@
 """Limits on the total contents of a sandboxed child's folder: files and folders, bytes, depth.
 
 **Conventions.** The kernel limits the size of each file of a child but not their number, so its parent checks the
-folder: every `PAUSE_S`, less often if a check takes long, and once more when the work is done. It counts the folder's
-disk usage (blocks, not lengths), by any owner. It also counts files that the child holds open without a name, if their
-descriptors are readable. Between two checks only the speed of the disk limits the child's writes.
+folder. It does so every `PAUSE_S`, less often if a check takes long, and once more when the work is done. It counts the
+folder's disk usage (blocks, not lengths), by any owner. It also counts files that the child holds open without a name,
+if their descriptors are readable. Between two checks only the speed of the disk limits the child's writes.
 """
 
 import os
@@ -40,7 +40,7 @@ class FolderWatch:
             self._next_s = now_s + max(PAUSE_S, LOOKING_SHARE * (now_s - begun_s))
 
     def look(self, pid: int) -> None:
-        """Raises `SandboxCrashedError` if the folder, with the open files of the child `pid`, exceeds its limits."""
+        """Raise `SandboxCrashedError` if the folder, with the open files of the child `pid`, exceeds its limits."""
         if self.limits.folder is None:
             return
         held_bytes = 0
@@ -76,7 +76,7 @@ def _nameless(device: int, pid: int) -> Iterator[os.stat_result]:
 
 
 def _unseen(error: OSError) -> None:
-    """Ignore a deleted folder. Raises `SandboxCrashedError` for an unreadable folder, which may hold anything."""
+    """Ignore a deleted folder. Raises `SandboxCrashedError` for an unreadable folder, which may contain anything."""
     if not isinstance(error, FileNotFoundError | NotADirectoryError):
         raise SandboxCrashedError("left an unreadable folder") from error
 

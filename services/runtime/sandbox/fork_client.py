@@ -1,9 +1,9 @@
-"""How a service asks its fork server for sandboxed children, and starts it.
+"""The client of the fork server: starts it and requests sandboxed children.
 
-**Conventions.** `use_fork_server` is for entry points (a worker before it forks its pool, the API's start): from then
-on every sandboxed child of this process, and of those that it forks, comes from the server, and none from a process
-with keys. One that dies (of memory) is started again by who next asks. Processes that hold no keys, such as a command
-or a test, start none: their children are forked from themselves.
+**Conventions.** `use_fork_server` is for entry points (a worker before it forks its pool, the API's start). From then
+on the server forks every sandboxed child of this process and of its forks, so no child comes from a process with keys.
+If the server dies (of memory), the next request starts it again. Processes without keys, such as a command or a test,
+start no server: they fork their children themselves.
 """
 
 import os
@@ -27,7 +27,7 @@ from services.runtime.telemetry.process_usage import ProcessUsage, note_served, 
 log = structlog.get_logger(__name__)
 
 PROGRAM = "from services.runtime.sandbox.fork_server import main; main()"
-# What a child needs of its environment; everything else stays behind, whatever it is called.
+# The environment variables that a child needs; all others are removed, whatever their name.
 PASSED = ("PATH", "HOME", "LANG", "TZ", "TMPDIR", "VIRTUAL_ENV", "LD_LIBRARY_PATH", "XDG_CACHE_HOME", "MPLCONFIGDIR")
 PASSED_BEGINNINGS = ("LC_", "PYTHON", "NUMBA_", "OMP_", "OPENBLAS_", "MKL_")
 WARMED_WITHIN_S = 900.0
@@ -35,7 +35,7 @@ WARMED_WITHIN_S = 900.0
 
 @dataclass
 class ForkServer:
-    """The server of this process and of those that it forks; started when it is first asked for."""
+    """The server of this process and of its forks, started at the first request."""
 
     warmed_by: tuple[str, ...]
     _process: subprocess.Popen[bytes] | None = None
@@ -49,11 +49,11 @@ class ForkServer:
 
     @property
     def pid(self) -> int | None:
-        """Of the process; None while there is none."""
+        """The process ID; None while there is no process."""
         return None if self._process is None else self._process.pid
 
     def ask(self, descriptors: Sequence[int]) -> None:
-        """Send a request; a server that is gone is started again, once. Raises `SandboxInterruptedError`."""
+        """Send a request; if the server is gone, start it again, once. Raises `SandboxInterruptedError`."""
         for _ in range(2):
             self.ensure_running()
             requests = self._requests
@@ -68,7 +68,7 @@ class ForkServer:
         raise SandboxInterruptedError("could not be forked: the fork server keeps ending")
 
     def close(self) -> None:
-        """End the server, with the children that it has."""
+        """End the server and its children."""
         with self._lock:
             self._end()
 
@@ -87,7 +87,7 @@ _SERVERS: list[ForkServer] = []
 def use_fork_server(warmed_by: Sequence[str]) -> ForkServer:
     """Fork sandboxed children from a server, which starts with the first child; log a warning of each missing fence.
 
-    `warmed_by` are modules that it loads first, or functions of them that it calls, as `module:function`.
+    The server first imports the modules `warmed_by`, or calls functions of them (`module:function`).
     """
     if not _SERVERS:
         _SERVERS.append(ForkServer(tuple(warmed_by)))
@@ -97,18 +97,18 @@ def use_fork_server(warmed_by: Sequence[str]) -> ForkServer:
 
 
 def fork_server() -> ForkServer | None:
-    """That of this process, if it has one."""
+    """Return the server of this process, if it has one."""
     return _SERVERS[0] if _SERVERS else None
 
 
 def warm_unless_served(warm: Callable[[], None]) -> None:
-    """Compile here what children need, where they are forked from this process: they could not keep it."""
+    """Compile the children's kernels if this process forks them: a child could not cache them."""
     if fork_server() is None:
         warm()
 
 
 def single_task(limits: SandboxLimits, work: Work) -> int:
-    """The descriptor of a file with one work."""
+    """Return the descriptor of a file that contains one work."""
     task = os.memfd_create("task")
     with os.fdopen(os.dup(task), "wb") as file:
         file.write(parcel(limits) + parcel(work))
@@ -117,10 +117,10 @@ def single_task(limits: SandboxLimits, work: Work) -> int:
 
 
 class ServedChild:
-    """A child of the fork server: told of by its socket, ended by closing it."""
+    """A child of the fork server: its socket reports its state, and closing the socket ends it."""
 
     def __init__(self, server: ForkServer, task: int, writing: int) -> None:
-        """`task` is where its limits and works are read from; the caller closes it, and `writing`."""
+        """Request a child that reads its limits and works from `task`; the caller closes `task` and `writing`."""
         self._told, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.begun_s: float | None = None
         self._asked_s, self._status = time.monotonic(), None
@@ -140,11 +140,11 @@ class ServedChild:
 
     @property
     def ended(self) -> int:
-        """The descriptor that is readable when there is something to be said of it."""
+        """The descriptor that is readable when the server has news of the child."""
         return self._told.fileno()
 
     def has_ended(self) -> bool:
-        """Whether it has. Raises `SandboxInterruptedError` where nobody knows any more, or it was never begun."""
+        """Return whether it has ended. Raises `SandboxInterruptedError` if the server lost it or never started it."""
         with suppress(BlockingIOError):
             while self._status is None:
                 self._listen(socket.MSG_DONTWAIT)
@@ -153,7 +153,7 @@ class ServedChild:
         return self._status is not None
 
     def reap(self) -> int:
-        """Its wait status, having ended it where it has not ended by itself."""
+        """Return the wait status, ending the child first if it still runs."""
         if self._status is None:
             self._told.shutdown(socket.SHUT_WR)
         while self._status is None:
@@ -161,7 +161,7 @@ class ServedChild:
         return self._status
 
     def close(self) -> None:
-        """Ended, and nothing of it left."""
+        """End the child and remove everything of it."""
         with self._told, suppress(SandboxInterruptedError):
             self.reap()
 
@@ -179,7 +179,7 @@ class ServedChild:
             raise SandboxInterruptedError("was lost with its fork server (out of memory?)")
 
     def note_usage(self) -> ProcessUsage:
-        """Count what it has used by now, while it lives on."""
+        """Record the usage of the running child so far."""
         used = usage_of(self._pid)
         self._note(used.cpu_s, used.peak_bytes)
         return used
@@ -190,7 +190,7 @@ class ServedChild:
 
 
 def harmless(environment: Mapping[str, str]) -> dict[str, str]:
-    """What of an environment a fork server is given."""
+    """Return the harmless part of an environment, for the fork server."""
     return {name: value for name, value in environment.items() if name in PASSED or name.startswith(PASSED_BEGINNINGS)}
 
 

@@ -1,12 +1,13 @@
-"""The process that sandboxed children of a service are forked from: it holds no secret, no connection, no one's data.
+"""The fork server: sandboxed children of a service come from this process, which has no secret, connection or data.
 
-**Conventions.** Its arguments are a descriptor, on which requests come, and what to load first: modules, or functions
-to call (`module:function`). A service holds the keys of the database and of the store, and a copy of its memory would
-be in every child that it forked. So it asks this process, which was executed afresh with an environment of harmless
-variables (`fork_client.py`). What is loaded first are libraries and compiled kernels, which all children then have. A
-request is a message with three descriptors: where the child is spoken of (`CHILD_*` below), where the child speaks
-itself, and a file or pipe with its limits and its works, pickled by the service; the child answers each, and ends after
-the last. Who closes the first ends the child; this process ends when nobody is left to ask it.
+**Conventions.** Its arguments are a descriptor for requests, and names to load first: modules, or functions to call
+(`module:function`). A service has the keys of the database and of the store; every child forked from it would contain a
+copy. So it uses this process, executed afresh with harmless environment variables (`fork_client.py`). Libraries and
+compiled kernels are loaded first, so all children share them.
+
+A request is a message with three descriptors: for reports on the child (`CHILD_*` below), for the child's answers, and
+a file or pipe with its limits and its works. The service pickles the works. The child answers each work and ends after
+the last. Closing the first descriptor ends the child; this process ends when no client is left.
 """
 
 import services.runtime.one_thread
@@ -40,7 +41,7 @@ Work = Callable[[ProgressCallback], bytes]
 
 @dataclass(frozen=True)
 class _Child:
-    """A forked process: its number, what tells its end, and where its asker is told."""
+    """A forked process: its pid, the descriptor that signals its end, and the socket of its client."""
 
     pid: int
     ended: int
@@ -50,7 +51,7 @@ class _Child:
         signal.pidfd_send_signal(self.ended, signal.SIGKILL)
 
     def tell(self) -> None:
-        """Reap it, and say how it ended to who asked, if they are still there."""
+        """Reap the child and report its end to the client, if the client still exists."""
         _, status, used = os.wait4(self.pid, 0)
         os.close(self.ended)
         with suppress(OSError), self.asker:
@@ -58,7 +59,7 @@ class _Child:
 
 
 def serve(requests: socket.socket) -> None:
-    """Fork for whoever asks, until nobody can."""
+    """Fork children for all clients until none is left."""
     with selectors.DefaultSelector() as selector:
         selector.register(requests, selectors.EVENT_READ)
         while True:
@@ -73,13 +74,13 @@ def serve(requests: socket.socket) -> None:
                     selector.unregister(child.ended)
                     _forget(selector, child)
                     child.tell()
-                else:  # the asker has gone, or wants it to end
+                else:  # the client has gone, or ends the child
                     _forget(selector, child)
                     child.end()
 
 
 def _answer_request(requests: socket.socket, selector: selectors.BaseSelector) -> bool:
-    """Fork once; false when nobody is left to ask."""
+    """Fork once; return False if no client is left."""
     message, descriptors, _, _ = socket.recv_fds(requests, 1, DESCRIPTORS)
     if not message:
         return False
@@ -87,7 +88,7 @@ def _answer_request(requests: socket.socket, selector: selectors.BaseSelector) -
     try:
         pid = os.fork()
     except OSError:
-        asker.close()  # its asker takes that for a fault of the machine, which it is
+        asker.close()  # the client treats this as a fault of the machine, which it is
     else:
         if pid == 0:
             run_child(*_task(task, writing))
@@ -102,28 +103,28 @@ def _answer_request(requests: socket.socket, selector: selectors.BaseSelector) -
 
 
 def _forget(selector: selectors.BaseSelector, child: _Child) -> None:
-    """Listen no longer to its asker."""
+    """Stop listening to the child's client."""
     with suppress(KeyError):
         selector.unregister(child.asker)
 
 
 def _task(task: int, writing: int) -> tuple[SandboxTask, int]:
-    """In the child: what it is to do. The works themselves are unpickled within the fences."""
+    """Read the task in the child. The works themselves are unpickled within the fences."""
     tasks = os.fdopen(os.dup(task), "rb")
     limits = pickle.loads(next(_parcels(tasks)))
     return SandboxTask(map(_Unpickled, _parcels(tasks)), limits, writing, tasks.fileno()), os.getppid()
 
 
 def _parcels(tasks: BinaryIO) -> Iterator[bytes]:
-    """Bytes behind their length, as they come, until nobody is left to send any."""
+    """Yield length-prefixed bytes as they arrive, until no writer is left."""
     while head := tasks.read(LENGTH.size):
         yield tasks.read(*LENGTH.unpack(head))
 
 
 def parcel(content: object) -> bytes:
-    """A part of what a request's third descriptor holds: first the limits, then each work.
+    """Return a part for a request's third descriptor: first the limits, then each work.
 
-    Raises what pickling raises for work that is no plain function.
+    Raises the errors of pickling for work that is not a plain function.
     """
     pickled = pickle.dumps(content)
     return LENGTH.pack(len(pickled)) + pickled
@@ -131,7 +132,7 @@ def parcel(content: object) -> bytes:
 
 @dataclass(frozen=True)
 class _Unpickled:
-    """Work that is unpickled when it is done, where what fails is said."""
+    """Work that is unpickled when it runs, where its errors are reported."""
 
     pickled: bytes
 
@@ -141,7 +142,7 @@ class _Unpickled:
 
 
 def load_first(named: Sequence[str]) -> None:
-    """Import the modules, and call the functions of them that are named as `module:function`."""
+    """Import the modules, and call their functions named as `module:function`."""
     for name in named:
         module, _, function = name.partition(":")
         loaded = import_module(module)
@@ -150,10 +151,10 @@ def load_first(named: Sequence[str]) -> None:
 
 
 def main() -> None:
-    """Ctrl-C and the end of a service are not this process's: its children work as long as someone waits for them."""
+    """Serve, ignoring Ctrl-C and the end of a service: children work as long as a client waits for them."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     with socket.socket(fileno=int(sys.argv[1])) as requests:
         load_first(sys.argv[2:])
-        system_files()  # found once, not by every child
+        system_files()  # cached here for all children
         serve(requests)

@@ -1,7 +1,7 @@
-"""The sandbox of a job's attempt: its folder, what it may read, its limits, progress and cancellation.
+"""The sandbox of a job's attempt: its folder, its readable files, its limits, progress and cancellation.
 
-**Conventions.** The child maps recordings, so address space beyond memory is allowed for twice the size of what it
-reads; temporary copies lie in the folder.
+**Conventions.** The child maps recordings, so its address space may exceed memory by twice the size of its input;
+temporary copies lie in the folder.
 """
 
 import os
@@ -27,9 +27,9 @@ from services.runtime.settings import Settings
 
 MEMORY_BYTES = 4 * 2**30
 ANSWER_BYTES = 128 * 2**20
-DESCRIPTORS = 2048  # a bag may be split into many files, each of them open
+DESCRIPTORS = 2048  # a bag may consist of many files, each of them open
 SLACK_BYTES = 2**30
-# The files a job may leave: for the smallest recording, and more for each byte that it reads (labels compress well).
+# Limits for a job's output: a base for the smallest recording, and more for each input byte (labels compress well).
 FOLDER_FILES, FOLDER_BYTES = 200_000, 64 * 2**30
 BYTES_A_FILE, BYTES_A_BYTE = 4096, 64
 
@@ -38,11 +38,10 @@ SandboxedWork = Callable[[Path, ProgressCallback], bytes]
 
 @dataclass(frozen=True)
 class JobSandbox:
-    """Where a job's work is done, what it reads (files, and whatever is below folders), for whom.
+    """The folder of a job's work, its inputs (files, and everything below folders), and its attempt.
 
-    `warm` compiles the kernels that it needs, where no fork server has done so. `temporary`, within the folder unless
-    it is the folder, is where temporary files go. With `shares_run` the folder and all that is read are the run's, and
-    its jobs may share a child.
+    `warm` compiles the needed kernels if no fork server has. `temporary`, within the folder or the folder itself, is
+    for temporary files. With `shares_run` the folder and all inputs belong to the run, and its jobs may share a child.
     """
 
     folder: Path
@@ -61,7 +60,7 @@ class JobSandbox:
         folder_bytes = FOLDER_BYTES + BYTES_A_BYTE * read_bytes
         return SandboxLimits(
             memory_bytes=MEMORY_BYTES,
-            cpu_s=2 * int(limit_s),  # hashing and reading go side by side
+            cpu_s=2 * int(limit_s),  # hashing and reading run in parallel
             wall_s=limit_s,
             answer_bytes=ANSWER_BYTES,
             descriptors=DESCRIPTORS,
@@ -75,7 +74,10 @@ class JobSandbox:
         )
 
     def run(self, work: SandboxedWork, stage: str, total: int) -> bytes:
-        """The answer of `work(folder, progress)`. Raises as `sandboxed_with_progress`, and `JobCancelledError`."""
+        """Return the answer of `work(folder, progress)`.
+
+        Raises as `sandboxed_with_progress`, and `JobCancelledError`.
+        """
         warm_unless_served(self.warm)
         temporary = self.temporary or self.folder
         task = partial(_work, self.folder, str(temporary), work)
@@ -91,20 +93,20 @@ class JobSandbox:
 
 @contextmanager
 def private_folder_in(parent: Path) -> Iterator[Path]:
-    """A fresh hidden folder below `parent`; it goes with whatever is left in it."""
+    """Yield a new hidden folder below `parent`; delete it with its contents afterwards."""
     parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".apart-", dir=parent) as folder:
         yield Path(folder).resolve()
 
 
 def _work(folder: Path, temporary: str, work: SandboxedWork, progress: ProgressCallback) -> bytes:
-    """The child's part."""
+    """Run the child's part."""
     tempfile.tempdir = temporary
     return work(folder, progress)
 
 
 def sandbox_watch_of(attempt: Attempt, stage: str, total: int) -> SandboxWatch:
-    """What the child says is passed on; while it says nothing, what it said last: so the wish to stop is heard."""
+    """Return a watch that forwards the child's progress and repeats the last, which detects cancellation."""
     last = [(stage, 0, total)]
 
     def told(stage: str, done: int, total: int) -> None:
@@ -114,33 +116,32 @@ def sandbox_watch_of(attempt: Attempt, stage: str, total: int) -> SandboxWatch:
     return SandboxWatch(on_poll=lambda: attempt.progress(*last[0]), progress=told)
 
 
-# A sandboxed child that is kept for the next job of the same run, which then forks nothing and finds its memory there.
+# A sandboxed child that is kept for the next job of the same run, which reuses its process and memory.
 #
-# **Conventions.** A process keeps one child at most, for one run of one sequence of one owner. Another run's job ends
-# it, so no child ever sees two runs; so does one that shares no child, or needs more than this one was given, since
-# fences are never widened. What it was given is the run's own folder to write in and the run's own recording to read:
-# who takes a child over by a recording reads and writes what the jobs of that run may anyway, and can spoil the labels
-# of that recording alone.
+# **Conventions.** A process keeps at most one child, for one run of one sequence of one owner. A job of another run
+# ends it, so no child ever serves two runs. So does a job that shares no child or needs wider fences, since fences are
+# never widened. The child may write in the run's own folder and read the run's own recording. If a recording takes over
+# the child, it can access only files that the run's jobs may access anyway, and can spoil only that recording's labels.
 #
-# It is ended when it was idle for `IDLE_S`, breaks, is told to stop, says what it was not asked, holds or has used
-# much; and it ends with its process, as any child does. Each job has its own wall time; of processor time all that it
-# is allowed, and at most `MOST_USED_S` more; of memory what the child has beyond what it kept. So what breaks in a
-# child that did other jobs before may be their doing: a fresh one is asked before anything is said of the input. A
-# kill from outside costs the attempt, as ever (`services/runtime/sandbox/parent.py`).
+# The child ends if it was idle for `IDLE_S`, breaks, is stopped, sends an unrequested message, or uses much; it
+# also ends with its process. Each job has its own wall time. Its processor time is its full limit, with at most
+# `MOST_USED_S` already used; its memory is counted beyond the memory kept. If a reused child breaks, earlier jobs may
+# be the cause: a fresh child runs the job before the input is blamed. A kill from outside costs the attempt, as for any
+# child (`services/runtime/sandbox/parent.py`).
 
 
 IDLE_S = 5.0
 MOST_HELD_BYTES = 2**30
 MOST_USED_S = 300
 BY_READ = ("mapped_bytes", "file_bytes", "folder_files", "folder_bytes")  # limits that grow with the bytes read
-LONGEST_BYTES = 2**15  # of a work: a pipe that nobody reads takes it all the same
+LONGEST_BYTES = 2**15  # longest work: a pipe accepts this much without a reader
 
 log = structlog.get_logger(__name__)
 
 
 @dataclass(eq=False)
 class RunChild:
-    """A child of a run, its limits, and the pipe by which it is told its works."""
+    """A child of a run, its limits, and the pipe for its works."""
 
     run_id: str
     limits: SandboxLimits
@@ -151,7 +152,7 @@ class RunChild:
     timer: Timer | None = None
 
     def answer(self, work: Work, watch: SandboxWatch) -> bytes:
-        """Raises as `sandboxed`."""
+        """Send a work and return its answer. Raises as `sandboxed`."""
         try:
             os.write(self.works, parcel(work))
         except BrokenPipeError:
@@ -159,12 +160,12 @@ class RunChild:
         return self.process.answer(watch)
 
     def is_worth_keeping(self) -> bool:
-        """Whether another job may have it."""
+        """Return whether another job may use the child."""
         used = self.served.note_usage()
         return self.process.is_waiting and used.cpu_s < MOST_USED_S and used.held_bytes < MOST_HELD_BYTES
 
     def serves(self, run_id: str, limits: SandboxLimits) -> bool:
-        """Whether it waits, and was given all that a job of these limits needs, and as much of the rest."""
+        """Return whether the child is idle and its limits cover those of a job."""
         given = {name: getattr(self.limits, name) for name in BY_READ}
         is_enough = all(getattr(limits, name) <= most for name, most in given.items())
         is_enough = is_enough and set(limits.reads) <= set(self.limits.reads)
@@ -173,13 +174,13 @@ class RunChild:
         return is_theirs and self.inodes == _inodes(self.limits) and self.process.is_waiting
 
     def close(self) -> None:
-        """Ended, and nothing of it left."""
+        """End the child and remove everything of it."""
         os.close(self.works)
         self.process.close()
 
 
 def begun_child(server: ForkServer, run_id: str, limits: SandboxLimits) -> RunChild:
-    """A fresh child of the run."""
+    """Start a fresh child of the run."""
     inodes = _inodes(limits)
     reading, works = os.pipe()
     begun = list[ServedChild]()
@@ -200,7 +201,7 @@ def begun_child(server: ForkServer, run_id: str, limits: SandboxLimits) -> RunCh
 
 
 def _inodes(limits: SandboxLimits) -> tuple[tuple[int, int], ...]:
-    """What its fences let through: files, not names of files that others may have taken since."""
+    """Return the files that its fences allow, as inodes: names may refer to other files later."""
     found = (os.stat(path) for path in (*limits.reads, *([limits.folder] if limits.folder else [])) if path.exists())
     return tuple((one.st_dev, one.st_ino) for one in found)
 
@@ -223,7 +224,7 @@ class RunChildren:
     _lock: Lock = field(default_factory=Lock)
 
     def answer(self, server: ForkServer, asked: RunWork) -> bytes:
-        """Raises as `sandboxed`."""
+        """Run the work in the kept child or a fresh one. Raises as `sandboxed`."""
         kept = self._taken(asked)
         if kept is not None:
             try:
@@ -233,7 +234,7 @@ class RunChildren:
         return self._answer(begun_child(server, asked.run_id, asked.limits), asked)
 
     def close(self) -> None:
-        """End the child that is kept, if one is."""
+        """End the kept child, if there is one."""
         with self._lock:
             kept, self._kept = self._kept, None
         if kept is not None:
@@ -249,7 +250,7 @@ class RunChildren:
                 child.close()
 
     def _taken(self, asked: RunWork) -> RunChild | None:
-        """The child that is kept, if it serves; one that does not is ended."""
+        """Return the kept child if it serves; otherwise end it."""
         with self._lock:
             kept, self._kept = self._kept, None
         if kept is None:
@@ -262,7 +263,7 @@ class RunChildren:
         return None
 
     def _keep(self, child: RunChild) -> None:
-        """Until the next job, or not much longer."""
+        """Keep the child until the next job, for a limited time."""
         self.close()
         child.timer = Timer(IDLE_S, self._drop, (child,))
         child.timer.daemon = True
@@ -282,9 +283,9 @@ CHILDREN = RunChildren()
 
 
 def sandboxed_in_run(asked: RunWork) -> bytes:
-    """As `sandboxed_with_progress`, perhaps in a child that did other jobs of the run.
+    """Do as `sandboxed_with_progress`, if possible in a child that did other jobs of the run.
 
-    Where no fork server is, and for work or limits of many bytes, by a child of its own.
+    Without a fork server, and for work or limits of many bytes, use a separate child.
     """
     server = fork_server()
     if server is None or len(parcel(asked.work)) + len(parcel(asked.limits)) > LONGEST_BYTES:

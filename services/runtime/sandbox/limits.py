@@ -1,7 +1,7 @@
 """Resource limits of a sandboxed child, and the rlimits that enforce them.
 
-**Conventions.** Memory is counted beyond what the process has when it is forked, twice: as data (what is allocated) and
-as address space (files that are mapped besides). Linux: what is held is read from `/proc/self/statm` (proc(5)).
+**Conventions.** Memory is counted beyond the process's memory at the fork, twice: as data (allocated) and as address
+space (including mapped files). On Linux, `/proc/self/statm` contains the current values (proc(5)).
 """
 
 import ctypes
@@ -18,16 +18,16 @@ M_ARENA_MAX = -8  # mallopt(3)
 
 @dataclass(frozen=True)
 class SandboxLimits:
-    """The limits of a child: memory, processor and wall time, files opened at once, size of its answer.
+    """The limits of a child: memory, processor and wall time, number of open files, size of its answer.
 
-    `mapped_bytes` are files that it maps, which take address space and no memory. It may write below `folder` only,
-    files of `file_bytes` at most, and links only if it `makes_links`; without a folder it writes nothing. Elsewhere it
-    may read `reads` (files, and everything below folders) and the system's own files, no others. `folder` holds at most
-    `folder_files` files and folders, and `folder_bytes` in total. `imports` are modules that it imports before its
-    fences close, because libraries read other files at their import.
+    `mapped_bytes` is the size of files that it maps, which take address space and no memory. It may write below
+    `folder` only, files of `file_bytes` at most, and links only if it `makes_links`; without a folder it writes
+    nothing. Elsewhere it may only read `reads` (files, and everything below folders) and the system's own files.
+    `folder` may contain at most `folder_files` files and folders, and `folder_bytes` in total. It imports the modules
+    `imports` before its fences close, because libraries read other files at their import.
 
-    A child that reads a secret has `may_quote` off: the parent passes on no text of its refusals and faults, and only
-    a count of its progress.
+    For a child that reads a secret, set `may_quote` to False: the parent then forwards no text of its refusals and
+    faults, and only a count of its progress.
     """
 
     memory_bytes: int = 256 * 2**20
@@ -47,12 +47,12 @@ class SandboxLimits:
 
 
 def apply_limits(limits: SandboxLimits) -> None:
-    """No core is written: it would hold the ground truth. One arena: others reserve 64 MiB of the allowance each."""
+    """Apply the limits. A core dump would contain the ground truth; further arenas would reserve 64 MiB each."""
     ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
     taken = {int(name) for name in os.listdir(DESCRIPTORS)}
     free = islice((number for number in count() if number not in taken), limits.descriptors)
     pages, page_bytes = STATM.read_text().split(), resource.getpagesize()
-    _lower(resource.RLIMIT_NOFILE, max(free))  # it bounds the number of the next one, not how many there are
+    _lower(resource.RLIMIT_NOFILE, max(free))  # it bounds the highest number, not the count
     _lower(resource.RLIMIT_FSIZE, limits.file_bytes if limits.folder else 0)
     _lower(resource.RLIMIT_CORE, 0)
     _lower(resource.RLIMIT_CPU, limits.cpu_s, hard=limits.cpu_s + 1)
@@ -61,7 +61,7 @@ def apply_limits(limits: SandboxLimits) -> None:
 
 
 def _lower(which: int, limit: int, *, hard: int | None = None) -> None:
-    """Never above what holds already."""
+    """Lower a limit, never raising it above its current value."""
     standing = resource.getrlimit(which)
     wished = (limit, limit if hard is None else hard)
     soft, most = (

@@ -1,8 +1,8 @@
 """The message protocol from a sandboxed child to its parent: kind, length and payload, each bounded.
 
-**Conventions.** A word is one byte of kind, eight of length (little-endian), then the payload. All but the answer are
-JSON of at most 128 KiB. The child may be in the hands of whoever wrote what it reads, so nothing it says is unpickled,
-and what is not a word ends it.
+**Conventions.** A message is one byte of kind, eight of length (little-endian), then the payload. All payloads but the
+answer are JSON of at most 128 KiB. The author of the input may control the child, so the parent unpickles nothing from
+it, and an invalid message ends it.
 """
 
 import json
@@ -22,26 +22,26 @@ CHUNK_BYTES = 2**16
 
 @dataclass(frozen=True)
 class SandboxMessage:
-    """One of the kinds above, and what belongs to it."""
+    """A message: one of the kinds above, and its payload."""
 
     kind: int
     payload: bytes
 
     def tick(self) -> tuple[str, int, int]:
-        """Stage, done, total. Raises `SandboxCrashedError`."""
+        """Return stage, done, total. Raises `SandboxCrashedError`."""
         match _json(self.payload):
             case [str(stage), int(done), int(total)]:
                 return stage[:LONGEST_STAGE], done, total
         raise SandboxCrashedError("sent invalid progress")
 
     def texts(self) -> dict[str, str]:
-        """Texts by name; empty where it is something else."""
+        """Return texts by name; empty if the payload is something else."""
         found = _json(self.payload)
         return {str(name): str(text) for name, text in found.items()} if isinstance(found, dict) else {}
 
 
 class SandboxMessageReader:
-    """Words out of a pipe that does not block."""
+    """A reader of messages from a non-blocking pipe."""
 
     def __init__(self, reading: int, answer_bytes: int) -> None:
         self._reading, self._answer_bytes = reading, answer_bytes
@@ -50,11 +50,11 @@ class SandboxMessageReader:
 
     @property
     def is_quiet(self) -> bool:
-        """Whether nothing was read that was not told."""
+        """Whether all bytes read so far were returned as messages."""
         return not self.is_closed and not self._kept
 
     def words(self) -> Iterator[SandboxMessage]:
-        """What has come by now, in order. Raises `SandboxCrashedError` for what is no word."""
+        """Yield the messages received so far, in order. Raises `SandboxCrashedError` for an invalid message."""
         while not self.is_closed:
             try:
                 chunk = os.read(self._reading, CHUNK_BYTES)
@@ -78,19 +78,19 @@ class SandboxMessageReader:
 
 
 def send_message(writing: int, kind: int, payload: bytes) -> None:
-    """The whole word, waiting for the reader where need be."""
+    """Send the whole message, waiting for the reader if necessary."""
     rest = memoryview(HEAD.pack(kind, len(payload)) + payload)
     while rest:
         rest = rest[os.write(writing, rest) :]
 
 
 def texts_of(**texts: str) -> bytes:
-    """Texts as the payload of a word, each cut to `LONGEST_TEXT`."""
+    """Return texts as the payload of a message, each cut to `LONGEST_TEXT`."""
     return json.dumps({name: text[:LONGEST_TEXT] for name, text in texts.items()}).encode()
 
 
 def tick_of(stage: str, done: int, total: int) -> bytes:
-    """Progress as the payload of a word."""
+    """Return progress as the payload of a message."""
     return json.dumps([stage[:LONGEST_STAGE], done, total]).encode()
 
 

@@ -2,9 +2,9 @@
 
 **Conventions.** Root can take any user: its child takes a user and group that no other process has. The child can
 therefore not signal, trace, slow down or change the service, even if every other fence is missing. It keeps only root's
-capability to open files regardless of their modes, and Landlock limits the files. Files that it leaves are given back
-to the service's user (`folder_bounds.py`). A service of another user has no such means: a user namespace holds its own
-user only, and mapping further users (subuid(5)) requires a setuid program, which containers do not have.
+capability to open files regardless of their modes, and Landlock limits the files. The service's user becomes the owner
+of its remaining files (`folder_bounds.py`). A service of another user has no such means. A user namespace contains its
+own user only, and mapping further users (subuid(5)) requires a setuid program, which containers do not have.
 """
 
 import ctypes

@@ -1,20 +1,20 @@
 """Runs work on untrusted bytes in a forked, sandboxed child with limits of memory, CPU, files and time.
 
 **Conventions.** In a service the child is forked from a process without secrets (`fork_server`), and its work is a
-module's function of plain values; a process that has no fork server forks it from itself, and it sees everything of its
-parent by copy. What it changes is gone with it, and of its errors only code and sentence come back. It has no network,
-starts no process, signals nobody, reads no file but what it is given and the system's own, and writes none but below a
-folder that it is given (`fences` says by which means and where those end); the parent's connections are not its own. It
-dies with the thread that waits for it, and is reaped whatever happens: no orphan, no zombie, no descriptor stays. What
-native code of the attacker's choice still could: answer with what it was given to read, in the form that the parent
-believes.
+module's function with plain values. A process without a fork server forks the child itself, and the child has a copy of
+its memory. Changes in the child end with it, and only code and sentence of its errors return.
 
-What limits kill is a refusal and is not tried again: memory and processor are counted in the child alone, so the same
-bytes would meet them again (`SandboxCrashedError`). A kill from outside, the wall clock and a failing disk say nothing
-about the input: they are faults of the platform, tried again until the attempts are used up
+The child has no network, starts no process, and signals none. It reads only its given files and the system's own, and
+writes only below its given folder (`fences` documents mechanisms and limits). It has none of the parent's connections.
+It dies with the thread that waits for it and is always reaped: no orphan, zombie or descriptor remains. An attacker's
+native code could only send its readable data as an answer, in the form that the parent accepts.
+
+Work killed by a limit is refused and not tried again: memory and processor time are counted in the child alone, so the
+same bytes would exceed them again (`SandboxCrashedError`). A kill from outside, the wall clock and a failing disk are
+no evidence against the input. They are faults of the platform, and the work is tried again while attempts are left
 (`SandboxInterruptedError`).
 
-Kernels are compiled before: the child could not keep what it compiles, and would pay for it out of its limits.
+Kernels are compiled beforehand: the child could not cache them, and compiling would count towards its limits.
 """
 
 import os
@@ -63,7 +63,7 @@ log = structlog.get_logger(__name__)
 class SandboxWatch:
     """The parent's callbacks: `on_poll` is called at least five times a second, `progress` as the work reports.
 
-    Either may raise: the child is then ended, and the exception goes on.
+    Both may raise: the child is then ended, and the exception propagates.
     """
 
     on_poll: Callable[[], None] = lambda: None
@@ -75,7 +75,7 @@ Pipe = tuple[int, int]
 
 
 class ForkedChild(Protocol):
-    """A forked child, whoever forked it; `ended` is readable when there is something to be said of it."""
+    """A forked child of either kind; `ended` is readable when there is news of its end."""
 
     begun_s: float | None
 
@@ -93,10 +93,10 @@ class ForkedChild(Protocol):
 
 
 def sandboxed(work: Callable[[], bytes], limits: SandboxLimits = LIMITS, watch: SandboxWatch = UNWATCHED) -> bytes:
-    """The answer of `work()`, run apart.
+    """Run `work()` in a child and return its answer.
 
-    Raises the `StoneError` that `work` raises (class, code and sentence; its facts stay behind), `SandboxCrashedError`,
-    `SandboxInterruptedError`, and what `watch` raises.
+    Raise the `StoneError` that `work` raises (class, code and sentence, without its facts), `SandboxCrashedError`,
+    `SandboxInterruptedError`, and the errors of `watch`.
     """
     return sandboxed_with_progress(partial(_without_progress, work), limits, watch)
 
@@ -104,7 +104,7 @@ def sandboxed(work: Callable[[], bytes], limits: SandboxLimits = LIMITS, watch: 
 def sandboxed_with_progress(
     work: Callable[[ProgressCallback], bytes], limits: SandboxLimits = LIMITS, watch: SandboxWatch = UNWATCHED
 ) -> bytes:
-    """As `sandboxed`, for work that reports progress: `work(progress)`."""
+    """Do as `sandboxed`, for work that reports progress: `work(progress)`."""
     server = fork_server()
     begin = partial(_OwnChild, work, limits) if server is None else partial(_served, server, work, limits)
     with closing(SandboxProcess(begin, limits)) as child:
@@ -114,7 +114,7 @@ def sandboxed_with_progress(
 def _served(
     server: ForkServer, work: Callable[[ProgressCallback], bytes], limits: SandboxLimits, pipe: Pipe
 ) -> ForkedChild:
-    """A child of the fork server for this work alone."""
+    """Return a child of the fork server for this work alone."""
     task = single_task(limits, work)
     try:
         return ServedChild(server, task, pipe[1])
@@ -127,14 +127,14 @@ def _without_progress(work: Callable[[], bytes], _progress: ProgressCallback) ->
 
 
 class _OwnChild:
-    """A child that this process forked from itself."""
+    """A child that this process forked itself."""
 
     def __init__(self, work: Callable[[ProgressCallback], bytes], limits: SandboxLimits, pipe: Pipe) -> None:
         reading, writing = pipe
         self.begun_s: float | None = time.monotonic()
         self._status: int | None = None
         parent = os.getpid()
-        system_files()  # found once, not by every child
+        system_files()  # cached here for all children
         self._pid = _forked()
         if self._pid == 0:
             os.close(reading)
@@ -143,36 +143,36 @@ class _OwnChild:
 
     @property
     def pid(self) -> int:
-        """Its number."""
+        """The process ID."""
         return self._pid
 
     @property
     def ended(self) -> int:
-        """The descriptor that tells its end."""
+        """The descriptor that signals its end."""
         return self._ended
 
     def has_ended(self) -> bool:
-        """Whether it has."""
+        """Return whether it has ended."""
         return bool(_readable([self._ended], 0))
 
     def reap(self) -> int:
-        """Its wait status, having ended it where it has not ended by itself."""
+        """Return the wait status, ending the child first if it still runs."""
         if self._status is None:
-            os.kill(self._pid, signal.SIGKILL)  # a zombie takes this and keeps its status
+            os.kill(self._pid, signal.SIGKILL)  # a zombie accepts this and keeps its status
             _, self._status = os.waitpid(self._pid, 0)
         return self._status
 
     def close(self) -> None:
-        """Ended, and nothing of it left."""
+        """End the child and remove everything of it."""
         self.reap()
         os.close(self._ended)
 
 
 class SandboxProcess:
-    """A child and the pipe it speaks through, from its first moment to its reaping."""
+    """A child and its message pipe, from its start to its reaping."""
 
     def __init__(self, begin: Callable[[Pipe], ForkedChild], limits: SandboxLimits) -> None:
-        """`begin` answers with a child that writes into the pipe's second end."""
+        """Start a child by `begin`, which receives the pipe whose second end the child writes to."""
         reading, writing = os.pipe()
         self._limits, self._folder = limits, FolderWatch(limits)
         try:
@@ -190,11 +190,11 @@ class SandboxProcess:
 
     @property
     def is_waiting(self) -> bool:
-        """Whether it answered what it was asked, and said nothing since."""
+        """Whether it answered its work and has sent nothing since."""
         return self._is_sound and self._reader.is_quiet and not _readable([self._reading], 0)
 
     def answer(self, watch: SandboxWatch) -> bytes:
-        """What it says to the work that it was given last. Raises as `sandboxed`."""
+        """Return its answer to the last work. Raises as `sandboxed`."""
         self._is_sound = False
         word = self._listen(watch)
         self._folder.look(self.child.pid)
@@ -202,11 +202,11 @@ class SandboxProcess:
         return _answered(word, self, self._limits)
 
     def _listen(self, watch: SandboxWatch) -> SandboxMessage | None:
-        """Its last word; None where it ended without one. Raises `SandboxInterruptedError` when time is up."""
+        """Return its final message, None without one. Raises `SandboxInterruptedError` at the time limit."""
         reader, asked_s = self._reader, time.monotonic()
         while True:
             _readable([self.child.ended, *([] if reader.is_closed else [self._reading])], GLANCE_MS)
-            is_over = self.child.has_ended()  # what it said before is in the pipe then
+            is_over = self.child.has_ended()  # its earlier messages are then in the pipe
             for word in reader.words():
                 if word.kind == FENCED:
                     _note(word.texts())
@@ -228,12 +228,12 @@ class SandboxProcess:
         return "", self._ticks, 0
 
     def close(self) -> None:
-        """Ended and reaped, its pipe closed."""
+        """End and reap the child, and close its pipe."""
         os.close(self._reading)
         self.child.close()
 
     def reap(self) -> int:
-        """Its wait status, having ended it where it has not ended by itself."""
+        """Return the wait status, ending the child first if it still runs."""
         return self.child.reap()
 
     def _stop_when_late(self, asked_s: float) -> None:
@@ -243,7 +243,7 @@ class SandboxProcess:
 
 
 def _readable(descriptors: list[int], within_ms: int) -> list[int]:
-    """Those that have something to say, or whose other end is gone."""
+    """Return the descriptors that are readable or whose other end is closed."""
     poller = select.poll()
     for descriptor in descriptors:
         poller.register(descriptor, select.POLLIN)
@@ -251,14 +251,14 @@ def _readable(descriptors: list[int], within_ms: int) -> list[int]:
 
 
 def _forked() -> int:
-    """Python 3.12 warns of forks beside threads; the child takes no lock that a thread may hold."""
+    """Fork without Python 3.12's warning of forks beside threads; the child takes no lock that a thread may have."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         return os.fork()
 
 
 def _note(fences: SandboxMechanisms) -> None:
-    """Warn once a process where a fence is missing on this machine; of whole fences nothing is said."""
+    """Log a warning once per process if a fence is missing on this machine."""
     known = tuple(sorted(fences.items()))
     if NONE not in fences.values() or known in _NOTED or len(_NOTED) >= MOST_NOTED:
         return
@@ -286,7 +286,7 @@ def _answered(word: SandboxMessage | None, child: SandboxProcess, limits: Sandbo
 
 
 def _ended(status: int, limits: SandboxLimits) -> StoneError:
-    """The reason why the child ended without an answer."""
+    """Return the reason why the child ended without an answer."""
     code = os.waitstatus_to_exitcode(status)
     if code == -signal.SIGXCPU:
         return SandboxCrashedError(f"took longer than {limits.cpu_s} s of processor time")
@@ -296,7 +296,7 @@ def _ended(status: int, limits: SandboxLimits) -> StoneError:
 
 
 def _refusal(word: SandboxMessage) -> StoneError:
-    """The same class, code and sentence; the word is a stranger's, so this process must know the class."""
+    """Return an error of the same class, code and sentence. The message is untrusted: the class must exist here."""
     said = word.texts()
     code = said.get("code", "")
     for leaf in _leaves(StoneError):

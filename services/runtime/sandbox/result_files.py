@@ -1,8 +1,8 @@
 """The result of sandboxed work: one JSON record and files, validated before use.
 
 **Conventions.** Four bytes of length (little-endian), that much JSON `{"record": {...}, "files": [[name, media type,
-bytes], ...]}`, then the files one after another. Whoever unpacks checks what the record says; names here are plain and
-media types known, so that a file can be kept and served as what it claims to be.
+bytes], ...]}`, then the files one after another. The caller validates the record. Names are plain here and media types
+known, so a file can be stored and served as its media type.
 """
 
 import json
@@ -25,14 +25,14 @@ File = tuple[str, str, bytes]
 
 @dataclass(frozen=True)
 class SandboxResult:
-    """`record` is a JSON object of the child's own making; `files` are (name, media type, bytes)."""
+    """`record` is a JSON object created by the child; `files` are (name, media type, bytes)."""
 
     record: dict[str, Any]
     files: tuple[File, ...] = ()
 
 
 def packed(record: dict[str, Any], files: Iterable[File] = ()) -> bytes:
-    """Raises `ValueError` for NaN and infinities in the record."""
+    """Return the result as bytes. Raises `ValueError` for NaN and infinities in the record."""
     kept = tuple(files)[:MOST_FILES]
     listed = [[name, media_type, len(content)] for name, media_type, content in kept]
     head = json.dumps({"record": record, "files": listed}, allow_nan=False).encode()
@@ -40,7 +40,7 @@ def packed(record: dict[str, Any], files: Iterable[File] = ()) -> bytes:
 
 
 def unpacked(answer: bytes) -> SandboxResult:
-    """Raises `SandboxCrashedError` for what is no parcel."""
+    """Return the result from its bytes. Raises `SandboxCrashedError` for a malformed result."""
     if len(answer) < HEAD.size or HEAD.unpack_from(answer)[0] > min(len(answer) - HEAD.size, LONGEST_JSON_BYTES):
         raise _nonsense()
     start = HEAD.size + HEAD.unpack_from(answer)[0]

@@ -33,7 +33,7 @@ from services.runtime.sandbox.system_calls import MACHINES, NEWEST
 
 AUDIT_ARCH = {"x86_64": 0xC000003E, "aarch64": 0xC00000B7}
 CALL = {"x86_64": 317, "aarch64": 277}  # seccomp(2) itself
-SET_MODE_FILTER, SPEC_ALLOW = 1, 1 << 2  # without the latter older kernels slow the child's branches down
+SET_MODE_FILTER, SPEC_ALLOW = 1, 1 << 2  # without it, older kernels slow down the child's branches
 ACTION_IS_KNOWN = 2
 PR_SET_NO_NEW_PRIVS = 38
 X32_BIT = 0x4000_0000
@@ -45,7 +45,7 @@ WRITING = os.O_WRONLY | os.O_RDWR
 CHANGING = WRITING | os.O_CREAT | os.O_TRUNC
 KINDS = ("reads", "writes", "links")
 
-# Of fcntl(2): duplicates, flags, locks and what a pipe holds; neither owners nor signals, leases, seals or notices.
+# For fcntl(2): duplicates, flags, locks and the fill of a pipe; no owners, signals, leases, seals or notices.
 OF_DESCRIPTORS = (
     *(fcntl.F_DUPFD, fcntl.F_DUPFD_CLOEXEC, fcntl.F_GETFD, fcntl.F_SETFD, fcntl.F_GETFL, fcntl.F_SETFL),
     *(fcntl.F_GETLK, fcntl.F_SETLK, fcntl.F_SETLKW, fcntl.F_OFD_GETLK, fcntl.F_OFD_SETLK, fcntl.F_OFD_SETLKW),
@@ -56,7 +56,7 @@ OF_DEVICES = (
     *(termios.TCGETS, TCGETS2, termios.TIOCGWINSZ),
     *(termios.FIONREAD, termios.FIONBIO, termios.FIOCLEX, termios.FIONCLEX),
 )
-# Of prctl(2): the names of threads and of memory, huge pages, and reading the process's state.
+# For prctl(2): the names of threads and of memory, huge pages, and reading the process's state.
 OF_ITSELF = (
     *(15, 16, 0x53564D41),  # PR_SET_NAME, PR_GET_NAME, PR_SET_VMA
     *(2, 3, 21, 23, 39),  # PR_GET_PDEATHSIG, _DUMPABLE, _SECCOMP, PR_CAPBSET_READ, PR_GET_NO_NEW_PRIVS
@@ -72,7 +72,7 @@ class _Filter(ctypes.Structure):
 
 
 def kind_of(limits: SandboxLimits) -> str:
-    """One of `KINDS`."""
+    """Return the child's kind, one of `KINDS`."""
     if limits.folder is None:
         return "reads"
     return "links" if limits.makes_links else "writes"
@@ -98,7 +98,7 @@ def allow_calls(kind: str) -> bool:
 def program_of(machine: str, pid: int, kind: str) -> Program:
     """Return the filter for the process `pid`, one instruction per entry.
 
-    Calls with checked arguments come first: of the others, the kernel caches those that always pass.
+    Calls with checked arguments come first; the kernel caches the other calls that always pass.
     """
     program = [_op(LOAD, ARCH_AT), _op(EQUAL, AUDIT_ARCH[machine], 1, 0), _op(RETURN, KILL), _op(LOAD, NUMBER_AT)]
     if machine == "x86_64":
@@ -126,7 +126,7 @@ def allowed(machine: str, kind: str) -> Mapping[str, int]:
 
 
 def _blocks(pid: int, *, may_write: bool) -> dict[str, Program]:
-    """Calls that pass or not by what they are given."""
+    """Return the instructions for calls that depend on their arguments."""
     to_itself = _passes_if_one_of(0, pid)
     opening = _cuts_off_what_it_writes if may_write else _opens_to_read
     return {

@@ -1,8 +1,8 @@
 """The system calls that a sandboxed child may make, and their numbers.
 
-**Conventions.** A group is a table of `name x86_64 aarch64`; `-` if a machine has no such call. The numbers are of
-the kernel's headers (`asm/unistd_64.h`, `asm-generic/unistd.h`), up to Linux 6.18. The groups hold the calls
-traced from this platform's children over the recordings of the tests, and the calls for memory, threads and time that
+**Conventions.** A group is a table of `name x86_64 aarch64`; `-` if a machine has no such call. The numbers are of the
+kernel's headers (`asm/unistd_64.h`, `asm-generic/unistd.h`), up to Linux 6.18. The groups contain the calls traced from
+this platform's children over the recordings of the tests. They also contain the calls for memory, threads and time that
 the C libraries, numpy, numba, pyarrow and Open3D make on other kernels. To find a refused call that is needed, set the
 filter's flag 2 (`SECCOMP_FILTER_FLAG_LOG`): the kernel then logs each refusal with its number.
 """

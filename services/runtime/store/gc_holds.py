@@ -93,6 +93,7 @@ def _renew(hold: GcHold, over: Event) -> None:
 
 
 # The cursor of garbage collection, which processes a slice of the blobs each time, and walks through long listings.
+#
 # **Conventions.** Other chores wait for the end of a turn, so every turn must be short. Blobs are processed in the
 # order of their contents, objects by the first byte of their content. The process keeps the cursor in memory only.
 

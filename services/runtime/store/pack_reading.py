@@ -96,8 +96,10 @@ class _Stream:
             yield part
 
 
-# The files of a finished export, and the archives made of them. **Conventions.** A process caches the last few indexes
-# and layouts: objects never change, so the cached values stay valid.
+# The files of a finished export, and the archives made of them.
+#
+# **Conventions.** A process caches the last few indexes and layouts: objects never change, so the cached values stay
+# valid.
 
 
 HELD = 4

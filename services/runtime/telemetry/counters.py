@@ -10,9 +10,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from threading import Lock
 
-# Definitions of all counters and histograms. **Conventions.** Names are the Prometheus names without `_total`. Labels
-# have few values: kinds, outcomes, queues, directions; never an id or a name. A meter with `bounds` is a histogram with
-# these bucket limits.
+# Definitions of all counters and histograms.
+#
+# **Conventions.** Names are the Prometheus names without `_total`. Labels have few values: kinds, outcomes, queues,
+# directions; never an id or a name. A meter with `bounds` is a histogram with these bucket limits.
 
 
 SECONDS = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1800.0)

@@ -93,9 +93,12 @@ def mark_failed(span: Span, code: str) -> None:
     span.set_status(StatusCode.ERROR)
 
 
-# Links between traces of consecutive user actions, which may be hours apart: upload ← recording (register) ← processing
-# (synchronise, label) ← export; upload ← submission (open, part, join) **Conventions.** A trace is one act of a person
-# with all the jobs it caused; a link leads back to the previous act. The database is queried only if the span is sent.
+# Links between traces of consecutive user actions, which may be hours apart.
+#
+#     upload ← recording (register) ← processing (synchronise, label) ← export;  upload ← submission (open, part, join)
+#
+# **Conventions.** A trace is one act of a person with all the jobs it caused; a link leads back to the previous act.
+# The database is queried only if the span is sent.
 
 
 def link_uploads_of(session: Session, recording_id: str) -> None:

@@ -23,9 +23,11 @@ from services.runtime.uploads.part_rows import STORE, UploadPart
 from services.runtime.uploads.part_writer import LockedUploadParts, copy_parts
 from services.runtime.uploads.rows import duplicates_of
 
-# The upload backend interface, implemented by a shared folder and by the object store. **Conventions.** An upload's row
-# names the backend of its bytes. A backend handles bytes and offsets; `rows.py` handles states, quotas and owners. A
-# row changes before its bytes are deleted. After locking the bytes, read the row again.
+# The upload backend interface, implemented by a shared folder and by the object store.
+#
+# **Conventions.** An upload's row names the backend of its bytes. A backend handles bytes and offsets; `rows.py`
+# handles states, quotas and owners. A row changes before its bytes are deleted. After locking the bytes, read the row
+# again.
 
 
 class LockedUpload(Protocol):
@@ -193,9 +195,10 @@ class FolderUploadBackend:
         return False
 
 
-# The object store backend of uploads: each part is an object with a row (`part_rows.py`). **Conventions.** Machines
-# share only database and store. A worker that reads an upload copies it into its cache and deletes the copy afterwards.
-# The next attempt reuses the copy of a killed worker, or the cache evicts it.
+# The object store backend of uploads: each part is an object with a row (`part_rows.py`).
+#
+# **Conventions.** Machines share only database and store. A worker that reads an upload copies it into its cache and
+# deletes the copy afterwards. The next attempt reuses the copy of a killed worker, or the cache evicts it.
 
 
 BATCH = 500

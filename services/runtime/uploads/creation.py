@@ -23,8 +23,10 @@ from services.runtime.uploads.errors import BadMetadataError, upload_too_large
 from services.runtime.uploads.rows import PART, UploadOwner, expiry_ns, is_waiting
 from stone.errors import Refused, StoneError
 
-# The client's declaration of a file to upload, validated. **Conventions.** All fields come from outside and are never
-# repaired: a bad name is refused, so the platform shows exactly the owner's name.
+# The client's declaration of a file to upload, validated.
+#
+# **Conventions.** All fields come from outside and are never repaired: a bad name is refused, so the platform shows
+# exactly the owner's name.
 
 
 FOLDER = "folder"
@@ -124,9 +126,10 @@ def new_upload(platform: Platform, owner: UploadOwner, declared: UploadDeclarati
     )
 
 
-# Check that an upload's target exists and belongs to its owner. **Conventions.** A recording may name its sequence. A
-# submission names its draft, which announced this file. The platform can therefore check the announcement against the
-# phase's frames before any bytes arrive.
+# Check that an upload's target exists and belongs to its owner.
+#
+# **Conventions.** A recording may name its sequence. A submission names its draft, which announced this file. The
+# platform can therefore check the announcement against the phase's frames before any bytes arrive.
 
 
 SUBMISSION = "submission"
@@ -162,9 +165,11 @@ def _refuse_foreign_draft(platform: Platform, owner: UploadOwner, declared: Uplo
         raise undeclared_upload("sha256", declared.sha256, draft.declared_sha256)
 
 
-# Limits on waiting uploads: per owner, and per draft of a submission. **Conventions.** An upload waits from its
-# creation until it is used or ends. Its transaction counts the waiting uploads under the locks of its draft and then of
-# its owner, so concurrent requests cannot exceed the limit. Overdue uploads count until they are swept.
+# Limits on waiting uploads: per owner, and per draft of a submission.
+#
+# **Conventions.** An upload waits from its creation until it is used or ends. Its transaction counts the waiting
+# uploads under the locks of its draft and then of its owner, so concurrent requests cannot exceed the limit. Overdue
+# uploads count until they are swept.
 
 
 def hold_draft(session: Session, settings: Settings, declared: UploadDeclaration) -> None:

@@ -24,10 +24,11 @@ from services.runtime.uploads.completion import settle_if_whole
 from services.runtime.uploads.errors import FileMismatchError, UploadLockedError
 from services.runtime.uploads.rows import GONE, PART, is_waiting, leave
 
-# The cursor of the uploads' sweep, which processes a bounded slice each time. **Conventions.** The number of waiting
-# uploads and files is unbounded; the duration of a turn is bounded. Each walk continues from the end of its last turn,
-# and restarts at the beginning after the last entry. Entries that failed are skipped until the next round. The process
-# keeps the cursor in memory only.
+# The cursor of the uploads' sweep, which processes a bounded slice each time.
+#
+# **Conventions.** The number of waiting uploads and files is unbounded; the duration of a turn is bounded. Each walk
+# continues from the end of its last turn, and restarts at the beginning after the last entry. Entries that failed are
+# skipped until the next round. The process keeps the cursor in memory only.
 
 
 SLICE = 1000

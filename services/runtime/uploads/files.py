@@ -187,10 +187,11 @@ def _marked_offset(path: Path) -> int | None:
     return None
 
 
-# Rolling sha256 of uploads, so that a complete file need not be read again. **Conventions.** A process keeps a state
-# between two consecutive requests, and takes it out to use it, so no other request can add to it. Without a state, the
-# file is hashed instead. A state stays valid for the bytes below its offset: a request only cuts off bytes above its
-# first offset.
+# Rolling sha256 of uploads, so that a complete file need not be read again.
+#
+# **Conventions.** A process keeps a state between two consecutive requests, and takes it out to use it, so no other
+# request can add to it. Without a state, the file is hashed instead. A state stays valid for the bytes below its
+# offset: a request only cuts off bytes above its first offset.
 
 
 PIECE_BYTES = 1 << 20

@@ -108,8 +108,10 @@ def consume(session: Session, upload_id: str, owner_id: str, purpose: str) -> Up
     return upload
 
 
-# Find an owner's existing files of equal content, so that bytes are not sent twice. **Conventions.** Other owners'
-# files are never compared. A file may be deleted meanwhile: the caller then tries the next one.
+# Find an owner's existing files of equal content, so that bytes are not sent twice.
+#
+# **Conventions.** Other owners' files are never compared. A file may be deleted meanwhile: the caller then tries the
+# next one.
 
 
 MOST = 8
