@@ -83,8 +83,8 @@ def free_name(session: Session, identity: VerifiedIdentity, claim: str) -> str:
 
 
 def _names(identity: VerifiedIdentity, claim: str) -> Iterator[str]:
-    said = identity.claims.get(claim)
-    base = re.sub(r"[^a-z0-9._@+-]+", "-", said.lower()).strip("-")[:LONGEST_BASE] if isinstance(said, str) else ""
+    value = identity.claims.get(claim)
+    base = re.sub(r"[^a-z0-9._@+-]+", "-", value.lower()).strip("-")[:LONGEST_BASE] if isinstance(value, str) else ""
     base = base if NAME.fullmatch(base) else f"user-{_key(identity)[:12]}"
     yield base
     yield from (f"{base}-{number}" for number in range(2, 100))
@@ -120,9 +120,9 @@ def _remember(session: Session, identity: VerifiedIdentity, user: User) -> None:
 
 
 def _groups(claims: Mapping[str, Any], name: str) -> frozenset[str]:
-    said = claims.get(name)
-    listed = said if isinstance(said, list) else [said]
-    return frozenset(one for one in listed if isinstance(one, str))
+    value = claims.get(name)
+    listed = value if isinstance(value, list) else [value]
+    return frozenset(group for group in listed if isinstance(group, str))
 
 
 def _one_at_a_time(session: Session) -> None:

@@ -178,7 +178,7 @@ def read_keys(url: str, timeout_s: float) -> KeySet:
     if not isinstance(listed, list) or not 0 < len(listed) <= MOST_KEYS:
         raise provider_answer("key set", f"must list 1 to {MOST_KEYS} keys")
     try:
-        return KeySet.import_key_set({"keys": [one for one in listed if _is_for_signing(one)]})
+        return KeySet.import_key_set({"keys": [key for key in listed if _is_for_signing(key)]})
     except (JoseError, ValueError, TypeError, KeyError, AttributeError) as error:
         raise provider_answer("key set", f"cannot be read: {type(error).__name__}") from None
 

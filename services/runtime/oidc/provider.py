@@ -93,7 +93,7 @@ def _check_parties(claims: Mapping[str, Any], expected: TokenExpectation) -> Non
     if issuer != expected.issuer:
         raise id_token_refused(f"comes from the issuer {str(issuer)[:100]!r}, not {expected.issuer!r}")
     audiences = audience if isinstance(audience, list) else [audience]
-    if expected.client_id not in audiences or not all(isinstance(one, str) for one in audiences):
+    if expected.client_id not in audiences or not all(isinstance(member, str) for member in audiences):
         raise id_token_refused(f"is for {str(audience)[:100]!r}, not for {expected.client_id!r}")
     if party != expected.client_id and (party is not None or len(audiences) > 1):
         raise id_token_refused(f"was issued to {str(party)[:100]!r}, not to {expected.client_id!r} (azp)")
@@ -171,7 +171,7 @@ class Provider:
         with self._asking():
             where = self._kept.metadata().authorization_url
         request = CodeRequest(token_urlsafe(32))
-        asked = {
+        parameters = {
             "response_type": "code",
             "client_id": self._settings.client_id,
             "redirect_uri": self._callback,
@@ -181,7 +181,7 @@ class Provider:
             "code_challenge": request.challenge,
             "code_challenge_method": "S256",
         }
-        return request, f"{where}{'&' if '?' in where else '?'}{urlencode(asked)}"
+        return request, f"{where}{'&' if '?' in where else '?'}{urlencode(parameters)}"
 
     def finish(self, request: CodeRequest | None, answer: CodeAnswer) -> VerifiedIdentity:
         """Return the identity that this answer to the browser's request proves.
@@ -203,10 +203,10 @@ class Provider:
             "code_verifier": request.verifier,
         }
         proof, headers = self._credentials(metadata)
-        status, said = send_form(metadata.token_url, form | proof, headers, self._settings.timeout_s)
+        status, reply = send_form(metadata.token_url, form | proof, headers, self._settings.timeout_s)
         if status != 200:
-            raise _refusal(status, _word(said.get("error")))
-        token = said.get("id_token")
+            raise _refusal(status, _word(reply.get("error")))
+        token = reply.get("id_token")
         if not isinstance(token, str):
             raise provider_answer("token endpoint", "gave no id_token")
         return token
@@ -260,7 +260,9 @@ def _refusal(status: int, error: str) -> Refused | PlatformFaultError:
 def _word(error: Any) -> str:
     """Return the printable part of a provider's error word."""
     return (
-        "".join(one for one in error if one.isascii() and (one.isalnum() or one in "_-."))[:80]
+        "".join(
+            character for character in error if character.isascii() and (character.isalnum() or character in "_-.")
+        )[:80]
         if isinstance(error, str)
         else ""
     )

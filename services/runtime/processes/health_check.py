@@ -65,7 +65,7 @@ class HeartbeatFile:
 
 def live_processes(root: Path) -> list[LiveProcess]:
     """Return every living process of this host with a heartbeat; delete the files of ended processes."""
-    found = []
+    processes = []
     ours = re.compile(rf"{re.escape(socket.gethostname())}\.(\d+)\.(\d+)(?:\.([a-z]+))?")
     for path in sorted((root / FOLDER).glob("*")):
         if (match := ours.fullmatch(path.name)) is None:
@@ -75,8 +75,8 @@ def live_processes(root: Path) -> list[LiveProcess]:
             path.unlink(missing_ok=True)
             continue
         with suppress(FileNotFoundError):
-            found.append(LiveProcess(int(pid), max(0.0, time.time() - path.stat().st_mtime), part))
-    return found
+            processes.append(LiveProcess(int(pid), max(0.0, time.time() - path.stat().st_mtime), part))
+    return processes
 
 
 def _started(pid: int) -> str:
@@ -91,16 +91,20 @@ WITHIN_S = 120.0
 ANSWER_S = 10.0
 
 
-def silence(found: list[LiveProcess], within_s: float) -> str:
+def silence(processes: list[LiveProcess], within_s: float) -> str:
     """Return the processes whose heartbeat is too old, in words; empty if there are none."""
-    if not found:
+    if not processes:
         return "no process of this container has sent a heartbeat"
-    late = [f"{_name_of(one)}: last heartbeat {one.age_s:.0f} s ago" for one in found if one.age_s > within_s]
+    late = [f"{_name_of(live)}: last heartbeat {live.age_s:.0f} s ago" for live in processes if live.age_s > within_s]
+        f"{_name_of(process)}: last heartbeat {process.age_s:.0f} s ago"
+        for process in processes
+        if process.age_s > within_s
+    ]
     return "; ".join(late)
 
 
-def _name_of(one: LiveProcess) -> str:
-    return f"{one.part} of process {one.pid}" if one.part else f"process {one.pid}"
+def _name_of(process: LiveProcess) -> str:
+    return f"{process.part} of process {process.pid}" if process.part else f"process {process.pid}"
 
 
 def refusal(url: str) -> str:
@@ -113,12 +117,12 @@ def refusal(url: str) -> str:
 
 
 def main() -> None:
-    asked = sys.argv[1] if len(sys.argv) > 1 else str(WITHIN_S)
-    if asked.startswith("http:"):
-        wrong = refusal(asked)
+    target = sys.argv[1] if len(sys.argv) > 1 else str(WITHIN_S)
+    if target.startswith("http:"):
+        wrong = refusal(target)
     else:
         root = Path(os.environ.get("STONE_DATA_FOLDER", "stone-data")).expanduser()
-        wrong = silence(live_processes(root), float(asked))
+        wrong = silence(live_processes(root), float(target))
     if wrong:
         sys.exit(wrong)
 

@@ -54,8 +54,8 @@ class FolderWatch:
 
 def _found(folder: Path, pid: int) -> Iterator[os.stat_result]:
     """Yield every entry below the folder once, then the files that the process holds open without a name."""
-    for place, folders, files, descriptor in os.fwalk(folder, onerror=_unseen):
-        if len(Path(place).relative_to(folder).parts) >= DEEPEST:
+    for directory, folders, files, descriptor in os.fwalk(folder, onerror=_unseen):
+        if len(Path(directory).relative_to(folder).parts) >= DEEPEST:
             raise SandboxCrashedError(f"left nested folders, {DEEPEST} deep")
         for name in (*folders, *files):
             with suppress(FileNotFoundError):

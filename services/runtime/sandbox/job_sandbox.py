@@ -202,8 +202,8 @@ def begun_child(server: ForkServer, run_id: str, limits: SandboxLimits) -> RunCh
 
 def _inodes(limits: SandboxLimits) -> tuple[tuple[int, int], ...]:
     """Return the files that its fences allow, as inodes: names may refer to other files later."""
-    found = (os.stat(path) for path in (*limits.reads, *([limits.folder] if limits.folder else [])) if path.exists())
-    return tuple((one.st_dev, one.st_ino) for one in found)
+    files = (os.stat(path) for path in (*limits.reads, *([limits.folder] if limits.folder else [])) if path.exists())
+    return tuple((facts.st_dev, facts.st_ino) for facts in files)
 
 
 @dataclass(frozen=True)
@@ -223,15 +223,15 @@ class RunChildren:
     _kept: RunChild | None = None
     _lock: Lock = field(default_factory=Lock)
 
-    def answer(self, server: ForkServer, asked: RunWork) -> bytes:
+    def answer(self, server: ForkServer, wanted: RunWork) -> bytes:
         """Run the work in the kept child or a fresh one. Raises as `sandboxed`."""
-        kept = self._taken(asked)
+        kept = self._taken(wanted)
         if kept is not None:
             try:
-                return self._answer(kept, asked)
+                return self._answer(kept, wanted)
             except SandboxCrashedError as error:
                 log.warning("a reused child broke: the job runs again in a fresh child", fate=error.fate)
-        return self._answer(begun_child(server, asked.run_id, asked.limits), asked)
+        return self._answer(begun_child(server, wanted.run_id, wanted.limits), wanted)
 
     def close(self) -> None:
         """End the kept child, if there is one."""
@@ -240,16 +240,16 @@ class RunChildren:
         if kept is not None:
             kept.close()
 
-    def _answer(self, child: RunChild, asked: RunWork) -> bytes:
+    def _answer(self, child: RunChild, wanted: RunWork) -> bytes:
         try:
-            return child.answer(asked.work, asked.watch)
+            return child.answer(wanted.work, wanted.watch)
         finally:
             if child.is_worth_keeping():
                 self._keep(child)
             else:
                 child.close()
 
-    def _taken(self, asked: RunWork) -> RunChild | None:
+    def _taken(self, wanted: RunWork) -> RunChild | None:
         """Return the kept child if it serves; otherwise end it."""
         with self._lock:
             kept, self._kept = self._kept, None
@@ -257,7 +257,7 @@ class RunChildren:
             return None
         if kept.timer is not None:
             kept.timer.cancel()
-        if kept.serves(asked.run_id, asked.limits):
+        if kept.serves(wanted.run_id, wanted.limits):
             return kept
         kept.close()
         return None
@@ -282,12 +282,12 @@ class RunChildren:
 CHILDREN = RunChildren()
 
 
-def sandboxed_in_run(asked: RunWork) -> bytes:
+def sandboxed_in_run(wanted: RunWork) -> bytes:
     """Do as `sandboxed_with_progress`, if possible in a child that did other jobs of the run.
 
     Without a fork server, and for work or limits of many bytes, use a separate child.
     """
     server = fork_server()
-    if server is None or len(parcel(asked.work)) + len(parcel(asked.limits)) > LONGEST_BYTES:
-        return sandboxed_with_progress(asked.work, asked.limits, asked.watch)
-    return CHILDREN.answer(server, asked)
+    if server is None or len(parcel(wanted.work)) + len(parcel(wanted.limits)) > LONGEST_BYTES:
+        return sandboxed_with_progress(wanted.work, wanted.limits, wanted.watch)
+    return CHILDREN.answer(server, wanted)

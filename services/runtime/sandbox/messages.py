@@ -36,8 +36,8 @@ class SandboxMessage:
 
     def texts(self) -> dict[str, str]:
         """Return texts by name; empty if the payload is something else."""
-        found = _json(self.payload)
-        return {str(name): str(text) for name, text in found.items()} if isinstance(found, dict) else {}
+        content = _json(self.payload)
+        return {str(name): str(text) for name, text in content.items()} if isinstance(content, dict) else {}
 
 
 class SandboxMessageReader:
@@ -96,7 +96,7 @@ def tick_of(stage: str, done: int, total: int) -> bytes:
 
 def _json(payload: bytes) -> object:
     try:
-        found: object = json.loads(payload)
+        content: object = json.loads(payload)
     except (ValueError, RecursionError):
         return None
-    return found
+    return content

@@ -277,9 +277,9 @@ def _answered(word: SandboxMessage | None, child: SandboxProcess, limits: Sandbo
         raise SandboxCrashedError(f"needed more than {limits.memory_bytes >> 20} MiB")
     if word.kind == FLOODED:
         raise SandboxCrashedError(f"answered more than {limits.answer_bytes} bytes")
-    said = word.texts()
-    log.warning("sandboxed work raised", traceback=said.get("traceback", said.get("sentence", "")))
-    raised = said.get("exception", "an error") if limits.may_quote else "an error"
+    texts = word.texts()
+    log.warning("sandboxed work raised", traceback=texts.get("traceback", texts.get("sentence", "")))
+    raised = texts.get("exception", "an error") if limits.may_quote else "an error"
     if word.kind == MACHINE:
         raise SandboxInterruptedError(f"failed on this machine with {raised}")
     raise SandboxCrashedError(f"raised {raised}")
@@ -297,18 +297,18 @@ def _ended(status: int, limits: SandboxLimits) -> StoneError:
 
 def _refusal(word: SandboxMessage) -> StoneError:
     """Return an error of the same class, code and sentence. The message is untrusted: the class must exist here."""
-    said = word.texts()
-    code = said.get("code", "")
+    texts = word.texts()
+    code = texts.get("code", "")
     for leaf in _leaves(StoneError):
-        if (leaf.__module__, leaf.__qualname__) == (said.get("module"), said.get("name")):
+        if (leaf.__module__, leaf.__qualname__) == (texts.get("module"), texts.get("name")):
             if not CODE.fullmatch(code) or getattr(leaf, "code", code) != code:
                 break
             error = leaf.__new__(leaf)
-            StoneError.__init__(error, said.get("sentence", ""))
+            StoneError.__init__(error, texts.get("sentence", ""))
             error.code = code
             return error
     return SandboxCrashedError("sent an unknown refusal")
 
 
 def _leaves(root: type[StoneError]) -> list[type[StoneError]]:
-    return [found for leaf in root.__subclasses__() for found in (leaf, *_leaves(leaf))]
+    return [descendant for leaf in root.__subclasses__() for descendant in (leaf, *_leaves(leaf))]

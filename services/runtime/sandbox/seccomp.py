@@ -149,7 +149,7 @@ def _passes_if_one_of(argument: int, *values: int) -> Program:
     last = len(values)
     return [
         _op(LOAD, _at(argument)),
-        *(_op(EQUAL, value, last - place, 0) for place, value in enumerate(values)),
+        *(_op(EQUAL, value, last - index, 0) for index, value in enumerate(values)),
         *ENDS,
     ]
 

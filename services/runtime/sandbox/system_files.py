@@ -29,8 +29,8 @@ def system_files() -> tuple[Path, ...]:
 
 @cache
 def _installed() -> tuple[Path, ...]:
-    found = {*map(Path, (*SYSTEM, *KERNEL, *GROUPS, sys.prefix, sys.base_prefix)), *_packages()}
-    return tuple(sorted(path for path in (*found, *_compiled()) if path.exists()))
+    paths = {*map(Path, (*SYSTEM, *KERNEL, *GROUPS, sys.prefix, sys.base_prefix)), *_packages()}
+    return tuple(sorted(path for path in (*paths, *_compiled()) if path.exists()))
 
 
 def _packages() -> set[Path]:
@@ -38,8 +38,8 @@ def _packages() -> set[Path]:
 
     Python reads the folder around them again after it changed; a child may not, and would not find them there.
     """
-    found = (import_module(name) for name in PACKAGES if find_spec(name))
-    return {Path(place) for package in found for place in package.__path__}
+    packages = (import_module(name) for name in PACKAGES if find_spec(name))
+    return {Path(folder) for package in packages for folder in package.__path__}
 
 
 def _compiled() -> set[Path]:
