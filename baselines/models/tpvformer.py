@@ -27,8 +27,8 @@ class TPVFormer(OccupancyModel[Tensor]):
 
     At full size it has 65,070,146 parameters, like the official modules at 4 classes and planes of 128 × 128 × 16 (65.1
     M). The parts are backbone 44,304,894, pyramid 3,278,592, queries 5,242,880, positions 32,768, embeddings of cameras
-    and levels 2,560, three encoder layers of 3,981,504, aggregator 263,940. With batch normalisation, stem and first
-    stage frozen, as officially, 64,742,402 of them are trained.
+    and levels 2,560. Further parts are three encoder layers of 3,981,504 and the aggregator 263,940. With batch
+    normalisation, stem and first stage frozen, as officially, 64,742,402 of them are trained.
     """
 
     modality = "C"

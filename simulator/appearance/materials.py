@@ -289,8 +289,8 @@ def _tinted(colour: Rgb | Floats, shade: Array | Floats) -> Floats:
 
 # The ground cover: bare soil on the track, grass and tall grass beside it, gravel, rock on steep slopes. Layers lie on
 # the terrain's lattice, (ny, nx, `LAYERS`) float32: the shares of soil, gravel, rock and tall grass, 0 to 1 (the rest
-# is grass); the height in metres; and its gradients along x and y. The normal is computed from the gradients. As
-# outdoors, looks go with drivability: the track is bare, slopes beyond `STEEP_RAD` are scree, then rock, and ditches
+# is grass). Further layers are the height in metres and its gradients along x and y, from which the normal is computed.
+# As outdoors, looks go with drivability: the track is bare, slopes beyond `STEEP_RAD` are scree, then rock, and ditches
 # have banks of earth.
 
 

@@ -1,8 +1,8 @@
 """Aggregator of TPVFormer: classes of voxels from the sum of the three planes' features.
 
 Official: logits = classifier(output(softplus(hidden(top + front + side)))) of each voxel, after planes were scaled up.
-Three identities reduce the operations. A linear layer of a sum is the sum over its terms; it may be applied before the
-planes are scaled up (bilinear weights add to one); and two consecutive linear layers are one. Source: Huang et al.,
+Three identities reduce the operations. A linear layer of a sum is the sum over its terms. It may be applied before the
+planes are scaled up, because bilinear weights add to one. Two consecutive linear layers are one. Source: Huang et al.,
 CVPR 2023, equation 10; wzzheng/TPVFormer tpvformer10/tpv_aggregator.py.
 """
 
