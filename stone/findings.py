@@ -1,4 +1,4 @@
-"""Findings about an input, by the name that the science and the platform know them by (`stone_base/findings.py`)."""
+"""Findings about an input, re-exported from `stone_base/findings.py`."""
 
 from stone_base.findings import Finding, Severity
 

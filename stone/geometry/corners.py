@@ -1,4 +1,4 @@
-"""The box around points: the least and the most along each axis."""
+"""The bounding box of points."""
 
 from typing import Any
 
@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 
 def corners_of(points: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """The lowest and the highest corner (D,) of points (N, D), N ≥ 1; NaN along an axis where one of them is.
+    """Return the lowest and the highest corner (D,) of points (N, D), N ≥ 1; NaN along an axis with a NaN coordinate.
 
-    Column by column: along rows of three numbers numpy takes 25 times as long.
+    The loop runs over columns, because numpy takes 25 times as long along rows of three numbers.
     """
     return np.array([axis.min() for axis in points.T]), np.array([axis.max() for axis in points.T])

@@ -1,9 +1,9 @@
-"""Jumps of a track: steps that no vehicle can have made, across which nothing may be interpolated.
+"""Jumps of a track: steps that no vehicle can have made, and across which nothing may be interpolated.
 
-**Conventions.** Steps are between neighbouring poses: K poses have K − 1. A step is held against the velocities around
-it (the median of five, itself among them), so that a fast vehicle is no jump and an outlier is two. It is a jump where
-it misses the expected place by more than the vehicle's acceleration allows, a·dt², and the source's own noise, or
-where the robot would have turned faster than robots turn.
+**Conventions.** Steps are between neighbouring poses: K poses have K − 1. A step is compared with the surrounding
+velocities (the median of five, including its own), so that a fast vehicle is no jump and an outlier gives two. A step
+is a jump if it misses the expected position by more than the vehicle's acceleration (a·dt²) and the source's noise
+allow, or if the robot would have turned implausibly fast.
 """
 
 from dataclasses import dataclass, replace
@@ -20,10 +20,10 @@ LEAST_STEPS = WINDOW // 2 + 1
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """What a ground vehicle can do, and the noise of the poses it is measured by.
+    """Limits of a ground vehicle's motion, and the noise of the poses.
 
-    `speed_m_s` alone decides where there are too few poses to know the usual speed. Where the status of the solution
-    changes (RTK lost or won), half the noise is suspicious already.
+    With too few poses to estimate the usual speed, only `speed_m_s` applies. If the status of the solution changes (RTK
+    lost or regained), half the noise already counts as a jump.
     """
 
     speed_m_s: float = 15.0
@@ -34,7 +34,7 @@ class MotionLimits:
 
 @dataclass(frozen=True, eq=False)
 class Jumps:
-    """The steps (J,) that are jumps: step k is from pose k to pose k + 1, and missed its place by `excess_m` (J,)."""
+    """The steps (J,) that are jumps: step k is from pose k to pose k + 1 and missed its position by `excess_m` (J,)."""
 
     steps: NDArray[np.int64]
     excess_m: NDArray[np.float64]
@@ -43,7 +43,7 @@ class Jumps:
 def jumps_of(
     trajectory: Trajectory, has_changed: NDArray[np.bool_] | None = None, limits: MotionLimits | None = None
 ) -> Jumps:
-    """The jumps of a trajectory; `has_changed` (K − 1,) says over which steps the status of the solution changed."""
+    """Return the jumps of a trajectory; `has_changed` (K − 1,) marks steps over which the solution status changed."""
     limits = limits or MotionLimits()
     dt_s = np.diff(trajectory.stamps_ns) * 1e-9
     rate_m_s = np.diff(trajectory.map_from_ego.translation_m, axis=0) / dt_s[:, None]
@@ -61,7 +61,7 @@ def jumps_of(
 
 
 def split(trajectory: Trajectory, steps: NDArray[np.int64]) -> Trajectory:
-    """The trajectory with a new segment after each of these steps; itself where there are none."""
+    """Return the trajectory with a new segment after each of these steps, or itself if there are none."""
     if not len(steps):
         return trajectory
     begins = np.zeros(len(trajectory), np.int64)
@@ -70,7 +70,7 @@ def split(trajectory: Trajectory, steps: NDArray[np.int64]) -> Trajectory:
 
 
 def _usual(rate_m_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Per step the median velocity of the steps around it (M, 3); mirrored at the ends, where M ≥ 3."""
+    """Return, per step, the median velocity of the surrounding steps (M, 3); mirrored at the ends, M ≥ 3."""
     padded = np.pad(rate_m_s, ((WINDOW // 2, WINDOW // 2), (0, 0)), mode="reflect")
     around = np.lib.stride_tricks.sliding_window_view(padded, WINDOW, axis=0)
     return np.asarray(np.median(around, axis=-1), dtype=np.float64)

@@ -22,20 +22,20 @@ Keys = NDArray[np.int64]
 
 @njit(inline="always")
 def pack(i: int, j: int, k: int) -> np.int64:
-    """The key of voxel (i, j, k)."""
+    """Return the key of voxel (i, j, k)."""
     return ((np.int64(i) + BIAS) << 42) | ((np.int64(j) + BIAS) << 21) | (np.int64(k) + BIAS)
 
 
 @njit(inline="always")
 def scatter(key: np.int64) -> np.uint64:
-    """Fibonacci hashing (Knuth, TAOCP 3, 6.4); the xor brings the high bits down to where the mask looks."""
+    """Return the Fibonacci hash (Knuth, TAOCP 3, 6.4); the xor moves the high bits into the range of the mask."""
     mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
     return mixed ^ (mixed >> np.uint64(32))
 
 
 @njit(inline="always")
 def slot_of(table_keys: Keys, key: np.int64) -> np.int64:
-    """Where `key` stands in a table with free slots, or the `EMPTY` slot where it would."""
+    """Return the slot of `key` in a table with free slots, or the `EMPTY` slot where it would be inserted."""
     mask = np.uint64(table_keys.size - 1)
     slot = scatter(key) & mask
     while table_keys[slot] != key and table_keys[slot] != EMPTY:
@@ -45,7 +45,7 @@ def slot_of(table_keys: Keys, key: np.int64) -> np.int64:
 
 @njit(inline="always")
 def find(table_keys: Keys, table_rows: NDArray[np.int32], key: np.int64) -> int:
-    """Row of `key`, or −1."""
+    """Return the row of `key`, or −1."""
     slot = slot_of(table_keys, key)
     row: int = table_rows[slot] if table_keys[slot] == key else -1
     return row
@@ -68,7 +68,7 @@ class VoxelTable:
 
 
 def table_of(keys: Keys) -> VoxelTable:
-    """The table that finds each of the distinct `keys` by its row."""
+    """Return the table that maps each of the distinct `keys` to its row."""
     slots = 1 << max(4, math.ceil(math.log2(max(len(keys), 1))) + 1)
     table = VoxelTable(np.full(slots, EMPTY, np.int64), np.zeros(slots, np.int32))
     _fill(keys, table.keys, table.rows)
@@ -85,9 +85,9 @@ def _keys_of(points: NDArray[np.float64], size_m: float, out: Keys) -> None:
 
 
 def keys_of(points: NDArray[np.float64], size_m: float) -> Keys:
-    """The voxel key of each point (N, 3), metres.
+    """Return the voxel key of each point (N, 3), metres.
 
-    Raises `off_lattice` where a coordinate is not finite or off the lattice.
+    Raises `off_lattice` if a coordinate is not finite or off the lattice.
     """
     check_reach(points, size_m)
     keys = np.empty(len(points), np.int64)
@@ -96,10 +96,10 @@ def keys_of(points: NDArray[np.float64], size_m: float) -> Keys:
 
 
 def check_reach(points: NDArray[np.float64], size_m: float) -> None:
-    """Every coordinate fits the lattice of this voxel size; else `off_lattice`."""
+    """Raise `off_lattice` unless every coordinate fits the lattice with this voxel size."""
     reach_m = float(np.max(np.abs(points), initial=0.0))
     limit_m = (BIAS - 2) * size_m
-    if not reach_m < limit_m:  # NaN fails this too
+    if not reach_m < limit_m:  # also raises for NaN
         raise Refused(
             "off_lattice",
             f"coordinates are up to {reach_m:g} m from the map origin, but the lattice ends at {limit_m:g} m: "
@@ -108,16 +108,16 @@ def check_reach(points: NDArray[np.float64], size_m: float) -> None:
 
 
 def indices_of(keys: Keys) -> NDArray[np.int64]:
-    """Voxel indices (N, 3) of keys (N,)."""
+    """Return the voxel indices (N, 3) of keys (N,)."""
     return np.stack([(keys >> 42) - BIAS, ((keys >> 21) & MASK) - BIAS, (keys & MASK) - BIAS], axis=1)
 
 
 def keys_from_indices(indices: NDArray[np.int64]) -> Keys:
-    """Keys (N,) of voxel indices (N, 3)."""
+    """Return the keys (N,) of voxel indices (N, 3)."""
     biased = indices.astype(np.int64) + BIAS
     return np.asarray((biased[:, 0] << 42) | (biased[:, 1] << 21) | biased[:, 2], dtype=np.int64)
 
 
 def centres_of(keys: Keys, size_m: float) -> NDArray[np.float64]:
-    """Voxel centres (N, 3), metres."""
+    """Return the voxel centres (N, 3), metres."""
     return np.asarray((indices_of(keys) + 0.5) * size_m, dtype=np.float64)

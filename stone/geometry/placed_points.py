@@ -1,6 +1,6 @@
-"""Many points put where one pose has them, in one pass.
+"""Transforms many points by one pose in one pass.
 
-**Conventions.** Bit for bit what `SE3 @ points` gives, which makes ten arrays as large on the way.
+**Conventions.** Bit-identical to `SE3 @ points`, which allocates temporaries of ten times the size.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from stone.geometry.se3 import SE3
 
 
 def placed(to_from: SE3, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The points (N, 3) by a single pose."""
+    """Return the points (N, 3) transformed by a single pose."""
     out = np.empty((len(points), 3))
     _place(to_from.wxyz_xyz, np.ascontiguousarray(points), out)
     return out

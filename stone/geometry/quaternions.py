@@ -1,7 +1,7 @@
-"""Rotations inside of compiled loops: unit quaternions `wxyz` and vectors as plain tuples.
+"""Rotations inside compiled loops: unit quaternions `wxyz` and vectors as plain tuples.
 
-**Conventions.** The formulas and their order are those of `stone.geometry.se3`, which is the oracle; only sine and
-arctangent may differ in the last bit, for numpy has its own.
+**Conventions.** Formulas and their order equal `stone.geometry.se3`, which is the oracle; only sine and arctangent may
+differ in the last bit, because numpy has its own.
 """
 
 import math
@@ -16,7 +16,7 @@ Xyz = tuple[float, float, float]
 
 @njit(inline="always")
 def product(a: Wxyz, b: Wxyz) -> Wxyz:
-    """Hamilton product: the rotation `b`, then `a`."""
+    """Return the Hamilton product: the rotation `b`, then `a`."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
     return (
@@ -29,26 +29,26 @@ def product(a: Wxyz, b: Wxyz) -> Wxyz:
 
 @njit(inline="always")
 def conjugate(a: Wxyz) -> Wxyz:
-    """The rotation back."""
+    """Return the inverse rotation."""
     return a[0], -a[1], -a[2], -a[3]
 
 
 @njit(inline="always")
 def unit(a: Wxyz) -> Wxyz:
-    """`a` at length one."""
+    """Return `a` normalised."""
     norm = math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2] + a[3] * a[3])
     return a[0] / norm, a[1] / norm, a[2] / norm, a[3] / norm
 
 
 @njit(inline="always")
 def cross(a: Xyz, b: Xyz) -> Xyz:
-    """Perpendicular to both."""
+    """Return the cross product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @njit(inline="always")
 def turned(a: Wxyz, v: Xyz) -> Xyz:
-    """The vector turned by the rotation."""
+    """Return the rotated vector."""
     axis, w = (a[1], a[2], a[3]), a[0]
     x, y, z = cross(axis, v)
     twice = 2.0 * x, 2.0 * y, 2.0 * z
@@ -58,7 +58,7 @@ def turned(a: Wxyz, v: Xyz) -> Xyz:
 
 @njit(inline="always")
 def slerped(a: Wxyz, b: Wxyz, ratio: float) -> Wxyz:
-    """`a` at ratio 0, `b` at 1, the shorter way round (see `stone.geometry.se3.slerp`)."""
+    """Return `a` at ratio 0, `b` at 1, along the shorter arc (see `stone.geometry.se3.slerp`)."""
     if a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] < 0:
         b = (-b[0], -b[1], -b[2], -b[3])
     apart = math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2 + (a[3] - b[3]) ** 2)

@@ -16,7 +16,7 @@ from stone.errors import ShapeError
 
 Array = NDArray[np.float64]
 
-# Below this angle sin(θ) loses digits and the chord equals the arc to 1e-13: interpolate linearly.
+# Below this angle sin(θ) loses digits and the chord equals the arc to 1e-13, so interpolate linearly.
 LINEAR_BELOW_RAD = 1e-6
 
 
@@ -36,7 +36,7 @@ class SE3:
 
     @staticmethod
     def from_parts(wxyz: Array, translation_m: Array) -> "SE3":
-        """Quaternion (..., 4), normalised here, and translation (..., 3)."""
+        """Return the transform with a quaternion (..., 4), normalised here, and a translation (..., 3)."""
         unit = wxyz / np.linalg.norm(wxyz, axis=-1, keepdims=True)
         batch = np.broadcast_shapes(unit.shape[:-1], translation_m.shape[:-1])
         parts = (np.broadcast_to(unit, (*batch, 4)), np.broadcast_to(translation_m, (*batch, 3)))
@@ -44,7 +44,7 @@ class SE3:
 
     @staticmethod
     def from_matrix(matrix: Array) -> "SE3":
-        """Homogeneous (..., 4, 4); the rotation block is taken to be a rotation (see `stone.sensors.calibration`)."""
+        """Return the transform of a homogeneous matrix (..., 4, 4), whose rotation block must be a rotation."""
         if matrix.shape[-2:] != (4, 4):
             raise ShapeError("matrix", matrix.shape, "(..., 4, 4)")
         return SE3.from_parts(wxyz_from_rotation(matrix[..., :3, :3]), matrix[..., :3, 3])
@@ -103,7 +103,7 @@ class SE3:
 
 
 def multiply(a_wxyz: Array, b_wxyz: Array) -> Array:
-    """Hamilton product: the rotation `b`, then `a`."""
+    """Return the Hamilton product: the rotation `b`, then `a`."""
     aw, ax, ay, az = _components(a_wxyz)
     bw, bx, by, bz = _components(b_wxyz)
     product = (
@@ -116,7 +116,7 @@ def multiply(a_wxyz: Array, b_wxyz: Array) -> Array:
 
 
 def rotate(wxyz: Array, vectors: Array) -> Array:
-    """Vectors (..., 3) turned by unit quaternions (..., 4)."""
+    """Return vectors (..., 3) rotated by unit quaternions (..., 4)."""
     w = wxyz[..., 0]
     axis = (wxyz[..., 1], wxyz[..., 2], wxyz[..., 3])
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
@@ -130,7 +130,7 @@ def _components(wxyz: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def _side_by_side(parts: tuple[Array, ...]) -> Array:
-    """Arrays of one shape along a new last axis; `np.stack` takes longer to arrange the numbers of one pose."""
+    """Return arrays of one shape along a new last axis; faster than `np.stack` for a single pose."""
     out = np.empty((*np.shape(parts[0]), len(parts)))
     for at, part in enumerate(parts):
         out[..., at] = part
@@ -138,33 +138,35 @@ def _side_by_side(parts: tuple[Array, ...]) -> Array:
 
 
 def _cross(a: tuple[Array, Array, Array], b: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-    """By components: numpy's own takes longer to arrange a single vector than to compute ten thousand."""
+    """Return the cross product by components; numpy's has a large overhead for single vectors."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 def steps_of(poses: SE3) -> tuple[Array, Array]:
-    """How far (K − 1,), metres, and by which angle (K − 1,), in [0, π], each of K poses is from the one before it."""
+    """Return distance (K − 1,) in metres and angle (K − 1,) in [0, π] between consecutive poses."""
     lengths_m = np.linalg.norm(np.diff(poses.translation_m, axis=0), axis=1)
     turns = multiply(poses.wxyz[:-1] * np.array([1.0, -1.0, -1.0, -1.0]), poses.wxyz[1:])
     return lengths_m, 2 * np.arctan2(np.linalg.norm(turns[:, 1:], axis=1), np.abs(turns[:, 0]))
 
 
 def shortest_turn_to_z(up: Array) -> Array:
-    """The quaternion that turns the unit vector `up` (3,) to z; about x where it points straight down."""
+    """Return the quaternion that turns the unit vector `up` (3,) to z; about x if it points straight down."""
     half = np.array([1 + up[2], up[1], -up[0], 0.0])
     size = float(np.linalg.norm(half))
     return half / size if size > 1e-9 else np.array([0.0, 1.0, 0.0, 0.0])
 
 
 def apart(a: SE3, b: SE3) -> tuple[float, float]:
-    """How far one single transform is from another: metres, radians."""
+    """Return the distance in metres and the angle in radians between two single transforms."""
     turned = (b @ a.inverse()).wxyz
     angle = 2 * np.arctan2(np.linalg.norm(turned[1:]), abs(turned[0]))
     return float(np.linalg.norm(b.translation_m - a.translation_m)), float(angle)
 
 
 def wxyz_from_rotation(rotation: Array) -> Array:
-    """Unit quaternions with w ≥ 0 from rotation matrices (..., 3, 3), by the largest component (Shepperd, 1978)."""
+    """Return unit quaternions with w ≥ 0 of rotation matrices (..., 3, 3), by the largest component (Shepperd,
+    1978).
+    """
     r = rotation
     trace = np.trace(r, axis1=-2, axis2=-1)
     squares = np.stack([trace, r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]], axis=-1)
@@ -187,9 +189,9 @@ def wxyz_from_rotation(rotation: Array) -> Array:
 
 
 def slerp(a_wxyz: Array, b_wxyz: Array, ratio: Array) -> Array:
-    """Shortest-arc interpolation of unit quaternions: `a` at ratio 0, `b` at 1 (Shoemake, 1985).
+    """Interpolate unit quaternions along the shortest arc: `a` at ratio 0, `b` at 1 (Shoemake, 1985).
 
-    `ratio` has the batch shape. The angle comes from atan2(|a−b|, |a+b|), which keeps its digits near 0 and π.
+    `ratio` has the batch shape. The angle comes from atan2(|a−b|, |a+b|), which is accurate near 0 and π.
     """
     b = np.where(np.sum(a_wxyz * b_wxyz, axis=-1, keepdims=True) < 0, -b_wxyz, b_wxyz)
     angle = 2 * np.arctan2(np.linalg.norm(a_wxyz - b, axis=-1), np.linalg.norm(a_wxyz + b, axis=-1))
@@ -202,6 +204,6 @@ def slerp(a_wxyz: Array, b_wxyz: Array, ratio: Array) -> Array:
 
 
 def interpolate(a: SE3, b: SE3, ratio: Array) -> SE3:
-    """Between two transforms: position linear, orientation by `slerp` (paper, III-C)."""
+    """Interpolate between two transforms: position linearly, orientation by `slerp` (paper, III-C)."""
     position = (1 - ratio)[..., None] * a.translation_m + ratio[..., None] * b.translation_m
     return SE3.from_parts(slerp(a.wxyz, b.wxyz, ratio), position)

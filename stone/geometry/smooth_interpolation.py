@@ -1,12 +1,12 @@
-"""Poses added between those of a smooth source, so that straight lines and slerp between them err less.
+"""Adds poses between those of a smooth source, so that linear interpolation and slerp have a smaller error.
 
-Between two samples of an INS, 50 ms apart, a robot on rough ground pitches at 2 rad/s²: slerp alone errs by 0.025°, and
-points deskewed with it by 12 mm at 50 m. The polynomial through the six samples around (Lagrange, in the tangent of the
-left of the middle two; four where there are no six) errs by a twentieth of that.
+Between two INS samples, 50 ms apart, a robot on rough ground pitches with 2 rad/s²: slerp alone has an error of 0.025°,
+and points deskewed with it are off by 12 mm at 50 m. The polynomial through the six surrounding samples (Lagrange, in
+the tangent of the left one of the middle two; four samples if there are no six) reduces the error to a twentieth.
 
-**Conventions.** Samples stay what they are; nothing is put into the first or last interval of a segment, nor where one
-of the three intervals around is longer than `max_gap_ns`: there, a polynomial would be a guess. For sources that are
-smooth between their samples only; odometry that registers scan by scan is not.
+**Conventions.** Samples stay unchanged. Nothing is added in the first or last interval of a segment, or if one of the
+three surrounding intervals is longer than `max_gap_ns`, because a polynomial would be a guess. Only for sources that
+are smooth between samples; scan-by-scan odometry is not.
 """
 
 from dataclasses import replace
@@ -22,7 +22,7 @@ CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 
 
 def with_between(trajectory: Trajectory, max_gap_ns: int) -> Trajectory:
-    """The trajectory with seven more poses in every interval that has a neighbour on each side."""
+    """Return the trajectory with seven additional poses in every interval with a neighbour on each side."""
     wide = _rows(trajectory, max_gap_ns, 2)
     narrow = np.setdiff1d(_rows(trajectory, max_gap_ns, 1), wide)
     if not len(wide) + len(narrow):
@@ -32,7 +32,7 @@ def with_between(trajectory: Trajectory, max_gap_ns: int) -> Trajectory:
 
 
 def _rows(trajectory: Trajectory, max_gap_ns: int, reach: int) -> NDArray[np.int64]:
-    """Rows k whose neighbours k − reach to k + 1 + reach are of one segment and near each other."""
+    """Return the rows k whose neighbours k − reach to k + 1 + reach are in one segment without long gaps."""
     is_short = np.diff(trajectory.stamps_ns) <= max_gap_ns
     if trajectory.segment is not None:
         is_short &= np.diff(trajectory.segment) == 0
@@ -46,7 +46,7 @@ def _rows(trajectory: Trajectory, max_gap_ns: int, reach: int) -> NDArray[np.int
 def _between(
     trajectory: Trajectory, rows: NDArray[np.int64], reach: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Stamps and `wxyz_xyz` of the poses put after each of these rows, by its 2 · reach + 2 neighbours."""
+    """Return stamps and `wxyz_xyz` of the poses added after each of these rows, from its 2 · reach + 2 neighbours."""
     around = rows[:, None] + np.arange(-reach, reach + 2)
     times_ns = trajectory.stamps_ns[around] - trajectory.stamps_ns[rows][:, None]
     new_ns = np.round(RATIOS * times_ns[:, reach + 1 : reach + 2]).astype(np.int64)
@@ -60,7 +60,7 @@ def _between(
 
 
 def _lagrange(nodes: Array, at: Array) -> Array:
-    """Weights (M, P, n) of the values at `nodes` (M, n) for the polynomial's values at `at` (M, P)."""
+    """Return the weights (M, P, n) of the values at `nodes` (M, n) for the polynomial's values at `at` (M, P)."""
     weights = np.ones((*at.shape, nodes.shape[1]))
     for j in range(nodes.shape[1]):
         for i in range(nodes.shape[1]):
@@ -70,7 +70,7 @@ def _lagrange(nodes: Array, at: Array) -> Array:
 
 
 def rotation_vectors(wxyz: Array) -> Array:
-    """Rotation vectors (..., 3) of unit quaternions, the short way."""
+    """Return the rotation vectors (..., 3) of unit quaternions, along the shorter arc."""
     shortest = np.where(wxyz[..., :1] < 0, -wxyz, wxyz)
     sine = np.linalg.norm(shortest[..., 1:], axis=-1, keepdims=True)
     angle = 2 * np.arctan2(sine, shortest[..., :1])
@@ -78,13 +78,15 @@ def rotation_vectors(wxyz: Array) -> Array:
 
 
 def _exp(turn_rad: Array) -> Array:
-    """Unit quaternions of rotation vectors (..., 3)."""
+    """Return the unit quaternions of rotation vectors (..., 3)."""
     angle = np.linalg.norm(turn_rad, axis=-1, keepdims=True)
     return np.concatenate([np.cos(angle / 2), turn_rad * np.sinc(angle / (2 * np.pi)) / 2], axis=-1)
 
 
 def _merged(trajectory: Trajectory, new_ns: NDArray[np.int64], new: Array) -> Trajectory:
-    """Both in order of their stamps; a stamp that is there already (samples nanoseconds apart) is not put in again."""
+    """Return old and new poses in stamp order; a new pose with an existing stamp (samples nanoseconds apart) is
+    dropped.
+    """
     stamps_ns, first = np.unique(np.concatenate([trajectory.stamps_ns, new_ns]), return_index=True)
     poses = np.concatenate([trajectory.map_from_ego.wxyz_xyz, new])[first]
     segment = trajectory.segment

@@ -1,11 +1,12 @@
-"""Poses interpolated in time: position linear, orientation by slerp, nothing beyond the poses there are.
+"""Poses interpolated in time: position linearly, orientation by slerp, never extrapolated.
 
-**Conventions.** Poses are `map_from_ego` at strictly increasing int64 `stamps_ns`. A query on a pose's own stamp is
-that pose; between two poses it is answered only when they are at most `max_gap_ns` apart and of one segment (a track
-is split where its source jumped, `stone.geometry.jumps`); outside the first and last pose it is never answered. What is
-not answered is NaN with a status that says why, so it cannot be used by mistake.
+**Conventions.** Poses are `map_from_ego` at strictly increasing int64 `stamps_ns`. A query at a pose's own stamp
+returns that pose. A query between two poses has a result only if they are at most `max_gap_ns` apart and in one segment
+(a track is split where its source jumped, `stone.geometry.jumps`). Queries outside the first and last pose have no
+result. Missing results are NaN with a status that gives the reason, so they cannot be used by mistake.
 
-Linear position errs by at most a·dt²/8: 0.9 mm at 20 Hz and 3 m/s², 2.3 cm at the default 250 ms. Source: paper, III-C.
+The linear position error is at most a·dt²/8: 0.9 mm at 20 Hz and 3 m/s², 2.3 cm at the default 250 ms. Source: paper,
+III-C.
 """
 
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ DEFAULT_MAX_GAP_NS = 250_000_000
 
 
 class PoseStatus(IntEnum):
-    """Why a query has a pose, or has none."""
+    """Whether a query has a pose, or why not."""
 
     OK = 0
     BEFORE_FIRST = 1
@@ -32,10 +33,10 @@ class PoseStatus(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Interpolated:
-    """N answers: `map_from_ego` (NaN unless ok), `gap_ns` (N,) int64 and `status` (N,) uint8 of PoseStatus.
+    """N results: `map_from_ego` (NaN unless ok), `gap_ns` (N,) int64 and `status` (N,) uint8 of PoseStatus.
 
-    `gap_ns` is the distance between the two poses around the query; 0 on a pose's own stamp and outside all poses.
-    `segment` (N,) is that of the pose before it: answers of two segments are not to be related to each other.
+    `gap_ns` is the interval between the two poses around the query; 0 at a pose's own stamp and outside all poses.
+    `segment` (N,) is the segment of the previous pose; results of different segments must not be related to each other.
     """
 
     map_from_ego: SE3
@@ -50,9 +51,10 @@ class Interpolated:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """`map_from_ego` (K,) at `stamps_ns` (K,), K ≥ 1; `segment` (K,) numbers the unbroken stretches, None for one.
+    """`map_from_ego` (K,) at `stamps_ns` (K,), K ≥ 1; `segment` (K,) numbers the unbroken stretches, None for one
+    stretch.
 
-    Raises `empty_trajectory`, `trajectory_stamps`, and ShapeError when the lengths differ.
+    Raises `empty_trajectory`, `trajectory_stamps`, and ShapeError if the lengths differ.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -87,14 +89,16 @@ class Trajectory:
         return np.zeros(len(self), np.int64) if self.segment is None else self.segment
 
     def around(self, query_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """The poses (left, right) that answer each query (N,): twice the same on a pose's own stamp and outside all."""
+        """Return the poses (left, right) around each query (N,): one pose twice at its own stamp and outside all
+        poses.
+        """
         left = np.clip(np.searchsorted(self.stamps_ns, query_ns, side="right") - 1, 0, len(self) - 1)
         is_alone = (self.stamps_ns[left] == query_ns) | (query_ns < self.stamps_ns[0])
         right = np.where(is_alone, left, np.minimum(left + 1, len(self) - 1))
         return left.astype(np.int64), right.astype(np.int64)
 
     def at(self, query_ns: NDArray[np.int64], max_gap_ns: int = DEFAULT_MAX_GAP_NS) -> Interpolated:
-        """Poses at `query_ns` (N,), in any order; a gap of exactly `max_gap_ns` is still bridged."""
+        """Return the poses at `query_ns` (N,), in any order; a gap of exactly `max_gap_ns` is still bridged."""
         stamps_ns = self.stamps_ns
         left, right = self.around(query_ns)
         gap_ns = stamps_ns[right] - stamps_ns[left]

@@ -1,8 +1,8 @@
-"""Single steps on machine words that LLVM fits to the vector unit at hand; to be called from compiled kernels only.
+"""Single steps on machine words that LLVM fits to the available vector unit; for use in compiled kernels only.
 
-**Conventions.** Bit n of a word stands for lane n: for voxel n of an upright column, or for frame n of a batch.
-Addresses are counted in elements of a C-contiguous array. Like those that numba makes itself they are checked with
-`NUMBA_BOUNDSCHECK=1` alone: why each is in range is in docs/developers/kernels.md.
+**Conventions.** Bit n of a word is lane n: voxel n of an upright column, or frame n of a batch. Addresses count
+elements of a C-contiguous array. As in numba's own code, they are checked only with `NUMBA_BOUNDSCHECK=1`:
+docs/developers/kernels.md explains why each is in range.
 """
 
 from typing import Any
@@ -17,7 +17,7 @@ COLUMN = 32
 
 
 def _popcount(typing_context: Any, word: Any) -> Any:
-    """How many bits of a uint64 are set."""
+    """Return the number of set bits of a uint64."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.ctpop(arguments[0])
@@ -26,7 +26,7 @@ def _popcount(typing_context: Any, word: Any) -> Any:
 
 
 def _lowest(typing_context: Any, word: Any) -> Any:
-    """The number of the lowest set bit of a uint32 that is not 0."""
+    """Return the number of the lowest set bit of a uint32 that is not 0."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.zext(builder.cttz(arguments[0], ir.Constant(BIT, 1)), I64)
@@ -35,7 +35,7 @@ def _lowest(typing_context: Any, word: Any) -> Any:
 
 
 def _spread(typing_context: Any, ones: Any, twos: Any, out: Any, at: Any) -> Any:
-    """Write 32 bytes from out[at] on: byte n is bit n of `ones` plus twice that of `twos`."""
+    """Write 32 bytes from out[at]: byte n is bit n of `ones` plus twice bit n of `twos`."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         lanes = ir.VectorType(I8, COLUMN)
@@ -48,7 +48,11 @@ def _spread(typing_context: Any, ones: Any, twos: Any, out: Any, at: Any) -> Any
 
 
 def _differs(typing_context: Any, fraction: Any, back: Any, slope: Any, bits: Any) -> Any:
-    """Bit n: p = fraction + n · slope and p − back have different floors when divided by 2^bits; all int32."""
+    """Return a word: bit n is set if p = fraction + n · slope and p − back have different floors after division by
+    2^bits.
+
+    All arguments are int32.
+    """
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         lanes = ir.VectorType(I32, COLUMN)
@@ -61,17 +65,17 @@ def _differs(typing_context: Any, fraction: Any, back: Any, slope: Any, bits: An
 
 
 def _looked_up(typing_context: Any, block: Any, last: Any, place: Any, slope: Any, bits: Any) -> Any:
-    """Four words of a column: bit n of word p is bit p of the byte of a block that holds position place + n · slope.
+    """Return four words of a column: bit n of word p is bit p of the block's byte at position place + n · slope.
 
-    Each of the three coordinates, divided by 2^bits, is a layer of the block, held between 0 and `last`. The block is
-    flat, its last axis running fastest, of less than 2^31 bytes. All are int64; of `slope` 32 bits are enough.
+    Each of the three coordinates, divided by 2^bits, is a layer of the block, clamped to 0 … `last`. The block is flat,
+    its last axis runs fastest, and it has less than 2^31 bytes. All arguments are int64; 32 bits of `slope` suffice.
     """
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         block, *axes, bits = arguments
         at = _offsets(builder, axes, bits)
         lanes, found = ir.VectorType(I8, COLUMN), ir.Constant(ir.VectorType(I8, COLUMN), ir.Undefined)
-        for n in range(COLUMN):  # one by one: what gathers them at once takes a third longer, where there is such
+        for n in range(COLUMN):  # one by one: vector gathers take a third longer
             place = builder.zext(builder.extract_element(at, ir.Constant(I32, n)), I64)
             byte = builder.load(pointer(context, builder, (signature.args[0], block), place, I8, 1))
             found = builder.insert_element(found, byte, ir.Constant(I32, n))
@@ -86,7 +90,7 @@ def _looked_up(typing_context: Any, block: Any, last: Any, place: Any, slope: An
 
 
 def _offsets(builder: Any, axes: Any, bits: Any) -> Any:
-    """Where the positions of `_looked_up` lie in its block, 32 of 32 bits each; `axes` are last, place and slope."""
+    """Return the offsets of `_looked_up` in its block, 32 values of 32 bits; `axes` are last, place and slope."""
     lanes = ir.VectorType(I32, COLUMN)
     numbers, none = ir.Constant(lanes, list(range(COLUMN))), ir.Constant(lanes, [0] * COLUMN)
     offsets = none
@@ -106,7 +110,7 @@ def _offsets(builder: Any, axes: Any, bits: Any) -> Any:
 
 
 def _transpose(typing_context: Any, source: Any, at: Any, out: Any, to: Any) -> Any:
-    """Bit m of out[to + n] = bit n of source[at + m], for m and n of 0 to 31."""
+    """Transpose: bit m of out[to + n] = bit n of source[at + m], for m and n from 0 to 31."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         source, at, out, to = arguments
@@ -123,7 +127,7 @@ def _transpose(typing_context: Any, source: Any, at: Any, out: Any, to: Any) -> 
 
 
 def splat(builder: Any, value: Any, lanes: Any) -> Any:
-    """The vector that holds this value in every lane."""
+    """Return the vector with this value in every lane."""
     single = builder.insert_element(ir.Constant(lanes, ir.Undefined), value, ir.Constant(I32, 0))
     order = ir.Constant(ir.VectorType(I32, lanes.count), [0] * lanes.count)
     return builder.shuffle_vector(single, ir.Constant(lanes, ir.Undefined), order)
@@ -134,7 +138,7 @@ def bits_of(count: int) -> Any:
 
 
 def pointer(context: Any, builder: Any, array: tuple[Any, Any], at: Any, lanes: Any, count: int) -> Any:
-    """The address of array[at] as one of `lanes`; of the array `count` elements are read or written from there on."""
+    """Return the address of array[at] as a vector of `lanes`; the kernel accesses `count` elements from there."""
     made = context.make_array(array[0])(context, builder, array[1])
     if config.BOUNDSCHECK and count:  # type: ignore[attr-defined]
         for place in (at, builder.add(at, ir.Constant(I64, count - 1))):
@@ -151,7 +155,7 @@ transpose: Any = intrinsic(_transpose)
 
 
 def _prefetch(typing_context: Any, source: Any, at: Any) -> Any:
-    """Bring the cache line of source[at] near; harmless anywhere."""
+    """Prefetch the cache line of source[at]; any address is safe."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         address = pointer(context, builder, (signature.args[0], arguments[0]), arguments[1], I8, 0)

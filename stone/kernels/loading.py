@@ -1,4 +1,4 @@
-"""The first call of a kernel in a process, made before a kernel is needed."""
+"""The first kernel call of a process, made before a kernel is needed."""
 
 import numpy as np
 
@@ -6,5 +6,5 @@ from stone.geometry.lattice import keys_of
 
 
 def load_compiler() -> None:
-    """Have numba load its tables of types and functions, which the first call of any kernel waits for (0.3 s)."""
+    """Load numba's tables of types and functions, which otherwise delays the first call of a kernel by 0.3 s."""
     keys_of(np.zeros((1, 3)), 1.0)

@@ -1,14 +1,14 @@
-"""A prediction from one sweep by geometry alone, without training: the row every method on a board should beat.
+"""A geometric prediction from one sweep, without training: the baseline that every method on a board should beat.
 
 **Conventions.** Points are in the ego frame: origin on the ground under the robot, x forward, z up (REP 103). Grids are
-those of `stone_base.label_grid`; a column is the square of a voxel seen from above. The ground of a column is its
-lowest point, unless its neighbourhood lies much lower; gaps are closed from known neighbours, a ring of columns a pass.
+those of `stone_base.label_grid`; a column is the square of a voxel seen from above. A column's ground is its lowest
+point, unless its neighbourhood is much lower. Gaps are closed from known neighbours, one ring of columns per pass.
 
-    class of a column: N where slope or unevenness exceed what the robot climbs, else P; T where it is P and in the
-    corridor that a robot driving straight on sweeps (the ground truth calls T what was driven, and one sweep knows no
-    more of the path). If the earlier track is known, T behind the robot is what its footprint's width swept there.
+    class of a column: N if slope or unevenness exceed what the robot climbs, otherwise P; T if it is P and in the
+        corridor of a robot that drives straight ahead (the ground truth labels driven ground T, and one sweep has no
+        more of the path). If the earlier track is known, T behind the robot is the footprint's width along the track.
 
-It needs NumPy alone, so that participants run it without the platform.
+The module needs only NumPy, so that participants can run it without the platform.
 
 Source: elevation-map traversability, Wermelinger et al. (IROS 2016), reduced to slope and unevenness.
 """
@@ -33,7 +33,7 @@ TRACK_STEP_M = 0.1
 
 @dataclass(frozen=True)
 class BaselineParameters:
-    """Lengths in metres; columns are closed up to `gap_m` around each measured one."""
+    """Lengths in metres; columns are closed up to `gap_m` around each measured column."""
 
     steepest_rad: float = math.radians(25.0)
     most_uneven_m: float = 0.12
@@ -54,10 +54,10 @@ def predict_from_sweep(
     label_grid: LabelGrid = PAPER,
     track_ego_m: Track | None = None,
 ) -> Grid:
-    """Return the classes of the label grid, uint8, from points (N, 3) of one sweep or of several, metres.
+    """Return the classes of the label grid, uint8, from points (N, 3) of one or several sweeps, in metres.
 
-    `track_ego_m` (M, 2) is where the robot was before, oldest first, metres. Points off the grid or not finite are
-    passed over. Raises `ShapeError` for another shape.
+    `track_ego_m` (M, 2) are earlier robot positions, oldest first, in metres. Points outside the grid or not finite are
+    ignored. Raises `ShapeError` for another shape.
     """
     if points_ego.ndim != 2 or points_ego.shape[1] != 3:
         raise ShapeError("points_ego", points_ego.shape, "(N, 3)")
@@ -72,9 +72,9 @@ def predict_from_sweep(
 def ground_heights(
     lowest: Heights, parameters: BaselineParameters = DEFAULTS, label_grid: LabelGrid = PAPER
 ) -> Heights:
-    """Ground (X, Y) in metres from the lowest point of each column (inf: none); NaN where unknown.
+    """Return the ground (X, Y) in metres from the lowest point of each column (inf: none); NaN for unknown.
 
-    The robot stands on z = 0, so its own footprint is known even where no ray reaches.
+    The robot stands on z = 0, so the ground under its footprint is known even without rays.
     """
     ground = _kept_ground(lowest, parameters.most_rise_m)
     x_m, y_m = column_centres_m(label_grid)
@@ -92,7 +92,7 @@ def column_classes(
     label_grid: LabelGrid = PAPER,
     track_ego_m: Track | None = None,
 ) -> NDArray[np.uint8]:
-    """Return T, P or N (X, Y) of the ground; 0 where it is unknown."""
+    """Return T, P or N (X, Y) of the ground; 0 for unknown ground."""
     is_n = _is_blocking(ground, math.tan(parameters.steepest_rad) * label_grid.voxel_m, parameters.most_uneven_m)
     classes = np.where(np.isnan(ground), FREE, np.where(is_n, N, P)).astype(np.uint8)
     x_m, y_m = column_centres_m(label_grid)
@@ -125,18 +125,18 @@ def _is_swept(track_m: Track, radius_m: float, label_grid: LabelGrid) -> NDArray
 
 
 def column_centres_m(label_grid: LabelGrid = PAPER) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """x (X, 1) and y (1, Y) of the columns' centres."""
+    """Return x (X, 1) and y (1, Y) of the column centres."""
     sides = ((label_grid.min_m[axis], label_grid.shape[axis]) for axis in (0, 1))
     x_m, y_m = (low_m + (np.arange(size) + 0.5) * label_grid.voxel_m for low_m, size in sides)
     return x_m[:, None].astype(np.float64), y_m[None, :].astype(np.float64)
 
 
 def _measure(points: Heights, label_grid: LabelGrid, grid: Grid) -> Heights:
-    """Mark each voxel that holds a point as N, and return the lowest z of each column (inf: none)."""
+    """Mark each voxel that contains a point as N, and return the lowest z of each column (inf: none)."""
     lowest = np.full(label_grid.shape[:2], np.inf, np.float32)
-    with np.errstate(invalid="ignore", over="ignore"):  # of points that are no numbers, which are on no grid
+    with np.errstate(invalid="ignore", over="ignore"):  # NaN points, which are on no grid
         place = (points - np.array(label_grid.min_m)) / label_grid.voxel_m
-        is_inside = ((place >= 0) & (place < np.array(label_grid.shape))).all(axis=1)  # NaN fails
+        is_inside = ((place >= 0) & (place < np.array(label_grid.shape))).all(axis=1)  # False for NaN
     i, j, k = place[is_inside].astype(np.intp).T
     grid[i, j, k] = N
     np.minimum.at(lowest, (i, j), points[is_inside, 2])
@@ -152,7 +152,9 @@ def _around(columns: Heights, reach: int, outside: float) -> Iterator[tuple[int,
 
 
 def _kept_ground(lowest: Heights, most_rise_m: float) -> Heights:
-    """A lowest point is ground unless a point within two columns lies more than `most_rise_m` below it; else NaN."""
+    """Return the lowest points that are ground: no point within two columns is more than `most_rise_m` lower; otherwise
+    NaN.
+    """
     around = np.minimum.reduce([near for _, _, near in _around(lowest, 2, np.inf)])
     is_measured = lowest < np.inf
     rise_m = np.subtract(lowest, around, out=np.full_like(lowest, np.inf), where=is_measured)
@@ -160,7 +162,7 @@ def _kept_ground(lowest: Heights, most_rise_m: float) -> Heights:
 
 
 def _close_gaps(ground: Heights) -> Heights:
-    """Unknown columns with at least two known neighbours of eight take their mean."""
+    """Set unknown columns with at least two known neighbours of eight to their mean."""
     total, known = np.zeros(ground.shape), np.zeros(ground.shape, np.int64)
     for _, _, near in _around(ground, 1, np.nan):
         is_known = ~np.isnan(near)
@@ -173,25 +175,25 @@ def _close_gaps(ground: Heights) -> Heights:
 
 
 def _rise(before: Heights, here: Heights, after: Heights) -> NDArray[np.float64]:
-    """Height gained per column, from whichever neighbours are known."""
+    """Return the height gained per column, from the known neighbours."""
     alone = np.where(np.isnan(after), np.float32(0), after - here).astype(np.float64)
     both = np.where(np.isnan(after), here - before, (after - before).astype(np.float64) / 2)
     return np.where(np.isnan(before), alone, both)
 
 
 def _is_blocking(ground: Heights, most_rise_m: float, most_uneven_m: float) -> NDArray[np.bool_]:
-    """Whether each known column is too steep, or too uneven against its plane through eight neighbours."""
+    """Return whether each known column is too steep, or too uneven relative to its plane through eight neighbours."""
     near = {(a, b): heights for a, b, heights in _around(ground, 1, np.nan)}
     dx = _rise(near[-1, 0], ground, near[1, 0])
     dy = _rise(near[0, -1], ground, near[0, 1])
     uneven = np.zeros(ground.shape)
     for (a, b), heights in near.items():
-        uneven = np.fmax(uneven, np.abs(heights - ground - dx * a - dy * b))  # of unknown neighbours NaN, passed over
+        uneven = np.fmax(uneven, np.abs(heights - ground - dx * a - dy * b))  # unknown neighbours are NaN and ignored
     return np.asarray((np.sqrt(dx * dx + dy * dy) > most_rise_m) | (uneven > most_uneven_m))
 
 
 def _paint(grid: Grid, ground: Heights, classes: NDArray[np.uint8], place: tuple[LabelGrid, float]) -> None:
-    """The ground voxel, and measured voxels within the clearance of it, take the column's class; the others stay N."""
+    """Set the column's class at its ground voxel and measured voxels within the clearance; other voxels stay N."""
     label_grid, clearance_m = place
     (_, _, min_z_m), voxel_m = label_grid.min_m, label_grid.voxel_m
     i, j, k = np.nonzero(grid)

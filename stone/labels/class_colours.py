@@ -1,9 +1,9 @@
-"""Colours and names of the traversability classes in pictures.
+"""Colours and names of the traversability classes in images.
 
-**Conventions.** sRGB, 8 bits. The palette "default" is told apart by everybody: any two classes are CIEDE2000 ≥ 42 from
-each other in normal sight and under simulated protanopia, deuteranopia and tritanopia. The palette "paper" has the
-green, yellow and red of the STONE paper's figures, of which deuteranopia leaves CIEDE2000 14.8 between T and N; it is a
-reader's choice, never the default. `TRACK` is near black, since it lies mostly on T.
+**Conventions.** sRGB, 8 bits. The palette "default" is colour-blind safe: the CIEDE2000 difference of any two classes
+is ≥ 42 in normal vision and under simulated protanopia, deuteranopia and tritanopia. The palette "paper" has the green,
+yellow and red of the STONE paper's figures, where deuteranopia leaves a CIEDE2000 of 14.8 between T and N; it is never
+the default. `TRACK` is near black, because the track lies mostly on T.
 
 Source: Machado, Oliveira and Fernandes 2009 (simulated colour vision); Sharma, Wu and Dalal 2005 (CIEDE2000);
 `tests/stone/labels/test_class_colours.py` computes both.
@@ -25,5 +25,5 @@ PAPER, INK, TRACK, UNSEEN = (250, 250, 248), (30, 34, 40), (16, 20, 26), (206, 2
 
 
 def hex_of(rgb: Rgb) -> str:
-    """`#2482e0` of an sRGB colour of 8 bits."""
+    """Return an 8-bit sRGB colour as `#2482e0`."""
     return "#{:02x}{:02x}{:02x}".format(*rgb)

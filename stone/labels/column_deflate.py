@@ -1,9 +1,9 @@
-"""Deflates a label grid from its columns: what a column shares with the one before is compared in words, not voxels.
+"""Deflates a label grid from its columns: each column is compared with the previous one in words, not voxels.
 
-**Conventions.** The grid is a run of columns of 8, 16 or 32 bytes, its height (`stone.labels.columns`). A byte that
-differs from that of the column before is a literal, stretches of others are matches a column back. All is one final
-block with a code of its own; as matches have one distance alone, its code takes a bit. Words are filled from their
-lowest bit on.
+**Conventions.** The grid is a sequence of columns of 8, 16 or 32 bytes, its height (`stone.labels.columns`). A byte
+that differs from the previous column is a literal; stretches of equal bytes are matches one column back. The output is
+one final block with its own code; all matches have the same distance, whose code takes one bit. Words are filled from
+the lowest bit.
 
 Source: RFC 1951, 3.2.
 """
@@ -21,24 +21,22 @@ from stone.kernels.lanes import I8, I32, I64, pointer, popcount, splat
 from stone.labels.columns import Words, nothing
 from stone_base.label_grid import PAPER
 
-# A label grid as literals and matches, from the words of its columns.
-#
-# **Conventions.** A byte that differs from that of the column before is a literal, stretches of others are matches a
-# column back, or literals where they are shorter than `FEWEST`. Which bits of a word are set is not foreseeable, so
-# that a branch would be guessed wrong at every other byte: so columns that differ are gathered first, then their bytes
-# that do, eight at a time; then each is said.
+# Converts a label grid to literals and matches, from the words of its columns. Equal stretches shorter than `FEWEST`
+# are literals. The set bits of a word are unpredictable, so branches on them would be mispredicted at every other byte.
+# Therefore columns that differ are gathered first, then their differing bytes, eight at a time; then the tokens are
+# written.
 
 
-FEWEST, MOST = 3, 258  # bytes: how long matches are
+FEWEST, MOST = 3, 258  # bytes: length of matches
 LITERALS, END, MATCH = 4, 4, 5  # tokens: a literal is its value, a match of n bytes is `MATCH` + n
 TOKENS = MATCH + MOST + 1
-EIGHT, BEFORE = 8, 2  # bytes looked at at once, and how many before a literal are noted with it
-# The numbers of the bits that are set in each byte, from the lowest on, then zeros.
+EIGHT, BEFORE = 8, 2  # bytes compared at once, and bytes before a literal that are stored with it
+# The numbers of the set bits in each byte, from the lowest, then zeros.
 BITS = np.array([[*(n for n in range(8) if byte >> n & 1), *[0] * 8][:8] for byte in range(256)], np.int32)
 
 
 def tokens_of(ones: Words, twos: Words, height: int) -> tuple[NDArray[np.uint16], NDArray[np.int64]]:
-    """The tokens of the grid, `END` the last, and how often each comes (`TOKENS`,)."""
+    """Return the tokens of the grid, `END` last, and the number of occurrences of each (`TOKENS`,)."""
     one, two, size = ones.reshape(-1), twos.reshape(-1), height * ones.size
     columns = np.empty(ones.size + 1, np.int64)
     places, codes = np.empty(size + EIGHT, np.int32), np.empty(size + EIGHT, np.uint8)
@@ -52,8 +50,9 @@ def tokens_of(ones: Words, twos: Words, height: int) -> tuple[NDArray[np.uint16]
 
 
 def _note_eight_of(typing_context: Any, bits: Any, byte: Any, first: Any, near: Any, out: Any, at: Any) -> Any:
-    """The places of the bits that are set in a byte to out[0] from `at` on, the first bit being place `first`, and to
-    out[1] what is there: three bits of near[0] from the place's on, then three of near[1]. Eight are written in all."""
+    """Write the positions of a byte's set bits to out[0] from `at` (the first bit has position `first`), and their
+    codes to out[1]: three bits of near[0] from the position, then three of near[1]. Always writes eight values.
+    """
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         bits, byte, first, near, out, at = arguments
@@ -80,7 +79,7 @@ note_eight: Any = intrinsic(_note_eight_of)
 
 @njit(cache=True, nogil=True)
 def _find_columns(ones, twos, columns):  # type: ignore[no-untyped-def]
-    """The first column, and those that differ from the one before; how many they are."""
+    """Write the first column and those that differ from the previous one; return their number."""
     columns[0], found = 0, 1
     for column in range(1, ones.size):
         columns[found] = column
@@ -90,9 +89,10 @@ def _find_columns(ones, twos, columns):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _find_literals(words, columns, eights, places, codes):  # type: ignore[no-untyped-def]
-    """The places of the bytes that differ, all of the first column; with each, `BEFORE` bytes before it and itself.
+    """Write the positions of the differing bytes (all of the first column), each with its value and the `BEFORE` bytes
+    before it.
 
-    `eights` is a tuple as long as a column has eights of bytes: so its height is known when this is compiled.
+    `eights` is a tuple with one element per eight bytes of a column, so that the height is known at compile time.
     """
     (ones, twos), found, height = words, np.int64(0), EIGHT * len(eights)
     last, whole = np.uint32(height - BEFORE), np.uint32((np.uint64(1) << np.uint64(height)) - np.uint64(1))
@@ -115,14 +115,16 @@ def _find_literals(words, columns, eights, places, codes):  # type: ignore[no-un
 
 @njit(inline="always")
 def _value(code, back):  # type: ignore[no-untyped-def]
-    """The byte that lies so far before a literal, by its code; the literal itself for 0."""
+    """Return the byte `back` positions before a literal, from its code; the literal itself for 0."""
     return (code >> (BEFORE - back) & 1) | (code >> (BEFORE - back + 3) & 1) << 1
 
 
 @njit(cache=True, nogil=True)
 def _say(literals, end, tokens):  # type: ignore[no-untyped-def]
-    """The literals and what lies between them; `end` is the size of the grid and the last bits of its words. How many
-    tokens there are."""
+    """Write the literals and the bytes between them; return the number of tokens.
+
+    `end` is the size of the grid and the last bits of its words.
+    """
     (places, codes), (size, one, two) = literals, end
     filled, after = 0, 0
     for n in range(places.size):
@@ -151,7 +153,7 @@ def _say(literals, end, tokens):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _put_matches(length, tokens, filled):  # type: ignore[no-untyped-def]
-    """`FEWEST` bytes or more that are those of a column back."""
+    """Write at least `FEWEST` bytes that equal the previous column's."""
     while length > 0:
         piece = min(length, MOST)
         if 0 < length - piece < FEWEST:
@@ -168,18 +170,20 @@ def _count(tokens, counts):  # type: ignore[no-untyped-def]
         counts[tokens[at]] += 1
 
 
-LONGEST_CODE, SHARE = 15, 2000  # no symbol counts for less than this share: so no code is longer, see `_code_lengths`
+LONGEST_CODE, SHARE = 15, 2000  # no symbol counts less than this share, so no code is longer; see `_code_lengths`
 END_OF_BLOCK, SYMBOLS = 256, 286
-# By height: the symbol of that distance, the bits after its code, and the code, 0, with those bits above it: all ones,
-# as 8, 16 and 32 are the last distances of their symbols (3.2.5 of the source).
+# By height: the symbol of that distance, the number of bits after its code, and the code 0 with those bits above it.
+# The bits are all ones, because 8, 16 and 32 are the last distances of their symbols (3.2.5 of the source).
 DISTANCES = {8: (5, 1, 0b10), 16: (7, 2, 0b110), 32: (9, 3, 0b1110)}
 CODE_LENGTH_ORDER = (16, 17, 18, 0, 8, 7, 9, 6, 10, 5, 11, 4, 12, 3, 13, 2, 14, 1, 15)
-TURNED = np.array([int(f"{length:04b}"[::-1], 2) for length in range(16)])  # codes begin with their highest bit
+TURNED = np.array([int(f"{length:04b}"[::-1], 2) for length in range(16)])  # codes start with their highest bit
 
 
 @lru_cache(maxsize=3)
 def _token_symbols(height: int) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Per token its symbol, the number of bits after the symbol's code, and these bits; 3.2.5 of the source."""
+    """Return, per token, its symbol, the number of bits after the symbol's code, and these bits (3.2.5 of the
+    source).
+    """
     _, distance_bits, distance_word = DISTANCES[height]
     symbols, bits, extra = np.zeros((3, TOKENS), np.int64)
     symbols[:LITERALS], symbols[END] = np.arange(LITERALS), END_OF_BLOCK
@@ -197,7 +201,7 @@ def _token_symbols(height: int) -> tuple[NDArray[np.int64], NDArray[np.int64], N
 
 
 def deflated_columns(ones: Words, twos: Words | None = None, height: int = PAPER.shape[2]) -> bytes:
-    """The final deflate block of the grid that `stone.labels.columns.spread_out` makes of these columns."""
+    """Return the final deflate block of the grid that `stone.labels.columns.spread_out` makes from these columns."""
     tokens, counts = tokens_of(ones, nothing(ones.shape) if twos is None else twos, height)
     symbols = _token_symbols(height)
     lengths = _code_lengths(np.bincount(symbols[0], counts, SYMBOLS).astype(np.int64))
@@ -210,10 +214,9 @@ def deflated_columns(ones: Words, twos: Words | None = None, height: int = PAPER
 
 
 def _header(lengths: NDArray[np.int64], distance: int) -> NDArray[np.uint64]:
-    """The values and widths (K, 2) of the fields that begin a block with a code of its own (3.2.7).
+    """Return values and widths (K, 2) of the fields at the start of a block with its own code (3.2.7).
 
-    The lengths of codes are written in a code of four bits each, their value itself; `distance` is the last symbol of
-    its kind, and the only one that comes.
+    Code lengths are written as four-bit values; `distance` is the last distance symbol, and the only one used.
     """
     fixed = [(1, 1), (2, 2), (SYMBOLS - 257, 5), (distance, 5), (len(CODE_LENGTH_ORDER) - 4, 4)]
     fixed += [(4 if length <= LONGEST_CODE else 0, 3) for length in CODE_LENGTH_ORDER]
@@ -224,10 +227,10 @@ def _header(lengths: NDArray[np.int64], distance: int) -> NDArray[np.uint64]:
 
 @njit(cache=True, nogil=True)
 def _code_lengths(counts):  # type: ignore[no-untyped-def]
-    """The bits of the code of each symbol that comes, by Huffman's algorithm: 0 of others; two come at least.
+    """Return the code length of each used symbol (at least two) by Huffman's algorithm; 0 for unused symbols.
 
-    A tree `LONGEST_CODE` + 1 deep weighs 2584 times its lightest leaf, a Fibonacci number, or more; a share of a 2000th
-    of what is counted and the few symbols there are leave none that deep.
+    A tree of depth `LONGEST_CODE` + 1 weighs at least 2584 times its lightest leaf, a Fibonacci number. With a minimum
+    share of 1/2000 of the total and few symbols, no tree is that deep.
     """
     weights, parents = np.zeros(2 * counts.size, np.int64), np.full(2 * counts.size, -1, np.int64)
     least, made, left = counts.sum() // SHARE + 1, counts.size, 0
@@ -263,7 +266,7 @@ def _reversed(code, length):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _token_words(lengths, symbols):  # type: ignore[no-untyped-def]
-    """Per token the bits that stand for it and how many they are; codes are canonical (3.2.2)."""
+    """Return, per token, its bits and their number; codes are canonical (3.2.2)."""
     codes, code = np.zeros(lengths.size, np.int64), 0
     for length in range(1, LONGEST_CODE + 1):
         for symbol in range(lengths.size):
@@ -281,7 +284,9 @@ def _token_words(lengths, symbols):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def _put(out, full, pending, count, word, bits):  # type: ignore[no-untyped-def]
-    """Append up to 32 bits to `out`, without a branch: (its full words, the bits of the next, how many they are)."""
+    """Append up to 32 bits to `out` without a branch; return the number of full words, the pending bits and their
+    number.
+    """
     pending |= word << count
     out[full] = np.uint32(pending & np.uint64(0xFFFFFFFF))
     count += bits
@@ -291,7 +296,7 @@ def _put(out, full, pending, count, word, bits):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _write(tokens, words, bits, header, out):  # type: ignore[no-untyped-def]
-    """The fields of the header, (K, 2) values and their bits, and the tokens."""
+    """Write the header fields, (K, 2) values and widths, and the tokens."""
     full, pending, count = 0, np.uint64(0), np.uint64(0)
     for field in range(header.shape[0]):
         full, pending, count = _put(out, full, pending, count, header[field, 0], header[field, 1])

@@ -1,7 +1,7 @@
-"""A label grid as upright columns of bits: a frame is cut, hidden, counted and compared in words, not in voxels.
+"""A label grid as upright columns of bits: frames are cut, masked, counted and compared in words instead of voxels.
 
-**Conventions.** A column is the voxels over one place (x, y) of a grid, at most 32; bit z of its uint32 word stands for
-voxel z, and bits above the grid's height are 0. The class of a voxel is its bit of `ones` plus twice its bit of `twos`.
+**Conventions.** A column is the voxels at one position (x, y) of a grid, at most 32. Bit z of its uint32 word is voxel
+z; bits above the grid's height are 0. The class of a voxel is its bit of `ones` plus twice its bit of `twos`.
 """
 
 from dataclasses import dataclass
@@ -15,15 +15,15 @@ from stone.kernels.lanes import popcount, spread
 from stone.labels.grid import Grid
 from stone_base.label_grid import PAPER
 
-COLUMN = 32  # bytes that are written at once
+COLUMN = 32  # bytes written at once
 Words = NDArray[np.uint32]
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """The label grid of one frame, each (X, Y) uint32: both bits of the classes, and what was observed.
+    """The label grid of one frame, each (X, Y) uint32: both bits of the classes, and the observed voxels.
 
-    `filled` of its labelled voxels close a gap (`stone.labels.pinholes`).
+    `filled` is the number of labelled voxels that close a gap (`stone.labels.pinholes`).
     """
 
     ones: Words
@@ -37,7 +37,7 @@ class Columns:
 
 
 def gathered(grid: Grid) -> Words:
-    """The columns (X, Y) in which those voxels are set that are not 0 in the grid, at most 32 voxels high."""
+    """Return the columns (X, Y) of the voxels that are not 0 in the grid, at most 32 voxels high."""
     packed = np.zeros((*grid.shape[:2], COLUMN // 8), np.uint8)
     bits = np.packbits(grid != 0, axis=-1, bitorder="little")
     packed[..., : bits.shape[-1]] = bits
@@ -46,12 +46,12 @@ def gathered(grid: Grid) -> Words:
 
 @lru_cache(maxsize=4)
 def nothing(shape: tuple[int, ...]) -> Words:
-    """Return columns of this shape without a voxel, not to be written to."""
+    """Return read-only empty columns of this shape."""
     return np.zeros(shape, np.uint32)
 
 
 def spread_out(ones: Words, twos: Words | None = None, out: Grid | None = None, height: int = PAPER.shape[2]) -> Grid:
-    """Return (in `out`) the grid of this height whose voxels are their bit of `ones` plus twice that of `twos`."""
+    """Return (in `out`) the grid of this height whose voxels are their bit of `ones` plus twice their bit of `twos`."""
     grid = np.empty((*ones.shape, height), np.uint8) if out is None else out
     both = ones, nothing(ones.shape) if twos is None else twos
     _spread(both[0].reshape(-1), both[1].reshape(-1), grid.shape[-1], grid.reshape(-1))
@@ -60,7 +60,9 @@ def spread_out(ones: Words, twos: Words | None = None, out: Grid | None = None, 
 
 @njit(cache=True, nogil=True)
 def _spread(ones, twos, height, out):  # type: ignore[no-untyped-def]
-    """A column is written 32 bytes at once, the next over what is beyond its end; the last ones byte by byte."""
+    """Write each column as 32 bytes at once; the next column overwrites the excess, and the last columns are written by
+    byte.
+    """
     whole = min(ones.size, (out.size - COLUMN) // height + 1)
     for column in range(whole):
         spread(ones[column], twos[column], out, height * column)
@@ -73,9 +75,9 @@ def _spread(ones, twos, height, out):  # type: ignore[no-untyped-def]
 
 @dataclass(frozen=True, eq=False)
 class Masks:
-    """What was observed and what cameras see of one frame, (X, Y) uint32 each, and how much that is.
+    """The masks of one frame, (X, Y) uint32 each: observed voxels, and voxels that cameras see; and their counts.
 
-    `by_class` (4,) counts the voxels of each class, `by_mask` (2,) those of each mask.
+    `by_class` (4,) counts the voxels of each class, `by_mask` (2,) the voxels of each mask.
     """
 
     observed: Words
@@ -85,8 +87,9 @@ class Masks:
 
 
 def reconcile(columns: Columns, visible: Words, height: int = PAPER.shape[2]) -> Masks:
-    """Make the masks of a grid of this height agree: what is labelled was observed, and cameras vouch for no voxel that
-    no ray reached."""
+    """Make the masks of a grid of this height consistent: labelled voxels are observed, and cameras see only observed
+    voxels.
+    """
     shape = columns.ones.shape
     masks = Masks(np.empty(shape, np.uint32), np.empty(shape, np.uint32), np.zeros(4, np.int64), np.zeros(2, np.int64))
     words = [each.reshape(-1) for each in (columns.ones, columns.twos, columns.observed, visible)]

@@ -1,4 +1,4 @@
-"""The curves of `stone.labels.confidence`, as `python -m benchmarks.confidence --fit` prints them."""
+"""The curves of `stone.labels.confidence`, printed by `python -m benchmarks.confidence --fit`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,7 +8,8 @@ from dataclasses import dataclass
 class Curve:
     """A piecewise linear function.
 
-    It is `start` up to the first knot; its slope changes by `weights` (n,) at the `knots` (n,), and is 0 beyond `end`.
+    It equals `start` up to the first knot; its slope changes by `weights` (n,) at the `knots` (n,), and is 0 beyond
+    `end`.
     """
 
     knots: tuple[float, ...]
@@ -19,9 +20,9 @@ class Curve:
 
 @dataclass(frozen=True)
 class Curves:
-    """The log odds that a voxel is drivable: the intercept and the sum of the curves of its `properties`, by name.
+    """The log odds that a voxel is drivable: the intercept plus the sum of the curves of its `properties`, by name.
 
-    `p_right` and `n_right` map what they are worth for the label P or N to the log odds that this label is right.
+    `p_right` and `n_right` map these log odds to the log odds that a label P or N is right.
     """
 
     intercept: float

@@ -1,14 +1,14 @@
-"""Crops: the columns of one frame, and what else is known of their voxels, cut out of the labelled map.
+"""Crops: a frame's columns and further voxel data, taken from the labelled map.
 
-**Conventions.** An ego voxel of the map's size takes the class of the map voxel that holds its centre. Where the
-straight way between two neighbouring centres crosses a labelled map voxel that neither centre hits, the nearer of the
-two takes its class (`stone.labels.pinholes`): so a surface closed in the map stays closed in the grid, whatever the
-yaw, pitch and roll.
+**Conventions.** An ego voxel of the map's size takes the class of the map voxel that contains its centre. If the
+straight line between two neighbouring centres crosses a labelled map voxel that contains neither centre, the nearer ego
+voxel takes its class (`stone.labels.pinholes`). A surface that is closed in the map therefore stays closed in the grid
+for every yaw, pitch and roll.
 
-A larger voxel is pooled of those it consists of (`stone.labels.pooling`).
+A larger voxel is pooled from its map-size voxels (`stone.labels.pooling`).
 
-Positions are fixed-point map voxels of `FRACTION_BITS`. A row of columns is cut of one frame after another before
-the next row is: frames of a batch follow each other, so they look up nearly the same voxels of the map.
+Positions are fixed-point map voxels with `FRACTION_BITS`. One row of columns is processed for all frames of a batch
+before the next row: neighbouring frames look up nearly the same map voxels.
 """
 
 from collections.abc import Sequence
@@ -33,9 +33,11 @@ UNTAKEN = np.iinfo(np.int32).min
 def cut_with_rows(
     window: Window, map_from_ego: SE3, labelled: VoxelTable, grid: LabelGrid = PAPER
 ) -> tuple[Columns, NDArray[np.int32]]:
-    """Return the columns of the frame at this pose, and of every voxel of a grid in voxels of the map's size the row of
-    the labelled map voxel whose class it took; −1 if there is no surface. A voxel that closes a gap has the row of its
-    neighbour's."""
+    """Return the frame's columns at this pose, and for every map-size voxel the row of the labelled map voxel that gave
+    its class.
+
+    The row is −1 without a surface. A voxel that closes a gap has its neighbour's row.
+    """
     taken = np.full((*grid.shape, 3), UNTAKEN, np.int32)
     columns = cut(window, map_from_ego, taken, grid)
     found = np.full(grid.shape, -1, np.int32)
@@ -64,15 +66,16 @@ def _look_up(labelled, place, table, grid):  # type: ignore[no-untyped-def]
 
 @dataclass(frozen=True, eq=False)
 class CropPlacement:
-    """Fixed-point position in the window of voxel [0, 0, 0]'s centre, `start` (3,), and its change by one voxel along
-    each ego axis, the columns of `step` (3, 3)."""
+    """Fixed-point position of the centre of voxel [0, 0, 0] in the window, `start` (3,), and its change by one voxel
+    along each ego axis, the columns of `step` (3, 3).
+    """
 
     start: NDArray[np.int64]
     step: NDArray[np.int64]
 
 
 def placing_of(window: Window, map_from_ego: SE3, grid: LabelGrid = PAPER) -> CropPlacement:
-    """Return the places of a frame's voxels in the window."""
+    """Return the positions of a frame's voxels in the window."""
     scaled = map_from_ego.as_matrix() / VOXEL_M
     scaled[:3, 3] -= window.origin
     first = scaled[:3, 3].copy()
@@ -84,17 +87,17 @@ def placing_of(window: Window, map_from_ego: SE3, grid: LabelGrid = PAPER) -> Cr
 
 
 def cut(window: Window, map_from_ego: SE3, taken: NDArray[np.int32] = NOT_ASKED, grid: LabelGrid = PAPER) -> Columns:
-    """Return the columns of the frame at this pose, of a grid in voxels of the map's size; outside the window all is
-    free and unobserved.
+    """Return the frame's columns at this pose for a grid of map-size voxels; voxels outside the window are free and
+    unobserved.
 
-    `taken`, if asked for, is of the grid's shape and 3: where a voxel closes a gap, the voxel of the window it is
-    labelled by.
+    If `taken` is given, its shape is the grid's plus 3; for each voxel that closes a gap, it receives the window voxel
+    of its label.
     """
     return _cuts(window, [placing_of(window, map_from_ego, grid)], taken, grid.shape)[0]
 
 
 def cut_batch(window: Window, map_from_ego: SE3, grid: LabelGrid = PAPER) -> list[Columns]:
-    """Return the columns of the frames at these poses (F,), as `cut` gives them one by one."""
+    """Return the columns of the frames at these poses (F,), equal to `cut` of each."""
     placings = [placing_of(window, map_from_ego[frame], grid) for frame in range(len(map_from_ego))]
     return _cuts(window, placings, NOT_ASKED, grid.shape)
 
@@ -112,8 +115,10 @@ def _cuts(
 
 @njit(cache=True, nogil=True)
 def _cut(voxels, places, room, out):  # type: ignore[no-untyped-def]
-    """A row of columns of this height is closed as soon as it is fetched, while the map around it is near; `rows`
-    (F, 2, Y, 4) are this one and the one before, in turn, bit by bit of the window's voxels."""
+    """Process each row of columns directly after fetching it, while the surrounding map is cached.
+
+    `rows` (F, 2, Y, 4) are this row and the previous one, alternating, one word per bit of the window's voxels.
+    """
     (starts, steps), (rows, height), (ones, twos, observed, taken, filled) = places, room, out
     used = np.uint32((np.uint64(1) << np.uint64(height)) - np.uint64(1))
     ways = np.empty(3 * 32 * rows.shape[2], np.int64)
@@ -126,11 +131,16 @@ def _cut(voxels, places, room, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _fetch_row(voxels, place, asked, row):  # type: ignore[no-untyped-def]
-    """Fill row a of `asked`, (Y, 4), with the bits that are used. What is outside the window is looked up in its
-    outermost layer."""
+    """Fill row a of `asked`, (Y, 4), with the used bits; voxels outside the window are looked up in its outermost
+    layer.
+    """
     (start, step), (a, used) = place, asked
     su, sv, sw = step[0, 2], step[1, 2], step[2, 2]
-    bu, bv, bw = step[0, 1], step[1, 1], step[2, 1]  # read once: for all the compiler knows, the row may lie over them
+    bu, bv, bw = (
+        step[0, 1],
+        step[1, 1],
+        step[2, 1],
+    )  # copied first: the compiler cannot exclude that the row overlaps them
     u, v, w = start[0] + a * step[0, 0] + ONE, start[1] + a * step[1, 0] + ONE, start[2] + a * step[2, 0] + ONE
     last = (voxels.shape[0] - 1, voxels.shape[1] - 1, voxels.shape[2] - 1)
     flat = voxels.reshape(-1)

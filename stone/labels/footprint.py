@@ -1,8 +1,8 @@
-"""T, the voxels the robot drove on: its footprint swept along the ego poses (paper, IV-C).
+"""T, the voxels that the robot drove over: its footprint swept along the ego poses (paper, IV-C).
 
-**Conventions.** The footprint is a rectangle in the ego xy plane, centred on the ego origin; a voxel is under it when
-its centre is within the rectangle and within ± `band_m` of the plane. A wide band or a padded rectangle takes in what
-the robot did not touch and poisons the reference.
+**Conventions.** The footprint is a rectangle in the ego xy plane, centred on the ego origin. A voxel is under it if its
+centre is within the rectangle and within ± `band_m` of the plane. A wide band or a padded rectangle includes untouched
+voxels and corrupts the reference.
 """
 
 import math
@@ -26,15 +26,16 @@ STEP_RAD = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Passes:
-    """When the robot first and last passed over K voxels: `first_m` (K,) and `last_m` (K,) along its way, inf and −inf
-    if it never did."""
+    """First and last pass of the robot over K voxels: `first_m` (K,) and `last_m` (K,) along its track; inf and −inf if
+    it never passed.
+    """
 
     first_m: NDArray[np.float64]
     last_m: NDArray[np.float64]
 
     @property
     def is_driven(self) -> NDArray[np.bool_]:
-        """(K,)"""
+        """Whether the robot passed each voxel (K,)."""
         return np.isfinite(self.first_m)
 
     def where(self, keep: NDArray[np.bool_]) -> "Passes":
@@ -44,9 +45,9 @@ class Passes:
 def passes(
     keys: Keys, map_from_ego: Sequence[SE3], footprint: Footprint, band_m: float = BAND_M, start_m: float = 0.0
 ) -> Passes:
-    """When the voxels `keys` (K,) lay under the footprint at, or on the way between, the poses (P,) of a stretch.
+    """Return when the voxels `keys` (K,) were under the footprint, at or between the poses (P,) of a stretch.
 
-    Between two stretches there is no way. It begins `start_m` along and counts driven metres.
+    There is no motion between two stretches. The track starts at `start_m` and counts driven metres.
     """
     box = (footprint.length_m / 2, footprint.width_m / 2, -band_m, band_m)
     return _passes(keys, VOXEL_M, map_from_ego, box, start_m)
@@ -55,8 +56,9 @@ def passes(
 def passed_through(
     keys: Keys, voxel_m: float, map_from_ego: Sequence[SE3], footprint: Footprint, heights_m: tuple[float, float]
 ) -> NDArray[np.bool_]:
-    """Which of the voxels `keys` (K,) of this size the robot's body went through: above its footprint, between two
-    heights over the ego plane. Nothing that stands can be there."""
+    """Return which voxels `keys` (K,) of this size the robot's body passed through: above its footprint, between two
+    heights over the ego plane. Nothing solid can be there.
+    """
     box = (footprint.length_m / 2, footprint.width_m / 2, *heights_m)
     return _passes(keys, voxel_m, map_from_ego, box, 0.0).is_driven
 
@@ -64,7 +66,9 @@ def passed_through(
 def _passes(
     keys: Keys, voxel_m: float, map_from_ego: Sequence[SE3], box: tuple[float, float, float, float], start_m: float
 ) -> Passes:
-    """When the centre of a voxel is in a box that goes along: half its length and width, its lowest and highest z."""
+    """Return when the centre of each voxel is inside a moving box: half its length and width, its lowest and highest
+    z.
+    """
     found = Passes(np.full(len(keys), np.inf), np.full(len(keys), -np.inf))
     if not len(keys) or box[2] > box[3]:
         return found
@@ -83,7 +87,7 @@ def _passes(
 
 
 def densified(poses: SE3, step_m: float, step_rad: float = np.inf) -> SE3:
-    """The poses with others interpolated between, so that neighbours are at most so far apart and turned."""
+    """Return the poses with interpolated ones, so that neighbours are at most this far and this angle apart."""
     if len(poses) < 2:
         return poses
     lengths_m, angles_rad = steps_of(poses)
@@ -120,7 +124,9 @@ def _sweep(way, box, table, found):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def _reached(row, box):  # type: ignore[no-untyped-def]
-    """The voxels [first, end) along one axis of the map, whose row of the pose this is, that the box can lie over."""
+    """Return the range [first, end) of voxels along one map axis, given by its `row` of the pose, that the box can
+    cover.
+    """
     length, width, bottom, top, voxel_m = box
     half = abs(row[0]) * length + abs(row[1]) * width + abs(row[2]) * max(abs(bottom), abs(top))
     return math.floor((row[3] - half) / voxel_m) - 1, math.floor((row[3] + half) / voxel_m) + 2

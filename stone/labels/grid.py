@@ -1,6 +1,6 @@
-"""The label grid around the robot, and the block of the labelled map that a stretch of frames is cut from.
+"""The label grid around the robot, and the block of the labelled map that contains a stretch of frames.
 
-**Conventions.** Grids are those of `stone_base.label_grid`. `stone.labels.crops` cuts one out of a `Window`.
+**Conventions.** Grids are those of `stone_base.label_grid`. `stone.labels.crops` cuts grids from a `Window`.
 """
 
 import math
@@ -16,8 +16,8 @@ from stone.labels.observed_voxels import BRICK, Observed
 from stone.labels.voxels import VOXEL_M
 from stone_base.label_grid import PAPER, LabelGrid
 
-LOW, HIGH, OCCUPIED, OBSERVED = 1, 2, 4, 8  # bits of a voxel of a window
-MOST_BYTES = 2**31 - 1  # places in a window are counted in 32 bits
+LOW, HIGH, OCCUPIED, OBSERVED = 1, 2, 4, 8  # bits of a window's voxel
+MOST_BYTES = 2**31 - 1  # window positions are 32-bit
 
 Grid = NDArray[np.uint8]
 Bounds = tuple[NDArray[np.int64], NDArray[np.int64]]
@@ -25,11 +25,11 @@ Bounds = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """A dense block of the map, a byte a voxel.
+    """A dense block of the map, one byte per voxel.
 
-    `origin` (3,) int64 is the index of the lowest voxel, which is voxels[1, 1, 1]: the outermost layer on every side
-    stands for all that is outside, and is 0. Of an `OCCUPIED` voxel `LOW` and `HIGH` are the bits of its class;
-    elsewhere `LOW` says that a labelled voxel touches this one, and `HIGH` that one does so with a side towards x or y.
+    `origin` (3,) int64 is the index of the lowest voxel, voxels[1, 1, 1]; the outermost layer on every side is 0 and
+    represents all voxels outside. For an `OCCUPIED` voxel, `LOW` and `HIGH` are the bits of its class. For other
+    voxels, `LOW` means that a labelled voxel touches it, `HIGH` that one touches it with a side towards x or y.
     """
 
     origin: NDArray[np.int64]
@@ -37,7 +37,7 @@ class Window:
 
 
 def window_bytes(bounds: Bounds) -> int:
-    """What the window of this range weighs."""
+    """Return the size in bytes of the window of this range."""
     return math.prod(_shape(bounds))
 
 
@@ -47,9 +47,9 @@ def _shape(bounds: Bounds) -> tuple[int, int, int]:
 
 
 def window_of(keys: Keys, classes: NDArray[np.uint8], observed: Observed, bounds: Bounds) -> Window:
-    """The window of the half-open index range `bounds`; voxels outside it are left out.
+    """Return the window of the half-open index range `bounds`, without voxels outside it.
 
-    Raises ValueError for a range of more than `MOST_BYTES`: a frame's own is a fortieth of that.
+    Raises ValueError for a range of more than `MOST_BYTES`; a frame's range has a fortieth of that.
     """
     if window_bytes(bounds) > MOST_BYTES:
         raise ValueError(f"a window has {window_bytes(bounds)} bytes; the limit is {MOST_BYTES}")
@@ -64,7 +64,7 @@ def window_of(keys: Keys, classes: NDArray[np.uint8], observed: Observed, bounds
 
 @njit(inline="always")
 def _is_inside(voxels, i, j, k):  # type: ignore[no-untyped-def]
-    """Whether the window holds this voxel, counted from its origin."""
+    """Return whether the window contains this voxel, counted from its origin."""
     x, y, height = voxels.shape[0] - 2, voxels.shape[1] - 2, voxels.shape[2] - 2
     return (i >= 0) & (i < x) & (j >= 0) & (j < y) & (k >= 0) & (k < height)
 
@@ -79,7 +79,9 @@ def _put_classes(voxels, indices, classes):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _put_touching(voxels, indices):  # type: ignore[no-untyped-def]
-    """Fill in `LOW` and `HIGH` of the voxels around those labelled; `indices` may name others, and voxels outside."""
+    """Set `LOW` and `HIGH` of the voxels around labelled ones; `indices` may include other voxels and voxels
+    outside.
+    """
     for p in range(indices.shape[0]):
         i, j, k = indices[p, 0], indices[p, 1], indices[p, 2]
         if not _is_inside(voxels, i, j, k) or voxels[i + 1, j + 1, k + 1] & OCCUPIED == 0:
@@ -94,7 +96,9 @@ def _put_touching(voxels, indices):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _put_observed(voxels, corners, words):  # type: ignore[no-untyped-def]
-    """A brick holds four voxels of each of sixteen columns, four neighbouring bits of its word for each."""
+    """Set observed voxels: a brick has four voxels in each of sixteen columns, which are four neighbouring bits of its
+    word.
+    """
     for b in range(corners.shape[0]):
         i, j, k = corners[b, 0], corners[b, 1], corners[b, 2]
         for column in range(BRICK * BRICK):

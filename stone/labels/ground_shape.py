@@ -1,8 +1,8 @@
-"""The shape of the surface around each voxel: what a vehicle meets there, and features without single vertices' noise.
+"""The shape of the surface around each voxel: slope, step and clearance for a vehicle, and features with less noise.
 
-**Conventions.** The window is a disc of `WINDOW_M` in plan, about the size of the footprint, and `WINDOW_VOXELS` up and
-down: what is farther above is over the ground, not of it. A step is the part of a rise or a drop to the next columns
-that a slope of the vehicle's limit does not explain. Rows are those of the voxels, sorted by key.
+**Conventions.** The window is a disc of `WINDOW_M` in plan, about the footprint's size, and `WINDOW_VOXELS` up and
+down: higher surfaces are not part of the ground. A step is the part of a rise or drop to the next columns that the
+vehicle's maximum slope does not explain. Rows follow the voxels, sorted by key.
 """
 
 from dataclasses import dataclass
@@ -19,15 +19,16 @@ WINDOW_M = 0.5
 WINDOW_VOXELS = 3
 REACH = int(WINDOW_M / VOXEL_M)
 FEWEST = 4
-LEAST_SPREAD = 1e-6  # of a plane's normal equations, m⁴: columns in one line fit no plane
+LEAST_SPREAD = 1e-6  # of a plane's normal equations, m⁴: collinear columns fit no plane
 
 
 @dataclass(frozen=True, eq=False)
 class GroundShape:
-    """The shape at K voxels: `slope_rad` (K,) of the plane through the window, 0 if too few voxels are there for one;
-    `step_m` (K,) up or down to a neighbour; `clearance_m` (K,) to the next surface above in the column, else inf.
+    """The shape at K voxels.
 
-    `pooled` (K, 3) are the features averaged over the voxel and its neighbours, each vertex counted once.
+    `slope_rad` (K,): slope of the plane through the window, 0 if it has too few voxels. `step_m` (K,): height
+    difference to a neighbour, up or down. `clearance_m` (K,): height to the next surface above in the column, otherwise
+    inf. `pooled` (K, 3): features averaged over the voxel and its neighbours, each vertex counted once.
     """
 
     slope_rad: NDArray[np.float64]
@@ -37,7 +38,7 @@ class GroundShape:
 
 
 def ground_shape(voxels: VoxelFeatures, slope_limit_rad: float, body_m: float) -> GroundShape:
-    """Return the shape around each voxel. What lies less than `body_m` above a voxel is taken for the same surface."""
+    """Return the shape around each voxel. A surface less than `body_m` above a voxel counts as the same surface."""
     count = len(voxels)
     shape = GroundShape(np.zeros(count), np.zeros(count), np.full(count, np.inf), voxels.features.copy())
     if count == 0:
@@ -45,7 +46,9 @@ def ground_shape(voxels: VoxelFeatures, slope_limit_rad: float, body_m: float) -
     indices = indices_of(voxels.keys)
     low, high = corners_of(indices[:, :2])
     sides = high - low + 1 + 2 * REACH
-    place = (indices[:, 0] - low[0] + REACH) * sides[1] + indices[:, 1] - low[1] + REACH  # rises, since keys do
+    place = (
+        (indices[:, 0] - low[0] + REACH) * sides[1] + indices[:, 1] - low[1] + REACH
+    )  # increases with the sorted keys
     first = np.searchsorted(place, np.arange(int(sides[0] * sides[1]) + 1))
     rows = (place, indices[:, 2].copy(), voxels.features[:, 0].copy())
     columns = (first, int(sides[1]))
@@ -57,7 +60,9 @@ def ground_shape(voxels: VoxelFeatures, slope_limit_rad: float, body_m: float) -
 
 @njit(cache=True, nogil=True)
 def _fit(rows, columns, tangent, found):  # type: ignore[no-untyped-def]
-    """A column at most `REACH` from one that holds a voxel lies within the grid of `first`, which is wider by that."""
+    """Accumulate the window of each column; columns within `REACH` of a voxel's column lie inside the wider grid of
+    `first`.
+    """
     (place, level, z), (first, width), (slope_rad, step_m) = rows, columns, found
     sums = np.empty(9)
     for row in range(place.size):
@@ -93,7 +98,7 @@ def _add(sums, x, y, z):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _slope(sums):  # type: ignore[no-untyped-def]
-    """The slope of the least-squares plane, 0 without one."""
+    """Return the slope of the least-squares plane, or 0 if there is none."""
     if sums[0] < FEWEST:
         return 0.0
     x, y, z, xx, xy, yy, xz, yz = sums[1:] / sums[0]

@@ -1,7 +1,7 @@
-"""How well labels hold where the robot drove later: made from one part of its way, judged by the other part.
+"""Held-out quality: labels are made from one part of the track and judged on ground driven in the other part.
 
-**Conventions.** Judged are voxels that the robot drove over in the judged part and never in the known one. It drove
-there, so T or P is right and N is wrong. Distances in plan are those to the nearest voxel of the known part.
+**Conventions.** Judged voxels are driven in the judged part and never in the known part. The robot drove there, so T or
+P is right and N is wrong. Distances in plan are to the nearest voxel of the known part.
 """
 
 from dataclasses import dataclass
@@ -12,14 +12,17 @@ from numpy.typing import NDArray
 from stone.labels.voxels import VOXEL_M
 
 BANDS_M = (0.0, 5.0, 10.0, 20.0, np.inf)
-OTHER_MAP_M = 1e7  # two maps lie nowhere to each other
+OTHER_MAP_M = 1e7  # distance between two maps: effectively infinite
 
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """`voxels` (4,) that were judged, by distance from the known way (`BANDS_M`), and how many were `kept` (4,) as T or
-    P. They are as many as a way of `judged_m` metres leaves that crosses no known ground; the known ones are as many as
-    `known_m` metres leave."""
+    """The numbers of judged `voxels` (4,) and of those `kept` (4,) as T or P, by distance from the known track
+    (`BANDS_M`).
+
+    The judged voxels correspond to `judged_m` metres of track that cross no known ground; the known voxels to `known_m`
+    metres.
+    """
 
     voxels: NDArray[np.int64]
     kept: NDArray[np.int64]
@@ -28,13 +31,13 @@ class HeldOut:
 
     @property
     def recall(self) -> float:
-        """The share of all judged voxels that is T or P."""
+        """The share of all judged voxels that are T or P."""
         return float(self.kept.sum() / self.voxels.sum())
 
 
 @dataclass(frozen=True, eq=False)
 class DrivenPlaces:
-    """Of n driven voxels: their centres in plan (n, 2), metres, and the map (n,) that each is in."""
+    """The centres of n driven voxels in plan (n, 2), in metres, and the map (n,) of each."""
 
     centres_m: NDArray[np.float64]
     maps: NDArray[np.int64]
@@ -43,7 +46,7 @@ class DrivenPlaces:
         return DrivenPlaces(self.centres_m[keep], self.maps[keep])
 
     def apart(self) -> NDArray[np.float64]:
-        """(n, 3) with maps far from each other."""
+        """The centres (n, 3) with different maps far from each other."""
         return np.column_stack([self.centres_m, self.maps * OTHER_MAP_M])
 
 

@@ -1,9 +1,9 @@
-"""Late voxels: voxels of a frame that only later sweeps observed, so no method can see them at the frame's time.
+"""Late voxels: voxels of a frame that only later sweeps observed, so that no method can see them at the frame's time.
 
 **Conventions.** A brick (`stone.labels.observed_voxels`) is seen since the first frame whose rays touched it. A voxel
-of a frame is late if the brick that holds its centre is seen only since a later frame. So a voxel between two rays of a
-sweep is not late, and neither is a voxel in a brick that no ray touched. A voxel of a pooled grid is late if all of its
-observed map voxels are late.
+of a frame is late if the brick that contains its centre is first seen in a later frame. A voxel between two rays of a
+sweep is therefore not late, and neither is a voxel in a brick without rays. A voxel of a pooled grid is late if all of
+its observed map voxels are late.
 """
 
 from dataclasses import dataclass
@@ -29,10 +29,10 @@ NEVER_SEEN = np.int32(-1)
 
 @dataclass(frozen=True, eq=False)
 class FirstSeen:
-    """The first frame of each brick around a window, `NEVER_SEEN` for a brick that no ray touched.
+    """The first frame of each brick around a window, `NEVER_SEEN` for a brick without rays.
 
     `origin` (3,) int64 is the index of brick [0, 0, 0]; `frames` covers all voxels of the window, and `last` (X, Y) is
-    the last of the frames of each column of bricks.
+    the maximum over each column of bricks.
     """
 
     origin: NDArray[np.int64]
@@ -56,7 +56,7 @@ def late_columns(
 ) -> Words:
     """Return the late voxels (X, Y) of a grid at this pose; `fine` are its columns at the map's voxel size.
 
-    `seen` holds the bricks and the first frame that counts as later.
+    `seen` contains the bricks and the first frame that counts as later.
     """
     (first, later), placing = seen, placing_of(window, map_from_ego, grid.on_map)
     early = np.zeros_like(fine.ones)
@@ -89,7 +89,7 @@ def _mark_early(columns, place, seen, early):  # type: ignore[no-untyped-def]
             found = left
             if _is_early(last, (u >> shift, v >> shift), later):
                 i, j = (u + 31 * step[0, 2]) >> shift, (v + 31 * step[1, 2]) >> shift
-                is_steep = abs(i - (u >> shift)) + abs(j - (v >> shift)) <= 1  # else it may cross further bricks
+                is_steep = abs(i - (u >> shift)) + abs(j - (v >> shift)) <= 1  # otherwise it may cross further bricks
                 if is_steep and _is_early(last, (i, j), later):
                     left = np.uint32(0)
             while left:

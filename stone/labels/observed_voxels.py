@@ -1,8 +1,8 @@
 """Observed voxels: every voxel that a LiDAR ray reached or passed.
 
-**Conventions.** The set is kept as bricks of 4 × 4 × 4 voxels, one bit each in a uint64 word, so marking a voxel is
-idempotent and sets from different sweeps join by OR: order and grouping do not matter. Bit (x·4 + y)·4 + z. Each
-brick also keeps the first frame whose rays touched it.
+**Conventions.** The set is stored as bricks of 4 × 4 × 4 voxels, one bit each in a uint64 word. Marking a voxel is
+idempotent and sets from different sweeps are combined by OR, so order and grouping do not matter. The bit of a voxel is
+(x·4 + y)·4 + z. Each brick also stores the first frame whose rays touched it.
 """
 
 import math
@@ -22,20 +22,23 @@ from stone.kernels.lanes import I32, I64, pointer, prefetch, splat
 from stone.labels.voxels import VOXEL_M
 
 BRICK = 4
-BLOCK = 2048  # rays; a multiple of 8, so that a ray's place in its block says how it is thinned
-ALIKE = 8  # voxels; rays that pass about as many are followed together
+BLOCK = 2048  # rays; a multiple of 8, so that a ray's position in its block determines its thinning
+ALIKE = 8  # voxels; rays with about the same number of voxels are followed together
 LOAD_RATIO = 0.5
-AHEAD = 16  # bricks: so many are asked for at once
+AHEAD = 16  # bricks prefetched at once
 
 
 @dataclass(frozen=True)
 class CarveParameters:
-    """How rays are followed. Neighbouring rays pass through the same voxels near the sensor, so in a sweep of more than
-    `sparse_rays` one ray in eight is followed from the sensor on, one more in eight from `thin_m` on, two more from
-    twice and the other four from three times that range: at each there is still more than one ray per voxel.
+    """Parameters of ray thinning.
 
-    Neighbouring sweeps overlap alike, so of sweeps with N rays one in N / `rays_per_sweep` is followed, rounded down,
-    and at least one in `every_frame`."""
+    Neighbouring rays pass the same voxels near the sensor. In a sweep of more than `sparse_rays` rays, one ray in eight
+    therefore starts at the sensor, a second one at `thin_m`, two more at twice and the other four at three times that
+    range; each range still has more than one ray per voxel.
+
+    Neighbouring sweeps overlap too. Of sweeps with N rays, one in N / `rays_per_sweep` is followed, rounded down, and
+    at least one in `every_frame`.
+    """
 
     max_range_m: float = 40.0
     thin_m: float = 8.0
@@ -44,14 +47,15 @@ class CarveParameters:
     rays_per_sweep: int = 20_000
 
     def every(self, rays: int) -> int:
-        """Return n to follow one sweep in n, if a sweep has this number of rays."""
+        """Return n to follow one sweep in n, for sweeps with this number of rays."""
         return max(1, min(self.every_frame, rays // self.rays_per_sweep))
 
 
 @dataclass(frozen=True, eq=False)
 class Observed:
     """`keys` (B,) sorted brick keys (lattice of `BRICK` voxels), `words` (B,) uint64 bits, `since` (B,) the first frame
-    whose rays touched the brick."""
+    whose rays touched the brick.
+    """
 
     keys: Keys
     words: NDArray[np.uint64]
@@ -66,7 +70,7 @@ NOTHING = Observed(np.zeros(0, np.int64), np.zeros(0, np.uint64), np.zeros(0, np
 
 
 def union(parts: Sequence[Observed]) -> Observed:
-    """What any of the parts observed."""
+    """Return the voxels that any of the parts observed."""
     keys = np.concatenate([part.keys for part in parts])
     words = np.concatenate([part.words for part in parts])
     since = np.concatenate([part.since for part in parts])
@@ -79,10 +83,11 @@ def union(parts: Sequence[Observed]) -> Observed:
 
 
 class Carver:
-    """Follows the rays of sweep after sweep, then `finish`.
+    """Follows the rays of sweep after sweep; `finish` returns the result.
 
-    A sweep is carved into a dense window of bricks around the sensor, whose bits are then joined to what is known: a
-    step costs no look-up. The window is 19 MB up to 49 m, and eight times as large up to 100 m; ValueError beyond.
+    A sweep is carved into a dense window of bricks around the sensor, so that a step needs no look-up; the window is
+    then merged into the result. The window has 19 MB up to 49 m, and eight times that up to 100 m; larger ranges raise
+    ValueError.
     """
 
     def __init__(self, parameters: CarveParameters, slots: int = 1 << 16) -> None:
@@ -100,7 +105,7 @@ class Carver:
     def carve(
         self, points_ego: NDArray[np.float32], map_from_ego: SE3, sensor_ego: NDArray[np.float64], frame: int = 0
     ) -> None:
-        """Mark every voxel on the way from `sensor_ego` (3,) to each of the points (N, 3), both ends included.
+        """Mark every voxel between `sensor_ego` (3,) and each of the points (N, 3), both ends included.
 
         Calls must be in frame order. Raises `off_lattice` for a pose that is not finite or off the lattice.
         """
@@ -133,12 +138,12 @@ class Carver:
 
 
 def _window_radius(parameters: CarveParameters) -> int:
-    """How many bricks a ray may come away from that of the sensor, and one for rounding."""
+    """Return the maximum distance of a ray from the sensor in bricks, plus one for rounding."""
     return math.ceil(parameters.max_range_m / (VOXEL_M * BRICK)) + 1
 
 
 def _window_bits(parameters: CarveParameters) -> int:
-    """The window has 2^bits bricks along each axis. Raises ValueError beyond `MOST_BITS`."""
+    """Return `bits` for a window of 2^bits bricks along each axis. Raises ValueError beyond `MOST_BITS`."""
     bits = (2 * _window_radius(parameters)).bit_length()
     if bits > MOST_BITS:
         raise ValueError(f"the longest ray is {parameters.max_range_m:g} m, beyond the reach of a window (100 m)")
@@ -146,8 +151,8 @@ def _window_bits(parameters: CarveParameters) -> int:
 
 
 def _room_for_lanes(parameters: CarveParameters) -> tuple[NDArray[np.generic], ...]:
-    """Rays of a block as `_aim` makes them and as `follow` takes them, how they are ordered, and what it writes."""
-    most = math.ceil(math.sqrt(3) * parameters.max_range_m / VOXEL_M) + 3  # faces that a ray crosses, and one
+    """Return the buffers of a block: rays from `_aim` and for `follow`, their order, and the output."""
+    most = math.ceil(math.sqrt(3) * parameters.max_range_m / VOXEL_M) + 3  # faces that a ray crosses, plus one
     rays, order = np.zeros((4, BLOCK)), (np.zeros(BLOCK, np.int32), np.zeros(most // ALIKE + 2, np.int64))
     lanes = np.zeros((TIMES, BLOCK + LANES), np.int64), np.zeros((CELLS, BLOCK + LANES), np.int32)
     return rays, *lanes, *order, np.zeros(most * LANES, np.int32)
@@ -155,7 +160,7 @@ def _room_for_lanes(parameters: CarveParameters) -> tuple[NDArray[np.generic], .
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _carve(points, view, reach, window, room):  # type: ignore[no-untyped-def]
-    """Follow all rays through the window, and note which of its bricks they touch."""
+    """Follow all rays through the window, and record which of its bricks they touch."""
     (words, is_touched, bits), (rays, times, cells, ranks, ends, places) = window, room
     masks = axis_mask(bits, 0), axis_mask(bits, 1), axis_mask(bits, 2)
     for begin in range(0, points.shape[0], BLOCK):
@@ -170,15 +175,14 @@ def _carve(points, view, reach, window, room):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def _stretch(rays, p, reach):  # type: ignore[no-untyped-def]
-    """From where to where a ray of a block is followed; one whose length is no number, or out of reach, to before its
-    start."""
+    """Return the range of a block's ray to follow; empty if its length is not a number or beyond the reach."""
     level = 0 if p % 8 == 0 else 1 if p % 8 == 4 else 2 if p % 4 == 2 else 3
     return level * reach[1], min(rays[3, p], reach[0]) if rays[3, p] <= NEVER else -1.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _rank(rays, count, reach, ranks, ends):  # type: ignore[no-untyped-def]
-    """The place of each ray among those followed, by how many voxels it passes: −1 where it is not; how many are."""
+    """Write each ray's rank among the followed rays, by number of voxels (−1 if not followed); return their number."""
     ends[:] = 0
     followed = 0
     for p in range(count):
@@ -201,7 +205,7 @@ def _rank(rays, count, reach, ranks, ends):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _aim(block, pose, origin, rays):  # type: ignore[no-untyped-def]
-    """Unit direction and length, in voxels, of the ray to each point."""
+    """Write unit direction and length, in voxels, of the ray to each point."""
     m00, m01, m02, m03 = pose[0]
     m10, m11, m12, m13 = pose[1]
     m20, m21, m22, m23 = pose[2]
@@ -217,7 +221,7 @@ def _aim(block, pose, origin, rays):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _line_up(rays, reach, view, ranks, lanes):  # type: ignore[no-untyped-def]
-    """Each ray that is followed, at its place: where it enters the lattice, and when it crosses what."""
+    """Write each followed ray at its rank: its entry into the lattice and its crossing times."""
     (origin, corner, bits), (times, cells) = view, lanes
     for p in range(ranks.size):
         place = ranks[p]
@@ -236,7 +240,7 @@ def _line_up(rays, reach, view, ranks, lanes):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _fill_lanes(count, times, cells):  # type: ignore[no-untyped-def]
-    """The lanes behind the last ray stay where that begins."""
+    """Fill the lanes after the last ray with rays that stay at its start."""
     for place in range(count, -(-count // LANES) * LANES):
         times[END, place] = -1
         for row in range(CELLS):
@@ -253,7 +257,7 @@ def _mark(places, words, is_touched):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _gather_touched(is_touched, touched):  # type: ignore[no-untyped-def]
-    """The bricks that were touched, in order, and nothing is afterwards; how many they are."""
+    """Write the touched bricks in order, and reset the marks; return their number."""
     count, eights = 0, is_touched.view(np.uint64)
     for eight in range(eights.size):
         if eights[eight] == 0:
@@ -301,33 +305,28 @@ def _rehash(old, new):  # type: ignore[no-untyped-def]
             new[1][slot], new[2][slot] = old[1][row], old[2][row]
 
 
-# Rays through the voxel lattice, `LANES` of them in step: one alone waits for each of its steps, many do not.
-#
-# **Conventions.** A window of bricks has 2^bits of them along each axis, and a voxel's place in it is brick · 64 + bit
-# (`stone.labels.observed_voxels`): so each axis has bits of its own in a place, its share, and a step along it adds to
-# these alone (Schrack, 1992). What leaves the window at one end enters it at the other.
-#
-# Along a ray time is counted in 2^-44 voxels, finer than doubles are added up along it; the lowest bits are a number
-# of the axis and the way along it, so that no two crossings come at one time. Rays stand side by side: `times` (7, R)
-# are the next crossings of x, y, z, how long a voxel takes along each, and the end; `cells` (6, R) the shares of x, y,
-# z and what a step adds to each.
-#
-# Source: Amanatides & Woo (1987).
+# Follows rays through the voxel lattice, `LANES` of them in parallel to hide latency. A window has 2^bits bricks along
+# each axis, and a voxel's place in it is brick · 64 + bit (`stone.labels.observed_voxels`). Each axis has its own bits
+# of a place, its share, and a step along the axis changes only these (Schrack, 1992). Rays that leave the window at one
+# end enter it at the other. Time along a ray is counted in 2^-44 voxels, finer than the rounding of doubles; the lowest
+# bits are a number of the axis and direction, so that no two crossings coincide. Rays are stored side by side: `times`
+# (7, R) are the next crossings of x, y, z, the duration of a voxel along each, and the end; `cells` (6, R) are the
+# shares of x, y, z and their increments. Source: Amanatides & Woo (1987).
 
 
 LANES = 16
 TICKS = 2.0**44
 AXIS_BITS = 3
-NEVER = 2.0**14  # voxels; further than any ray is followed
+NEVER = 2.0**14  # voxels; beyond the end of any ray
 TIMES, CELLS, END = 7, 6, 6
-MOST_BITS = 8  # places have 31 bits, of which 6 are within a brick
+MOST_BITS = 8  # places have 31 bits, 6 of them within a brick
 
 
 def _follow_of(typing_context: Any, times: Any, cells: Any, first: Any, masks: Any, places: Any) -> Any:
-    """Write the places of all voxels that the `LANES` rays from `first` on pass to `places`; how many it wrote.
+    """Write the places of all voxels on `LANES` rays from `first` to `places`; return the number written.
 
-    `LANES` are written for each step of the longest: one that has ended stays where it is. No more than there is room
-    for. `masks` are the bits of each axis.
+    Each step writes `LANES` places until the longest ray ends or the room is used up; a finished ray stays in its last
+    voxel. `masks` are the bits of each axis.
     """
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -350,7 +349,7 @@ def _follow_of(typing_context: Any, times: Any, cells: Any, first: Any, masks: A
         least = _least(builder, following[0], _least(builder, following[1], following[2]))
         goes_on = builder.icmp_signed("<=", least, end)
         written = builder.add(count, ir.Constant(I64, LANES))
-        last = builder.block  # not `step` where indices are checked
+        last = builder.block  # not `step` if indices are checked
         count.add_incoming(written, last)
         for axis in range(3):
             is_next = builder.and_(builder.icmp_signed("==", least, following[axis]), goes_on)
@@ -369,14 +368,14 @@ def _follow_of(typing_context: Any, times: Any, cells: Any, first: Any, masks: A
 
 
 def _rows(context: Any, builder: Any, table: tuple[Any, Any], part: tuple[Any, int], lanes: Any) -> list[Any]:
-    """Of a table the lanes from a column on, as many rows of it as `part` says."""
+    """Return the lanes of a table's columns, for the rows in `part`."""
     columns = builder.extract_value(context.make_array(table[0])(context, builder, table[1]).shape, 1)
     places = (builder.add(builder.mul(columns, ir.Constant(I64, row)), part[0]) for row in range(part[1]))
     return [builder.load(pointer(context, builder, table, place, lanes, LANES), align=4) for place in places]
 
 
 def _carried(builder: Any, before: Any, value: Any) -> Any:
-    """A value that each step of a loop hands to the next, `value` to the first."""
+    """Return a loop variable that starts as `value`."""
     carried = builder.phi(value.type)
     carried.add_incoming(value, before)
     return carried
@@ -391,27 +390,27 @@ follow: Any = intrinsic(_follow_of)
 
 @njit(inline="always")
 def axis_mask(bits, axis):  # type: ignore[no-untyped-def]
-    """The bits of x, y or z in the places of a window with 2^bits bricks along each axis."""
+    """Return the bits of x, y or z in the places of a window with 2^bits bricks along each axis."""
     return ((1 << bits) - 1) << (6 + (2 - axis) * bits) | 3 << (2 * (2 - axis))
 
 
 @njit(inline="always")
 def share_of(index, bits, axis):  # type: ignore[no-untyped-def]
-    """What a voxel's index along an axis, counted from the window's corner, is of its place."""
+    """Return the share of a voxel's index along an axis, counted from the window's corner."""
     share = (index >> 2) << (6 + (2 - axis) * bits) | (index & 3) << (2 * (2 - axis))
     return share & axis_mask(bits, axis)
 
 
 @njit(inline="always")
 def step_of(slope, bits, axis):  # type: ignore[no-untyped-def]
-    """What a step of a ray along this axis adds to its share; up, it carries over the bits of the others."""
+    """Return the increment of a ray's share per step along this axis; upwards, it carries over the other axes' bits."""
     unit = 1 << (2 * (2 - axis))
     return unit + ~axis_mask(bits, axis) if slope > 0 else -unit
 
 
 @njit(inline="always")
 def set_off(slope, offset, axis):  # type: ignore[no-untyped-def]
-    """When a ray that begins at `offset` in its voxel leaves it along this axis, and how long a voxel takes it."""
+    """Return when a ray that starts at `offset` in its voxel leaves it along this axis, and the time per voxel."""
     is_up = slope > 0
     each = abs(1.0 / slope) if abs(slope) > 1e-12 else NEVER
     first = (1.0 - offset if is_up else offset) * each
@@ -420,5 +419,5 @@ def set_off(slope, offset, axis):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def end_of(length):  # type: ignore[no-untyped-def]
-    """The time after which a ray of so many voxels is followed no further."""
+    """Return the end time of a ray with this length in voxels."""
     return int(length * TICKS) << AXIS_BITS | (1 << AXIS_BITS) - 1

@@ -1,7 +1,7 @@
-"""Fills pinholes that a turned grid leaves in closed surfaces, whatever the yaw, pitch and roll.
+"""Fills pinholes that a rotated grid leaves in closed surfaces, for every yaw, pitch and roll.
 
-**Conventions.** Positions as in `stone.labels.crops`. Only free voxels are looked at that a labelled one touches,
-in the order of the grid, each back along x, y and z.
+**Conventions.** Positions as in `stone.labels.crops`. Only free voxels that a labelled voxel touches are considered, in
+grid order, each back along x, y and z.
 """
 
 import numpy as np
@@ -13,21 +13,23 @@ from stone.labels.grid import HIGH, LOW, OCCUPIED
 FRACTION_BITS = 20
 ONE = 1 << FRACTION_BITS
 CLASS_1, CLASS_2, LABELLED, SEEN = range(4)  # of a row: the words of the bits `LOW`, `HIGH`, `OCCUPIED` and `OBSERVED`
-NOT_ASKED = np.zeros((0, 0, 0, 3), np.int32)  # nobody wants to know which voxel closed a gap
+NOT_ASKED = np.zeros((0, 0, 0, 3), np.int32)  # the source voxels of closed gaps are not requested
 
 
 @njit(inline="always")
 def parted(position, back, slope):  # type: ignore[no-untyped-def]
-    """Bit n: the n-th voxel of a column from `position` on is in another voxel of the map than what lies `back`."""
+    """Return a word: bit n is set if the n-th voxel of a column from `position` lies in another map voxel than its
+    neighbour at `back`.
+    """
     return differs(np.int32(position & (ONE - 1)), np.int32(back), np.int32(slope), np.int32(FRACTION_BITS))
 
 
 @njit(cache=True, nogil=True)
 def close_row(voxels, place, row, out):  # type: ignore[no-untyped-def]
-    """Write the classes of row `a`, closing what they and the row before step over; return how many voxels it closed.
+    """Write the classes of row `a` with closed gaps in it and the previous row; return the number of closed voxels.
 
-    `row` is (a, rows, ways): rows as `stone.labels.crops` fetches them, and room for the ways back of all
-    voxels of a row; `out` is (ones, twos, observed, taken).
+    `row` is (a, rows, ways): rows as fetched by `stone.labels.crops`, and a buffer for the ways back of all voxels of a
+    row; `out` is (ones, twos, observed, taken).
     """
     a, rows, ways = row
     count = _write_classes(place, (a, rows), out, ways)
@@ -37,10 +39,10 @@ def close_row(voxels, place, row, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _write_classes(place, row, out, ways):  # type: ignore[no-untyped-def]
-    """What is labelled and observed where no gap is closed; and the ways back that may cross something, in the order of
-    the grid, as 128 b + 4 c + axis: how many they are.
+    """Write the labelled and observed voxels, and the ways back that may cross a surface, in grid order as 128 b + 4 c
+    + axis; return the number of ways.
 
-    Steps are read into names first: for all the compiler knows, an output may lie over them.
+    Values are copied to local names first, because the compiler cannot exclude that an output overlaps them.
     """
     (start, step), (a, rows), (ones, twos, observed, _) = place, row, out
     along_x = step[0, 0], step[1, 0], step[2, 0]
@@ -74,9 +76,9 @@ def _write_classes(place, row, out, ways):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def _slants(line, back, up, beside):  # type: ignore[no-untyped-def]
-    """From which voxels of a column the way `back` enters more than one voxel of the map; `up` leads along the column.
+    """Return from which voxels of a column the way `back` enters more than one map voxel; `up` leads along the column.
 
-    When it stays at one height, only a labelled voxel `beside` can be in the way.
+    If it stays at one height, only a labelled voxel `beside` can be crossed.
     """
     in_x = parted(line[0], back[0], up[0])
     in_y = parted(line[1], back[1], up[1])
@@ -86,7 +88,7 @@ def _slants(line, back, up, beside):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def _ends(place, a, way):  # type: ignore[no-untyped-def]
-    """Where a way back ends and begins: the free voxel before, and the free voxel that it leads back from."""
+    """Return both ends of a way back: the free voxel before, and the free voxel itself."""
     start, step = place
     b, c, axis = way >> 7, (way >> 2) & 31, way & 3
     x = start[0] + a * step[0, 0] + b * step[0, 1] + c * step[0, 2]
@@ -97,16 +99,16 @@ def _ends(place, a, way):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def _layer(number, layers):  # type: ignore[no-untyped-def]
-    """The layer of the window that holds a voxel, along one axis: the outermost for all that lies outside."""
+    """Return the window's layer of a voxel along one axis; voxels outside have the outermost layer."""
     return min(max(number + 1, 0), layers - 1)
 
 
 @njit(cache=True, nogil=True)
 def _keep_crossing(voxels, place, a, ways, count):  # type: ignore[no-untyped-def]
-    """Keep the ways that may cross a labelled voxel, in their order; how many they are.
+    """Keep the ways that may cross a labelled voxel, in their order; return their number.
 
-    A way crosses none but those of the block between its two free ends, whose other corners they are: six, some the
-    same where it does not leave a layer.
+    A way can only cross voxels of the block between its two free ends: its six other corners, fewer if the way stays
+    within a layer.
     """
     x, y, z = voxels.shape
     kept = 0
@@ -123,8 +125,9 @@ def _keep_crossing(voxels, place, a, ways, count):  # type: ignore[no-untyped-de
 
 @njit(cache=True, nogil=True)
 def _fill(voxels, place, a, ways, out):  # type: ignore[no-untyped-def]
-    """Give the class stepped over on each way back between two free centres to the nearer one; return how many were
-    free until then."""
+    """On each way between two free centres, give the crossed class to the nearer voxel; return the number of voxels
+    that were free before.
+    """
     (ones, twos, _, taken), filled = out, 0
     for way in ways:
         end, begin = _ends(place, a, way)
@@ -145,9 +148,9 @@ def _fill(voxels, place, a, ways, out):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def _stepped_over(voxels, a, b):  # type: ignore[no-untyped-def]
-    """(bits, where from a = 0 to b = 1, voxel) of the first labelled voxel between two free ones, if there is one.
+    """Return (bits, position from a = 0 to b = 1, voxel) of the first labelled voxel between two free ones, if any.
 
-    A way leaves a layer at most once along each axis: so it ends, or crosses one voxel or two before it does.
+    A way leaves a layer at most once along each axis, so it crosses at most two voxels.
     """
     i, j, k = a[0] >> FRACTION_BITS, a[1] >> FRACTION_BITS, a[2] >> FRACTION_BITS
     ei, ej, ek = b[0] >> FRACTION_BITS, b[1] >> FRACTION_BITS, b[2] >> FRACTION_BITS

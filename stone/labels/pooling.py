@@ -1,8 +1,8 @@
-"""Pooling: the columns of a grid of larger voxels, from those of the same space in voxels of the map's size.
+"""Pooling: converts columns of map-size voxels to the columns of a grid with larger voxels.
 
-**Conventions.** A voxel of n map voxels a side is occupied if any of its n³ is, and has the class of most of those that
-are; of classes equally frequent it has the highest (N before P before T). It is observed if any of its n³ is observed
-or occupied.
+**Conventions.** A voxel of n map voxels per side is occupied if any of its n³ voxels is. Its class is the most frequent
+class of the occupied ones; ties go to the highest class (N before P before T). It is observed if any of its n³ voxels
+is observed or occupied.
 """
 
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ from stone_base.label_grid import LabelGrid
 
 
 def pooled(fine: Columns, grid: LabelGrid) -> Columns:
-    """Return the columns of the grid, from those of `grid.on_map`."""
+    """Return the columns of the grid, from the columns of `grid.on_map`."""
     if grid.pooled == 1:
         return fine
     ones, twos, observed = np.zeros((3, *grid.shape[:2]), np.uint32)
@@ -51,7 +51,7 @@ def _pool(fine, side, height, out):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def _class_of(ones, twos, place, side):  # type: ignore[no-untyped-def]
-    """The class of most of the occupied voxels of a cube, the highest of those that are equally frequent."""
+    """Return the most frequent class of a cube's occupied voxels; ties go to the highest class."""
     first, second, mask = place
     t = p = n = np.uint64(0)
     for u in range(first, first + side):
@@ -68,8 +68,9 @@ def _class_of(ones, twos, place, side):  # type: ignore[no-untyped-def]
 def pooled_further(
     fine: Columns, columns: Columns, further: Mapping[str, NDArray[Any]], grid: LabelGrid
 ) -> dict[str, NDArray[Any]]:
-    """Return further arrays of the grid's shape, by name, from those of `grid.on_map`: of each voxel the mean of those
-    of its map voxels that have its class; without a surface that of all of them."""
+    """Return further arrays with the grid's shape, by name, from arrays of `grid.on_map`: each voxel is the mean of its
+    map voxels with its class, or of all its map voxels without a surface.
+    """
     n, (x, y, z) = grid.pooled, grid.shape
     cubes, height = (x, n, y, n, z, n), n * z
     classes, own = spread_out(fine.ones, fine.twos, height=height), spread_out(columns.ones, columns.twos, height=z)

@@ -1,9 +1,9 @@
-"""Profiles: which features of a voxel are held against the driven ground, how, and what the vehicle forbids besides.
+"""Profiles: the voxel features that are compared with the driven ground, the comparison, and the vehicle's limits.
 
-**Conventions.** `paper` is the paper to the letter: absolute elevation, slope and roughness of the vertices in the
-voxel (Eq. 4–6). `local` takes the height above the ground nearby for the elevation. `field` takes slope and roughness
-averaged over the voxel's neighbours too (most voxels hold a single vertex), counts only what is higher, steeper or
-rougher than the driven ground against a voxel, and calls N what the vehicle cannot get over or under.
+**Conventions.** `paper` is the paper's method: absolute elevation, slope and roughness of the vertices in the voxel
+(Eq. 4–6). `local` replaces the elevation by the height above the ground nearby. `field` also averages slope and
+roughness over the voxel's neighbours (most voxels contain a single vertex), penalises only features that are higher,
+steeper or rougher than the driven ground, and labels N what the vehicle cannot drive over or under.
 """
 
 from collections.abc import Mapping
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ProfileRule:
-    """How a profile judges a voxel."""
+    """The rules of a profile."""
 
     is_local: bool = False
     is_pooled: bool = False
@@ -44,10 +44,10 @@ FEATURES, HEIGHT, POOLED, SLOPE, STEP, CLEARANCE, LOOKS = slice(0, 3), 3, slice(
 
 @dataclass(frozen=True, eq=False)
 class VoxelTerrain:
-    """All that any profile asks of the voxels `keys` (K,), in `columns` (K, 11).
+    """The properties of the voxels `keys` (K,) that profiles use, in `columns` (K, 11).
 
     The columns are the features of Eq. 4–5; height above the local ground, m; the pooled features; the slope under a
-    footprint, rad; the step, m; the clearance, m; the frames that hit the voxel.
+    footprint, rad; the step, m; the clearance, m; the number of frames that hit the voxel.
     """
 
     keys: Keys
@@ -60,39 +60,39 @@ class VoxelTerrain:
         return VoxelTerrain(self.keys[keep], np.compress(keep, self.columns, axis=0))
 
     def features(self, rule: ProfileRule) -> Array:
-        """(K, 3) as the profile takes them: elevation m, slope rad, roughness log m²."""
+        """Return the profile's features (K, 3): elevation m, slope rad, roughness log m²."""
         found: Array = self.columns[:, POOLED if rule.is_pooled else FEATURES].copy()
         found[:, 0] = self.columns[:, HEIGHT if rule.is_local else 0]
         return found
 
     @property
     def slope_deg(self) -> Array:
-        """(K,) of the ground under a footprint."""
+        """The slope (K,) of the ground under a footprint."""
         return np.rad2deg(self.columns[:, SLOPE])
 
     def limit_ratios(self, vehicle: Vehicle) -> Array:
-        """(K, 3) the shares of the vehicle's limits that a voxel takes: slope, step and height."""
+        """Return the shares (K, 3) of the vehicle's limits that a voxel uses: slope, step and height."""
         slope = self.slope_deg / vehicle.max_slope_deg
         step = self.columns[:, STEP] / vehicle.max_step_m
         return np.column_stack([slope, step, vehicle.height_m / self.columns[:, CLEARANCE]])
 
     def limit_ratio(self, vehicle: Vehicle) -> Array:
-        """(K,) the largest of the shares; above 1 the vehicle cannot pass."""
+        """Return the largest share (K,); above 1 the vehicle cannot pass."""
         found: Array = self.limit_ratios(vehicle).max(axis=1)
         return found
 
 
 def terrain_of(voxels: VoxelFeatures, height_m: Array, shape: GroundShape, looks: NDArray[np.int64]) -> VoxelTerrain:
-    """What was measured of the voxels, in one table."""
+    """Return the measured properties of the voxels in one table."""
     rest = (shape.pooled, shape.slope_rad, shape.step_m, shape.clearance_m, looks)
     return VoxelTerrain(voxels.keys, np.column_stack([voxels.features, height_m, *rest]))
 
 
 def distances(terrain: VoxelTerrain, reference: Reference, rule: ProfileRule, limits: tuple[Vehicle, float]) -> Array:
-    """Return the D² (K,) that decides the class of each voxel against the threshold in `limits`, beside the vehicle.
+    """Return the D² (K,) that decides each voxel's class, given the threshold in `limits` and the vehicle.
 
-    In a profile that knows the vehicle it is no less than the threshold times the squared share of its limits, so
-    that D² exceeds the threshold exactly if the reference or the vehicle rules the voxel out.
+    In a profile that uses the vehicle, D² is at least the threshold times the squared share of its limits. D² then
+    exceeds the threshold exactly if the reference or the vehicle excludes the voxel.
     """
     vehicle, limit = limits
     features = terrain.features(rule)
@@ -105,8 +105,8 @@ def distances(terrain: VoxelTerrain, reference: Reference, rule: ProfileRule, li
 def exceedance_squared(features: Array, reference: Reference) -> Array:
     """Return the least D² (K,) of all ground that is at least as high, steep and rough as the features (K, 3).
 
-    It never falls if a feature rises, and is 0 for what lies below the mean in all. The least D² over a cone is the
-    greatest marginal D² of the subsets of features whose multipliers are not negative (its dual; Perlman, 1969).
+    It never decreases if a feature increases, and is 0 for features below all means. The least D² over a cone is the
+    greatest marginal D² of the feature subsets whose multipliers are not negative (its dual; Perlman, 1969).
     """
     inverses = np.zeros((7, 3, 3))
     for number in range(7):

@@ -1,8 +1,8 @@
-"""Robust location and scatter: the minimum covariance determinant, which a few wrong voxels cannot move.
+"""Robust location and scatter: the minimum covariance determinant, which resists a few wrong voxels.
 
-**Conventions.** Of n rows those h are sought whose covariance has the least determinant (Rousseeuw, 1985), by
-concentration steps (Rousseeuw and Van Driessen, 1999) from starts that draw nothing by chance (as Hubert, Rousseeuw
-and Verdonck, 2012, do it), then reweighted once. Scatter is scaled to be that of a Gaussian where the rows are one.
+**Conventions.** Of n rows, the h rows with the smallest covariance determinant are searched (Rousseeuw, 1985) by
+concentration steps (Rousseeuw and Van Driessen, 1999) from deterministic starts (Hubert, Rousseeuw and Verdonck, 2012),
+and reweighted once. Scatter is scaled to be consistent for Gaussian rows.
 """
 
 import math
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from stone.sensors.clocks import MAD_TO_SIGMA
 
 MOST_STEPS = 100
-RIDGE = 1e-9  # of the rows' own spread: a feature that is the same everywhere has no variance to divide by
+RIDGE = 1e-9  # of the rows' spread: a constant feature has no variance to divide by
 INLIER_RATIO = 0.975
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """`mean` (d,) and `covariance` (d, d) of the rows `is_inlier` (n,) says are of one kind."""
+    """`mean` (d,) and `covariance` (d, d) of the rows in `is_inlier` (n,)."""
 
     mean: Array
     covariance: Array
@@ -31,7 +31,9 @@ class Scatter:
 
 
 def robust_scatter(rows: Array, outlier_ratio: float) -> Scatter:
-    """Of rows (n, d), up to the share `outlier_ratio` (0 to 0.5) of which may be anything; n > d + 1."""
+    """Return the scatter of rows (n, d), of which up to the share `outlier_ratio` (0 to 0.5) may be outliers; n > d +
+    1.
+    """
     count, width = rows.shape
     kept = max(math.ceil((1.0 - outlier_ratio) * count), width + 1)
     middle, spread = middle_and_spread(rows)
@@ -46,7 +48,7 @@ def robust_scatter(rows: Array, outlier_ratio: float) -> Scatter:
 
 
 def _starts(scaled: Array, kept: int) -> Iterator[NDArray[np.int64]]:
-    """Rows (kept,) nearest the middle as the axes have it that the rows' signs, or their squashed values, have."""
+    """Yield the rows (kept,) nearest the centre, with axes from the rows' signs and from their squashed values."""
     lengths = np.linalg.norm(scaled, axis=1, keepdims=True)
     signs = np.divide(scaled, lengths, out=np.zeros_like(scaled), where=lengths > 0)
     for shape in (np.eye(scaled.shape[1]), signs.T @ signs, np.cov(np.tanh(scaled).T)):
@@ -56,8 +58,9 @@ def _starts(scaled: Array, kept: int) -> Iterator[NDArray[np.int64]]:
 
 
 def _concentrated(scaled: Array, subset: NDArray[np.int64], kept: int) -> tuple[Array, Array]:
-    """Mean and covariance after steps each of which takes the `kept` rows nearest to the last ones; the determinant
-    falls with each until it stays."""
+    """Return mean and covariance after concentration steps, each of which selects the `kept` nearest rows; the
+    determinant decreases until it is constant.
+    """
     moments = _moments(scaled, subset)
     for _ in range(MOST_STEPS):
         nearer = _moments(scaled, _least(_squared(scaled, *moments), kept))
@@ -68,7 +71,9 @@ def _concentrated(scaled: Array, subset: NDArray[np.int64], kept: int) -> tuple[
 
 
 def middle_and_spread(rows: Array) -> tuple[Array, Array]:
-    """Median and scaled median deviation (d,); the standard deviation where most rows are the same, 1 where all are."""
+    """Return the median and the scaled median deviation (d,); the standard deviation if most rows are equal, 1 if all
+    are.
+    """
     middle = np.median(rows, axis=0)
     spread = MAD_TO_SIGMA * np.median(np.abs(rows - middle), axis=0)
     spread = np.where(spread > 0, spread, rows.std(axis=0))
@@ -76,39 +81,41 @@ def middle_and_spread(rows: Array) -> tuple[Array, Array]:
 
 
 def _moments(scaled: Array, subset: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Mean and unbiased covariance of the rows `subset`."""
+    """Return mean and unbiased covariance of the rows `subset`."""
     rows = scaled[subset]
     return rows.mean(axis=0), np.cov(rows.T)
 
 
 def _squared(scaled: Array, mean: Array, covariance: Array) -> Array:
-    """The squared Mahalanobis distance (n,) of all rows."""
+    """Return the squared Mahalanobis distance (n,) of all rows."""
     centred = scaled - mean
     inverse = np.linalg.inv(covariance + RIDGE * np.eye(len(mean)))
     return np.asarray(np.einsum("ni,ni->n", centred @ inverse, centred))
 
 
 def _log_volume(covariance: Array) -> float:
-    """The logarithm of the determinant."""
+    """Return the logarithm of the determinant."""
     return float(np.linalg.slogdet(covariance + RIDGE * np.eye(len(covariance)))[1])
 
 
 def _least(values: Array, kept: int) -> NDArray[np.int64]:
-    """Where the `kept` least of values (n,) are, in order of rows."""
+    """Return the indices of the `kept` smallest values (n,), in row order."""
     return np.sort(np.argpartition(values, kept - 1)[:kept])
 
 
 def _consistency(ratio: float, width: int) -> float:
-    """What the covariance of the innermost `ratio` of a Gaussian is too small by (Croux and Haesbroeck, 1999)."""
+    """Return the factor by which the covariance of a Gaussian's innermost `ratio` is too small (Croux and Haesbroeck,
+    1999).
+    """
     if ratio >= 1.0:
         return 1.0
-    from scipy.special import chdtr  # an eighth of a second, which who opens a recording does not wait for
+    from scipy.special import chdtr  # a lazy import: it takes an eighth of a second
 
     return float(ratio / chdtr(width + 2, _chi_squared(width, ratio)))
 
 
 def _chi_squared(width: int, ratio: float) -> float:
-    """The squared distance within which this share of a Gaussian lies."""
+    """Return the squared distance that contains this share of a Gaussian."""
     from scipy.special import chdtri
 
     return float(chdtri(width, 1.0 - ratio))

@@ -1,7 +1,7 @@
-"""Visibility for many frames at once: every line of sight is looked up once and followed for a batch of frames.
+"""Visibility for many frames at once: every sight line is looked up once and followed for a batch of frames.
 
-**Conventions.** As in `stone.labels.visibility`, whose lines are followed; a frame is one lane. Frames do not meet: a
-batch of any size gives what its frames give alone.
+**Conventions.** As in `stone.labels.visibility`, which defines the lines; a frame is one lane. Frames are independent:
+results do not depend on the batch size.
 """
 
 from collections.abc import Sequence
@@ -29,12 +29,12 @@ from stone.labels.visibility import (
 from stone_base.label_grid import PAPER, LabelGrid
 
 LANES = 32
-BESIDE = 8  # columns; a row of any grid has a whole number of times as many
+BESIDE = 8  # columns; the row length of every grid is a multiple
 VOXEL_MASK, WAY_MASK = np.uint32((1 << VOXEL_BITS) - 1), np.uint32(31)
 
 
 class SightBatch:
-    """Follows the lines of a robot's cameras through up to `LANES` frames at a time; keeps 90 MB to do it in."""
+    """Follows the sight lines of a robot's cameras through up to `LANES` frames at a time; uses 90 MB."""
 
     def __init__(self, cameras: Sequence[SightLines], grid: LabelGrid = PAPER) -> None:
         voxels = prod(framed(grid.shape)) if cameras else 0
@@ -44,7 +44,7 @@ class SightBatch:
         self._free, self._seen = np.zeros(voxels, np.uint32), np.zeros(voxels, np.uint32)
 
     def visible(self, occupied: Words) -> Words:
-        """What any camera sees past the labelled voxels: (F, X, Y) columns from such, F up to `LANES`."""
+        """Return the voxels (F, X, Y) that any camera sees past the labelled voxels, as columns; F up to `LANES`."""
         if not self._cameras:
             return np.zeros_like(occupied)
         frames = len(occupied)
@@ -60,9 +60,10 @@ class SightBatch:
 
 
 def _reach_of(typing_context: Any, ways: Any, places: Any, weights: Any, free: Any) -> Any:
-    """How open the ways through voxel places[4] are, from the four before it; bit n: at least half open in lane n.
+    """Return the openness of the ways through voxel places[4], from the four before it, and a word: bit n is set if
+    lane n is at least half open.
 
-    It goes on where its lane is set in `free`.
+    A way continues only in the lanes that are set in `free`.
     """
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -87,7 +88,7 @@ def _reach_of(typing_context: Any, ways: Any, places: Any, weights: Any, free: A
 
 
 def _half_open_of(typing_context: Any, ways: Any, place: Any) -> Any:
-    """Bit n: the way that goes on from ways[place] is at least half open in lane n."""
+    """Return a word: bit n is set if the way from ways[place] is at least half open in lane n."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         lanes = ir.VectorType(I8, LANES)
@@ -126,7 +127,7 @@ def _look(lines, ways, state):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _look_at_sides(place, ways, state):  # type: ignore[no-untyped-def]
-    """Labelled voxels are seen where a line ends on their side; the ways have been followed."""
+    """Mark labelled voxels as seen if a line ends on their side; the ways have been followed before."""
     free, way, seen = state
     for s in range(place.size):
         voxel = np.int64(place[s] & VOXEL_MASK)
@@ -141,10 +142,10 @@ def _look_at_sides(place, ways, state):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _by_voxel(batch, sides, free):  # type: ignore[no-untyped-def]
-    """From columns of each frame to lanes of each voxel: in which frames it is free.
+    """Convert columns per frame to lanes per voxel: the frames in which each voxel is free.
 
-    `BESIDE` columns at a time, a line of the cache: their words in one frame and the next lie so far apart that they
-    push each other out of it.
+    `BESIDE` columns (one cache line) are converted at a time, because the words of consecutive frames evict each other
+    from the cache.
     """
     near = np.empty((BESIDE, LANES), np.uint32)
     for a in range(sides[0]):
@@ -159,7 +160,7 @@ def _by_voxel(batch, sides, free):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _by_frame(seen, sides, batch):  # type: ignore[no-untyped-def]
-    """And back: what is seen."""
+    """Convert seen voxels from lanes to columns."""
     near = np.empty((BESIDE, LANES), np.uint32)
     for a in range(sides[0]):
         for b in range(0, sides[1], BESIDE):

@@ -1,8 +1,8 @@
-"""Coverage of the robot's way by T: in how many places that its footprint went over the labels say so.
+"""Coverage of the robot's track by T: the share of places under its footprint that are labelled T.
 
-**Conventions.** Places lie in a lattice inside the footprint, so far from its edge that the voxel of each is under it.
-One is covered when T lies in its voxel, the one above or the one below; it is closed when it is covered or its
-neighbours on two opposite sides are, as a frame's grid closes pinholes (`stone.labels.pinholes`).
+**Conventions.** Places form a lattice inside the footprint, far enough from its edge that each place's voxel is under
+it. A place is covered if its voxel, the one above or the one below is T. It is closed if it is covered or its
+neighbours on two opposite sides are, like pinholes in a frame's grid (`stone.labels.pinholes`).
 """
 
 from collections.abc import Iterator
@@ -20,14 +20,16 @@ SPACING_M = 0.1
 INSIDE_M = VOXEL_M / np.sqrt(2)
 STEP_M = 0.5
 BESIDE = ((-1, 0), (1, 0), (0, -1), (0, 1))
-PLACES_AT_ONCE = 50_000  # of all poses that are looked at together
+PLACES_AT_ONCE = 50_000  # for all poses that are processed together
 
 Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class TrackCoverage:
-    """Of how many places along the way, how many are closed; of how many poses along it, how many have none."""
+    """The number of places along the track and of closed ones; the number of poses and of poses without a closed
+    place.
+    """
 
     places: int
     closed: int
@@ -36,12 +38,12 @@ class TrackCoverage:
 
     @property
     def closed_ratio(self) -> float:
-        """1 of no place."""
+        """The share of closed places, 1 if there is no place."""
         return self.closed / self.places if self.places else 1.0
 
     @property
     def bare_ratio(self) -> float:
-        """0 of no pose."""
+        """The share of bare poses, 0 if there is no pose."""
         return self.bare / self.poses if self.poses else 0.0
 
     def __add__(self, other: "TrackCoverage") -> "TrackCoverage":
@@ -51,22 +53,23 @@ class TrackCoverage:
 
 
 def places_of(footprint: Footprint) -> NDArray[np.float64]:
-    """The places (C, 3) under the footprint, in the ego plane; the middle line of one that is too narrow for more."""
+    """Return the places (C, 3) under the footprint, in the ego plane; the centre line of a narrow footprint."""
     halves = (max(size / 2 - INSIDE_M, 0.0) for size in (footprint.length_m, footprint.width_m))
     x, y = (np.linspace(-half, half, 1 + int(np.ceil(2 * half / SPACING_M))) for half in halves)
     return np.stack(np.meshgrid(x, y, 0.0, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def covered_places(driven: Keys, poses: SE3, footprint: Footprint) -> tuple[Mask, Mask]:
-    """Which of the places under the footprint at each pose (P, C) are covered by the T voxels `driven`, and which are
-    closed."""
+    """Return which places under the footprint at each pose (P, C) are covered by the T voxels `driven`, and which are
+    closed.
+    """
     nothing = np.zeros((0, len(places_of(footprint))), np.bool_)
     found = [(nothing, nothing), *_covered_in_turn(driven, poses, footprint)]
     return np.concatenate([own for own, _ in found]), np.concatenate([closed for _, closed in found])
 
 
 def coverage(driven: Keys, poses: SE3, footprint: Footprint) -> TrackCoverage:
-    """Of the way through these poses with the T voxels `driven`."""
+    """Return the coverage of the track through these poses by the T voxels `driven`."""
     total = TrackCoverage(0, 0, 0, 0)
     for _, closed in _covered_in_turn(driven, poses, footprint):
         total += TrackCoverage(closed.size, int(closed.sum()), len(closed), int((~closed.any(axis=1)).sum()))
@@ -74,13 +77,13 @@ def coverage(driven: Keys, poses: SE3, footprint: Footprint) -> TrackCoverage:
 
 
 def spaced(poses: SE3) -> SE3:
-    """The first of the poses (P, P ≥ 1), and one every `STEP_M` of the way through them."""
+    """Return the first of the poses (P, P ≥ 1), and one every `STEP_M` along the track."""
     driven_m = np.append(0.0, np.cumsum(steps_of(poses)[0]))
     return poses[np.append(True, np.diff(np.floor(driven_m / STEP_M)) > 0)]
 
 
 def _covered_in_turn(driven: Keys, poses: SE3, footprint: Footprint) -> Iterator[tuple[Mask, Mask]]:
-    """As `covered_places`, of a few poses after another: a footprint may be as large as a calibration says."""
+    """Yield `covered_places` for a few poses at a time, because calibrations may have a large footprint."""
     few = max(1, PLACES_AT_ONCE // len(places_of(footprint)))
     for at in range(0, len(poses), few):
         yield _covered(driven, poses[at : at + few], footprint)
@@ -95,6 +98,6 @@ def _covered(driven: Keys, poses: SE3, footprint: Footprint) -> tuple[Mask, Mask
 
 
 def _is_in(driven: Keys, points: NDArray[np.float64]) -> Mask:
-    """Of each place whether one of its three points (P, 3 C, 3) lies in one of the voxels."""
+    """Return whether one of each place's three points (P, 3 C, 3) lies in one of the voxels."""
     found = np.isin(keys_of(points.reshape(-1, 3), VOXEL_M), driven)
     return np.asarray(found.reshape(len(points), -1, 3).any(axis=2))

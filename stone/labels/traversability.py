@@ -1,8 +1,8 @@
-"""Traversability: the driven reference, the distance to it, and the class that follows (paper, IV-C, Eq. 6).
+"""Traversability: the driven reference, the distance to it, and the resulting class (paper, IV-C, Eq. 6).
 
 **Conventions.** Classes: 0 free, 1 traversable (T), 2 potentially traversable (P), 3 non-traversable (N). Features are
-rows (elevation, slope, roughness). Sums add, so parts of a run can be summed apart; they are taken about `origin`,
-which keeps digits where the map is high above its datum.
+rows (elevation, slope, roughness). Sums are additive, so parts of a run can be summed separately; they are relative to
+`origin`, for precision if the map is high above its datum.
 """
 
 from collections.abc import Sequence
@@ -32,13 +32,15 @@ def no_reference(voxels: int, needed: int = 4) -> Refused:
 
 @dataclass(frozen=True)
 class ReferenceParameters:
-    """`alpha` is the paper's 0.05. The floor (m, rad, log m²) is added where the covariance is singular and, with
-    `floor_voxels` n₀ > 0 (profile `local`), everywhere in the share n₀/(n₀+n), so it fades as the track grows.
+    """Parameters of the reference; `alpha` is the paper's 0.05.
 
-    With `clean_mads` > 0 driven voxels that lie farther than so many scaled median deviations from the median of a
-    feature are left out; they stay T. `noise` (m, rad, log m²) is what measurement adds to ground of one kind; it is
-    added to the covariance however long the track. With `outlier_ratio` > 0 mean and covariance are the robust ones
-    (`stone.labels.robust_scatter`): up to that share of what is taken for driven ground may be something else.
+    The floor (m, rad, log m²) is added if the covariance is singular. With `floor_voxels` n₀ > 0 (profile `local`), the
+    share n₀/(n₀+n) of it is always added, so it fades as the track grows.
+
+    With `clean_mads` > 0, driven voxels farther than this number of scaled median deviations from a feature's median
+    are excluded; they stay T. `noise` (m, rad, log m²) is the measurement noise of uniform ground and is always added
+    to the covariance. With `outlier_ratio` > 0, mean and covariance are robust (`stone.labels.robust_scatter`): up to
+    this share of the driven voxels may be outliers.
     """
 
     alpha: float = 0.05
@@ -50,7 +52,7 @@ class ReferenceParameters:
 
     @property
     def leaves_out(self) -> bool:
-        """Whether driven voxels unlike the rest do not count."""
+        """Whether atypical driven voxels are excluded."""
         return self.outlier_ratio > 0 or self.clean_mads > 0
 
 
@@ -66,7 +68,9 @@ class FeatureSums:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The Gaussian of the driven ground: `mean` (3,), `covariance` (3, 3), from `voxels` voxels without `left_out`."""
+    """The Gaussian of the driven ground: `mean` (3,), `covariance` (3, 3), from `voxels` voxels; `left_out` were
+    excluded.
+    """
 
     mean: Array
     covariance: Array
@@ -76,13 +80,13 @@ class Reference:
 
 
 def sums_of(features: Array, origin: Array) -> FeatureSums:
-    """The sums of features (n, 3) about `origin`; n may be 0."""
+    """Return the sums of features (n, 3) about `origin`; n may be 0."""
     centred = features - origin
     return FeatureSums(origin, len(features), centred.sum(axis=0), centred.T @ centred)
 
 
 def total_of(parts: Sequence[FeatureSums]) -> FeatureSums:
-    """The sums of all parts; they share their origin."""
+    """Return the total of the parts' sums, which have the same origin."""
     return FeatureSums(
         parts[0].origin,
         sum(part.count for part in parts),
@@ -92,8 +96,11 @@ def total_of(parts: Sequence[FeatureSums]) -> FeatureSums:
 
 
 def reference_of_parts(parts: Sequence[Array], origin: Array, parameters: ReferenceParameters) -> Reference:
-    """The reference of the features (n, 3) over T of all parts, as the parameters estimate it; sums are taken about
-    `origin` (3,). Raises `no_reference`."""
+    """Return the reference of all parts' features (n, 3) over T, as the parameters require; sums are relative to
+    `origin` (3,).
+
+    Raises `no_reference`.
+    """
     if parameters.outlier_ratio:
         return robust_reference_of(np.concatenate(parts), parameters)
     if parameters.clean_mads:
@@ -102,7 +109,7 @@ def reference_of_parts(parts: Sequence[Array], origin: Array, parameters: Refere
 
 
 def reference_of(sums: FeatureSums, parameters: ReferenceParameters) -> Reference:
-    """Mean and unbiased covariance of F over T. Raises `no_reference` below 4 voxels."""
+    """Return mean and unbiased covariance of F over T. Raises `no_reference` below 4 voxels."""
     if sums.count < 4:
         raise no_reference(sums.count)
     mean = sums.total / sums.count
@@ -111,8 +118,10 @@ def reference_of(sums: FeatureSums, parameters: ReferenceParameters) -> Referenc
 
 
 def robust_reference_of(features: Array, parameters: ReferenceParameters) -> Reference:
-    """Mean and covariance of F (n, 3) over T as `outlier_ratio` of them may not shift it. Raises `no_reference`
-    below 5 voxels, which leave none to leave out."""
+    """Return robust mean and covariance of F (n, 3) over T for up to `outlier_ratio` outliers.
+
+    Raises `no_reference` below 5 voxels, of which none can be excluded.
+    """
     if len(features) < FEWEST_ROBUST:
         raise no_reference(len(features), FEWEST_ROBUST)
     found = robust_scatter(features, parameters.outlier_ratio)
@@ -120,7 +129,9 @@ def robust_reference_of(features: Array, parameters: ReferenceParameters) -> Ref
 
 
 def cleaned_reference_of(features: Array, parameters: ReferenceParameters) -> Reference:
-    """Mean and covariance of F (n, 3) over T without what lies beyond `clean_mads`. Raises `no_reference` below 4."""
+    """Return mean and covariance of F (n, 3) over T without values beyond `clean_mads`. Raises `no_reference` below
+    4.
+    """
     if len(features) < 4:
         raise no_reference(len(features))
     middle, spread = middle_and_spread(features)
@@ -130,7 +141,7 @@ def cleaned_reference_of(features: Array, parameters: ReferenceParameters) -> Re
 
 
 def _floored(mean: Array, covariance: Array, count: int, parameters: ReferenceParameters) -> Reference:
-    """With the floor that the parameters ask for, and where the covariance of `count` voxels is singular."""
+    """Return the reference with the required floor, also if the covariance of `count` voxels is singular."""
     covariance = covariance + np.diag(np.square(parameters.noise))
     floor = np.diag(np.square(parameters.floor))
     if parameters.floor_voxels:
@@ -143,20 +154,20 @@ def _floored(mean: Array, covariance: Array, count: int, parameters: ReferencePa
 
 
 def distance_squared(features: Array, reference: Reference) -> Array:
-    """D² = (F−μ)ᵀ Σ⁻¹ (F−μ), the squared Mahalanobis distance (K,) of features (K, 3) (Eq. 6)."""
+    """Return D² = (F−μ)ᵀ Σ⁻¹ (F−μ), the squared Mahalanobis distance (K,) of features (K, 3) (Eq. 6)."""
     centred = features - reference.mean
     scaled = centred @ np.linalg.inv(reference.covariance)
     return np.asarray(np.einsum("ki,ki->k", scaled, centred), dtype=np.float64)
 
 
 def threshold(alpha: float) -> float:
-    """χ²(3, 1−α): the D² that a share α of the driven ground itself exceeds, were it Gaussian."""
-    from scipy.special import chdtri  # an eighth of a second, which who opens a recording does not wait for
+    """Return χ²(3, 1−α): the D² that a share α of Gaussian driven ground exceeds."""
+    from scipy.special import chdtri  # a lazy import: it takes an eighth of a second
 
     return float(chdtri(3, alpha))
 
 
 def classify(squared: Array, is_driven: NDArray[np.bool_], alpha: float) -> NDArray[np.uint8]:
-    """T where driven, else P where D² ≤ χ²(3, 1−α), else N; (K,) uint8."""
+    """Return T for driven voxels, otherwise P if D² ≤ χ²(3, 1−α), otherwise N; (K,) uint8."""
     classes = np.where(squared <= threshold(alpha), POTENTIAL, NON_TRAVERSABLE)
     return np.where(is_driven, TRAVERSABLE, classes).astype(np.uint8)

@@ -1,14 +1,14 @@
-"""Visibility of the grid's voxels from one camera, hidden by other voxels or not.
+"""Visibility of the grid's voxels from one camera, including occlusion.
 
-**Conventions.** Grids as in `stone_base.label_grid`. Line of sight is decided voxel by voxel outwards: how open the way
-to a voxel is, is how open it is at the point one step nearer to the camera, interpolated between the four voxels around
-that point (XDraw: Franklin & Ray, 1994). A free voxel is seen when its way is at least half open; a labelled one also
-when that holds for a free voxel before one of its sides that face the camera, for there the line ends (at a grazing
-angle the way to its middle leads through other ground). One neighbour instead of four would bend every line towards the
-grid's axes. The steps depend on the calibration alone, so they are laid out once per robot;
-`stone.labels.sight_batches` follows them for many frames at once.
+**Conventions.** Grids as in `stone_base.label_grid`. Sight is computed voxel by voxel outwards. The openness of the way
+to a voxel is the openness at the point one step nearer to the camera, interpolated between the four voxels around that
+point (XDraw: Franklin & Ray, 1994). A free voxel is seen if its way is at least half open. A labelled voxel is also
+seen if a free voxel next to one of its camera-facing sides is, because the line ends there (at a grazing angle, the way
+to its centre passes through other ground). A single neighbour instead of four would bend lines towards the grid's axes.
+The steps depend only on the calibration, so they are computed once per robot; `stone.labels.sight_batches` follows them
+for many frames at once.
 
-The grid is framed by one voxel on every side, so that what is nearer than its border has a place; there all is open.
+The grid has a frame of one voxel on every side, which is open, for points nearer than its border.
 """
 
 from dataclasses import dataclass
@@ -21,23 +21,23 @@ from stone.geometry.se3 import SE3
 from stone.sensors.calibration import CameraIntrinsics
 from stone_base.label_grid import PAPER, LabelGrid
 
-OPEN = 240  # a way that nothing blocks; 16 × 15 levels fit a byte
+OPEN = 240  # an unblocked way; 16 × 15 levels fit a byte
 NEAR_M = 0.1
-RIM = 2  # voxels: lines are followed so far around the image, else they would look around walls there
-FRAMED_HEIGHT = 34  # voxels, of a grid of any height: columns are words of 32 bits
+RIM = 2  # voxels: lines are followed this far outside the image, otherwise they would bypass walls there
+FRAMED_HEIGHT = 34  # voxels, for grids of any height: columns are 32-bit words
 VOXEL_BITS, SIDE_BIT = 22, 27
-AT_SOURCE = 0  # the way of a voxel beside the camera, or of one that lines come from but that is out of sight itself
+AT_SOURCE = 0  # the way of a voxel next to the camera, or of a source voxel that is out of sight itself
 IN_IMAGE = np.uint32(1 << 31)
 
 
 @dataclass(frozen=True, eq=False)
 class SightLines:
-    """Voxels in and around the image, each after all that lie before it.
+    """Voxels in and around the image, each after all voxels before it on its line.
 
     `place` (S,) uint32: bits 0–21 the voxel in the framed grid, flat; bits 22–26 the way to the four voxels around the
-    point one step nearer, a row of `ways()`; bits 27–29 whether it turns a side on x, y, z to the camera and what lies
-    before that is in view; bit 31 whether it is in the image. `weight` (S, 4) uint8: what each of the four counts;
-    together `OPEN`.
+    point one step nearer, a row of `ways()`; bits 27–29 whether its side on x, y, z faces the camera and the voxel
+    before it is in view; bit 31 whether it is in the image. `weight` (S, 4) uint8: the weights of the four voxels, with
+    sum `OPEN`.
     """
 
     place: NDArray[np.uint32]
@@ -50,8 +50,9 @@ def framed(shape: tuple[int, ...]) -> tuple[int, int, int]:
 
 
 def ways(shape: tuple[int, ...]) -> NDArray[np.int64]:
-    """(25, 6) framed flat steps by way: to the first of the four, from there to the second, from the first to the
-    third; towards the camera along x, y and z."""
+    """Return (25, 6) flat steps in the framed grid by way: to the first of the four, to the second, from the first to
+    the third, and towards the camera along x, y and z.
+    """
     table, size = np.zeros((25, 6), np.int64), framed(shape)
     strides = size[1] * size[2], size[2], 1
     for code in range(1, len(table)):
@@ -65,15 +66,15 @@ def ways(shape: tuple[int, ...]) -> NDArray[np.int64]:
 
 
 def _way_of(code: int) -> tuple[int, int, int, int]:
-    """(axis, ±1, whether the point lies below the voxel on the next axis, and on the one after it) of a way."""
+    """Return (axis, ±1, whether the point lies below the voxel on the next axis, and on the axis after it) of a way."""
     return (code - 1) >> 3, 1 if (code - 1) & 4 else -1, (code - 1) >> 1 & 1, (code - 1) & 1
 
 
 def sight_lines(intrinsics: CameraIntrinsics, ego_from_camera: SE3, grid: LabelGrid = PAPER) -> SightLines:
-    """The sight lines of one camera through the grid.
+    """Return the sight lines of one camera through the grid.
 
-    The image border is that of the undistorted pinhole: distortion bends lines within the image by less than a voxel
-    at the ranges of the grid, and models that fold back would otherwise claim voxels behind the border.
+    The image border is the undistorted pinhole's: within the grid's range, distortion bends lines inside the image by
+    less than a voxel, and distortion models that fold back would include voxels behind the border.
     """
     k = intrinsics
     image = np.array([k.fx_px, k.fy_px, k.cx_px, k.cy_px, k.width_px, k.height_px], np.float64)
@@ -91,7 +92,7 @@ def sight_lines(intrinsics: CameraIntrinsics, ego_from_camera: SE3, grid: LabelG
 
 
 def _ranks(camera: NDArray[np.float64], side: int) -> tuple[NDArray[np.int64], int]:
-    """For each axis the rank of its layers of voxels by their distance from the camera, (3, side), and how many."""
+    """Return the rank (3, side) of each axis's voxel layers by distance from the camera, and the number of ranks."""
     middles = np.arange(side) + 0.5
     distances = np.abs(middles - camera[:, None])
     values, ranks = np.unique(distances, return_inverse=True)
@@ -103,7 +104,7 @@ OUT_OF_SIGHT, SOURCE, AT_RIM, INSIDE = range(4)
 
 @njit(cache=True, nogil=True)
 def _project(camera_from_ego, image, place, kinds):  # type: ignore[no-untyped-def]
-    """Which voxels are in the image, and which nearer than `RIM` to it."""
+    """Mark the voxels in the image, and the voxels nearer than `RIM` to it."""
     m, (low, voxel_m) = camera_from_ego, place
     fx, fy, cx, cy, width, height = image
     for a in range(kinds.shape[0]):
@@ -124,7 +125,7 @@ def _project(camera_from_ego, image, place, kinds):  # type: ignore[no-untyped-d
 
 @njit(inline="always")
 def _nearer(at, camera):  # type: ignore[no-untyped-def]
-    """(way, voxel, weights) of the four voxels around the point one step nearer to the camera.
+    """Return (way, voxel, weights) of the four voxels around the point one step nearer to the camera.
 
     The voxel is the first of the four; the others follow on the axes after the main one.
     """
@@ -148,7 +149,7 @@ def _nearer(at, camera):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def _corner(voxel, way, corner):  # type: ignore[no-untyped-def]
-    """The voxel that is this corner of the four that begin with `voxel`."""
+    """Return the voxel of this corner of the four that start with `voxel`."""
     one, other = ((way - 1) // 8 + 1) % 3, ((way - 1) // 8 + 2) % 3
     du, dv = corner & 1, corner >> 1
     i = voxel[0] + (du if one == 0 else 0) + (dv if other == 0 else 0)
@@ -159,7 +160,7 @@ def _corner(voxel, way, corner):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _add_sources(camera, kinds):  # type: ignore[no-untyped-def]
-    """Lines that come from beyond the rim begin there: what is there blocks, what lies before it does not."""
+    """Start lines from beyond the rim there: the source voxel blocks, voxels before it do not."""
     for a in range(kinds.shape[0]):
         for b in range(kinds.shape[1]):
             for c in range(kinds.shape[2]):
@@ -175,7 +176,7 @@ def _add_sources(camera, kinds):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _sort(kinds, ranks, begins, places):  # type: ignore[no-untyped-def]
-    """Counting sort by the greatest of the three distances: a way leads to voxels that are strictly nearer."""
+    """Sort by counting the greatest of the three distances, because a way leads to strictly nearer voxels."""
     for fill in range(2):
         for a in range(kinds.shape[0]):
             for b in range(kinds.shape[1]):
@@ -214,7 +215,7 @@ def _lay_out(places, camera, grid, out):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def _shows(kinds, at, camera, axis):  # type: ignore[no-untyped-def]
-    """Whether a voxel turns a side of this axis to the camera, and the voxel before that side is in view."""
+    """Return whether a voxel's side on this axis faces the camera, and the voxel before that side is in view."""
     gap = camera[axis] - (at[axis] + 0.5)
     if abs(gap) <= 0.5:
         return False

@@ -19,8 +19,9 @@ VOXEL_M = MAP_VOXEL_M
 
 @dataclass(frozen=True, eq=False)
 class VoxelFeatures:
-    """`keys` (K,) sorted; `features` (K, 3) float64: elevation m, slope rad, roughness log m²; the number of `vertices`
-    (K,) that each is the mean of."""
+    """`keys` (K,) sorted; `features` (K, 3) float64: mean elevation m, slope rad, roughness log m² of `vertices` (K,)
+    vertices.
+    """
 
     keys: Keys
     features: NDArray[np.float64]
@@ -34,16 +35,16 @@ class VoxelFeatures:
 
 
 def voxel_features(vertices_map: NDArray[np.float64], features: NDArray[np.float64]) -> VoxelFeatures:
-    """F_k = mean of the features of the vertices in voxel k (Eq. 4–5); `vertices_map` (V, 3), `features` (V, 3)."""
+    """Return F_k, the mean of the vertex features in voxel k (Eq. 4–5); `vertices_map` (V, 3), `features` (V, 3)."""
     keys, inverse, counts = np.unique(keys_of(vertices_map, VOXEL_M), return_inverse=True, return_counts=True)
     sums = np.stack([np.bincount(inverse, column, len(keys)) for column in features.T], axis=1)
     return VoxelFeatures(keys, sums.reshape(-1, features.shape[1]) / counts[:, None], counts.astype(np.int64))
 
 
 def looks_of(voxels: Keys, point_keys: Keys, frames_seen: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return in how many frames each of the voxels (K,) was hit, as the cell of half its size in it that was hit most.
+    """Return the number of frames that hit each voxel (K,): the maximum over the half-size cells inside it.
 
-    `point_keys` (M,) are those cells', which `frames_seen` (M,) frames hit. A voxel without points has 0.
+    `point_keys` (M,) are the keys of these cells, which `frames_seen` (M,) frames hit. A voxel without points has 0.
     """
     table, looks = table_of(voxels), np.zeros(len(voxels), np.int64)
     _look(indices_of(point_keys), frames_seen, (table.keys, table.rows), looks)
@@ -60,10 +61,10 @@ def _look(indices, frames_seen, table, looks):  # type: ignore[no-untyped-def]
 
 
 def height_above_local_ground(voxels: VoxelFeatures, radius_m: float) -> NDArray[np.float64]:
-    """Elevation (K,) above the lowest surface within `radius_m` in plan, that floor smoothed over the same window.
+    """Return the elevation (K,) above the lowest surface within `radius_m` in plan, smoothed over the same window.
 
-    Profile `local`: what matters is how far a thing stands out of the ground around it, not how high the hill is.
-    The floor is the minimum over a square window of columns, then its mean over the window.
+    Profile `local` uses it: the height above the surrounding ground matters, not the height of the hill. The floor is
+    the minimum over a square window of columns, then its mean over the window.
     """
     columns = indices_of(voxels.keys)[:, :2]
     if len(columns) == 0:
@@ -79,7 +80,7 @@ def height_above_local_ground(voxels: VoxelFeatures, radius_m: float) -> NDArray
 
 
 def _window_minimum(grid: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
-    """Minimum over the square of ± `reach` cells."""
+    """Return the minimum over the square of ± `reach` cells."""
     for axis in (0, 1):
         shifted = [np.roll(grid, shift, axis) for shift in range(-reach, reach + 1)]
         grid = np.minimum.reduce(shifted)
@@ -87,7 +88,7 @@ def _window_minimum(grid: NDArray[np.float64], reach: int) -> NDArray[np.float64
 
 
 def _smoothed(grid: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
-    """Mean over the square of ± `reach` cells, of the finite cells only."""
+    """Return the mean over the finite cells of the square of ± `reach` cells."""
     known = np.isfinite(grid)
     total, weight = np.where(known, grid, 0.0), known.astype(np.float64)
     for axis in (0, 1):
