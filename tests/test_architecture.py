@@ -252,7 +252,7 @@ def test_make_check_runs_every_guard_and_ci_runs_make_check() -> None:
     assert re.search(r"(?m)^\t\$\(BIN\)/pytest \$\(BESIDE\)$", makefile), "test-all leaves nothing out"
     assert not re.search(r"\|\||\| |^\t-", run, re.MULTILINE), "a guard's failure must stop make"
     assert "make --no-print-directory check" in (ROOT / ".ci" / "run").read_text("utf-8")
-    assert "make check" in (ROOT / "README.md").read_text("utf-8")
+    assert "make check" in (ROOT / "CONTRIBUTING.md").read_text("utf-8")
 
 
 def test_every_make_target_that_runs_something_installs_first() -> None:
