@@ -7,8 +7,8 @@ class ClientWheelItem(Answer):
     """The wheel as `pip install` fetches it; `path` is on this server."""
 
     model_config = example(
-        filename="stone_client-0.1.0-py3-none-any.whl",
-        path="/downloads/stone_client-0.1.0-py3-none-any.whl",
+        filename="stone_client-0.2.0-py3-none-any.whl",
+        path="/downloads/stone_client-0.2.0-py3-none-any.whl",
         size_bytes=121492,
     )
 
@@ -21,7 +21,7 @@ class ClientWheelItem(Answer):
 class ClientOffer(Answer):
     """The server's release, the oldest client that it understands, and the wheel that fits; null: none was built."""
 
-    model_config = example(release="0.1.0", oldest_client="0.1.0", wheel=None)
+    model_config = example(release="0.2.0", oldest_client="0.1.0", wheel=None)
 
     release: str
     oldest_client: str

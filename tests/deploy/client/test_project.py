@@ -40,6 +40,14 @@ def test_client_and_platform_are_of_one_release_and_the_platform_asks_for_that()
     assert f"stone-client=={ours['version']}" in ours["dependencies"]
 
 
+def test_pages_for_readers_name_the_release() -> None:
+    release = project(ROOT)["project"]["version"]
+    assert f"\nversion: {release}\n" in read("CITATION.cff")
+    assert f"\n## {release} (" in read("CHANGELOG.md")
+    assert f"Version {release} " in read("README.md")
+    assert f"version = {{{release}}}" in read("docs/citing.md")
+
+
 def test_the_platforms_wheel_holds_every_package_but_the_client_and_the_manual_names_them() -> None:
     of_platform = project(ROOT)["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
     roots: list[str] = project(ROOT)["tool"]["importlinter"]["root_packages"]
