@@ -93,7 +93,7 @@ def test_the_field_engineers_guide_works_line_by_line(
     with _pasted(field, tmp_path, monkeypatch, short=True) as shell:
         assert shell.paste("field-engineer.md", elsewhere={SERVE}) > 12
     assert {path.name for path in tmp_path.iterdir()} >= {"quality.html", "labels", "labels-nuscenes", "forest.tar"}
-    for example in ("my-robot.yaml", "robot.yaml"):
+    for example in ("my-robot.yaml", "my-robot-ins.yaml", "rig.yaml", "robot.yaml"):
         read_calibration(tmp_path / example)
     here = sorted(path.relative_to(tmp_path) for path in tmp_path.glob("labels/gts/*/*/labels.npz"))
     assert len(here) > 10
