@@ -65,7 +65,7 @@ class Shell:
         typed = 0
         for kind, block in blocks(page):
             if kind:
-                Path(block.split()[1].rstrip(":")).write_text(self._here(block))
+                Path(block.split()[1].rstrip(":")).write_text(self.here(block))
                 continue
             for line in statements(block):
                 if line not in elsewhere:
@@ -74,7 +74,7 @@ class Shell:
         return typed
 
     def type(self, line: str) -> None:
-        line = self._here(line)
+        line = self.here(line)
         is_plain = not OF_A_SHELL.search(re.split(r"\s#", line)[0])
         words = shlex.split(line, comments=True) if is_plain else [""]
         program = words[0].removeprefix(".venv/bin/")
@@ -91,7 +91,8 @@ class Shell:
         else:
             self.printed.append(self._typed_in_bash(line))
 
-    def _here(self, text: str) -> str:
+    def here(self, text: str) -> str:
+        """Return the text with what a test has elsewhere in the place of what the page says."""
         for there, here in self.said.items():
             text = text.replace(there, here)
         return text

@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import sys
+import tarfile
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -92,6 +93,11 @@ def test_the_field_engineers_guide_works_line_by_line(
 ) -> None:
     with _pasted(field, tmp_path, monkeypatch, short=True) as shell:
         assert shell.paste("field-engineer.md", elsewhere={SERVE}) > 12
+        labels = next(tmp_path.glob("labels/gts/*/*/labels.npz"))
+        read_as_printed(shell, "labels", labels.as_posix())
+        read_as_printed(shell, "grids", "labels/grid.json")
+        for page in ("exports", "datasets"):
+            read_as_printed(shell, page, "labels-nuscenes")
     assert {path.name for path in tmp_path.iterdir()} >= {"quality.html", "labels", "labels-nuscenes", "forest.tar"}
     for example in ("my-robot.yaml", "my-robot-ins.yaml", "rig.yaml", "robot.yaml"):
         read_calibration(tmp_path / example)
@@ -120,6 +126,7 @@ def test_the_participants_guide_works_line_by_line(
     with _pasted(field, tmp_path, monkeypatch) as shell:
         assert shell.paste("participant.md", elsewhere=_elsewhere("participant.md")) > 20
         check_what_was_printed(shell)
+        read_as_printed(shell, "submission", "sweep.zip")
 
 
 @pytest.mark.release
@@ -157,6 +164,30 @@ def test_the_page_of_the_sdk_works_line_by_line(
     assert lines[5] == "<1 × LabelSet>"
 
 
+def test_the_recipes_of_the_api_work_in_bash_and_in_python(
+    field: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ada = person(field, "curator", "ada")
+    with field.database.transaction() as session:
+        session.get_one(User, ada.user_id).password_hash = hash_password(PASSWORD)
+    simulate(tmp_path / "run.mcap", RUN)
+    calibration_path(tmp_path / "run.mcap").rename(tmp_path / "robot.yaml")
+    names: dict[str, Any] = {}
+    with _pasted(field, tmp_path, monkeypatch) as shell:
+        for kind, block in blocks("api-cookbook.md"):
+            if kind:
+                exec(shell.here(block), names)
+            else:
+                for line in statements(block):
+                    shell.type(line)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-2] == "412 precondition_failed"
+    assert lines[-1].startswith("404 not_found ")
+    assert (tmp_path / "labels.npz").stat().st_size == (tmp_path / "labels-python.npz").stat().st_size
+    assert tarfile.is_tarfile(tmp_path / "forest.tar")
+    assert tarfile.is_tarfile(tmp_path / "forest-python.tar")
+
+
 def test_the_notebook_runs_from_top_to_bottom(field: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """And shows what it was stored with: WRITES_GOLDEN=1 stores it."""
     _benchmark(field)
@@ -185,6 +216,14 @@ def test_the_release_is_imported_as_its_page_says(
         assert shell.paste(page, {line for line in typed if " import " not in line}) == 2
     with field.database.reading() as session:
         assert {row.name for row in session.query(SequenceRow)} >= set(twin.tables.names)
+
+
+def read_as_printed(shell: Shell, page: str, argument: str) -> None:
+    """Run the Python program on the page of a format, on a file or folder of that format."""
+    (program,) = (block for kind, block in blocks(f"formats/{page}.md") if kind == "python")
+    name = program.split()[1]
+    Path(name).write_text(program)
+    shell.type(f"python {name} {argument}")
 
 
 def check_what_was_printed(shell: Shell) -> None:
