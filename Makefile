@@ -136,6 +136,7 @@ docs: install $(DOCS_INSTALLED)
 # The manual's pictures, from the folders of `make demo`; to be looked at before they are committed.
 pictures: test-clients
 	$(BIN)/python -m docsite.pictures demo stone-data
+	$(BIN)/python -m docsite.robot_pictures
 
 chaos: develop
 	$(BIN)/python -m chaos

@@ -38,6 +38,7 @@ from stone_recordings.calibrations.file import read_calibration
 from testing.api.serving import person, serving
 from testing.servers.fixtures import make_settings, opened
 from testing.worlds.benchmark_world import run_eval
+from testing.worlds.faults.drive import kitti_drive
 from testing.worlds.published import dataset
 from testing.worlds.released_datasets import ReleasedDataset, write_released_zip
 from testing.worlds.runs import bring_ready, run_all
@@ -104,6 +105,14 @@ def test_the_field_engineers_guide_works_line_by_line(
     here = sorted(path.relative_to(tmp_path) for path in tmp_path.glob("labels/gts/*/*/labels.npz"))
     assert len(here) > 10
     assert json.loads((tmp_path / "labels" / "report.json").read_text())["frames"] == len(here)
+
+
+def test_a_robot_is_brought_as_its_page_says(field_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kitti_drive(field_data, tmp_path).bag.rename(tmp_path / "K.mcap")
+    with shell_in(tmp_path, {}, monkeypatch) as shell:
+        assert shell.paste("bring-your-robot.md") == 6
+    for labels in ("out", "labels"):
+        assert json.loads((tmp_path / labels / "report.json").read_text())["frames"] > 40
 
 
 def test_the_administrators_guide_works_line_by_line(
