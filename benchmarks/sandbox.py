@@ -123,7 +123,7 @@ def _use_no_child() -> Used:
             tempfile.tempdir = None  # the folder is deleted with the job
 
     job_sandbox.sandboxed_with_progress = here  # type: ignore[attr-defined]  # what it was imported as
-    job_sandbox.sandboxed_in_run = lambda asked: here(asked.work, asked.limits, asked.watch)
+    job_sandbox.sandboxed_in_run = lambda wanted: here(wanted.work, wanted.limits, wanted.watch)
     ingest_kernels.warm()
     labeler_kernels.warm()
     return _own_s

@@ -119,7 +119,8 @@ def _show_command(setting: Setting, bag: Path, name: str, out: Path) -> None:
     chosen = " ".join(f"--parameter {key}={value:g}" for key, value in setting.choices.items())
     print(
         f"\nTo label with these parameters (all voxels are kept):\n\nstone label {bag} "
-        f"--calibration {calibration_in(out, name)} --ground auto --grid {_grid_in(out, name)} --profile {setting.profile} {chosen} --output labels"
+        f"--calibration {calibration_in(out, name)} --ground auto --grid {_grid_in(out, name)} "
+        f"--profile {setting.profile} {chosen} --output labels"
     )
 
 

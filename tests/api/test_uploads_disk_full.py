@@ -89,7 +89,9 @@ def test_a_creation_of_more_than_fits_is_refused_before_a_byte_comes(
     with client_of(platform) as api:
         reply = api.post(UPLOADS, content=CONTENT, headers=headers)
         assert (reply.status_code, reply.json()["code"]) == (507, "storage_full")
-        assert f"cannot write {len(CONTENT)} bytes: the platform's disk has {4 << 20} bytes free" in reply.json()["detail"]
+        assert (
+            f"cannot write {len(CONTENT)} bytes: the platform's disk has {4 << 20} bytes free" in reply.json()["detail"]
+        )
         assert [path.name for path in disk.iterdir()] == ["of-somebody-else"]
         free_space(disk)
         assert api.post(UPLOADS, content=CONTENT, headers=headers).status_code == 201

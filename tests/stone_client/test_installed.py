@@ -175,7 +175,6 @@ def test_training_without_torch_is_refused_in_one_line(tmp_path: Path) -> None:
     assert refused(result) == "no_torch"
     (line,) = result.stderr.splitlines()
     assert line == (
-        "no_torch: torch is not installed; run `make baselines`, then .venv-baselines/bin/stone with the same "
-        "arguments"
+        "no_torch: torch is not installed; run `make baselines`, then .venv-baselines/bin/stone with the same arguments"
     )
     assert not (tmp_path / "run").exists()

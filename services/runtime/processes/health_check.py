@@ -95,7 +95,7 @@ def silence(processes: list[LiveProcess], within_s: float) -> str:
     """Return the processes whose heartbeat is too old, in words; empty if there are none."""
     if not processes:
         return "no process of this container has sent a heartbeat"
-    late = [f"{_name_of(live)}: last heartbeat {live.age_s:.0f} s ago" for live in processes if live.age_s > within_s]
+    late = [
         f"{_name_of(process)}: last heartbeat {process.age_s:.0f} s ago"
         for process in processes
         if process.age_s > within_s

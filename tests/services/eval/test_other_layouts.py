@@ -53,7 +53,9 @@ LAYOUTS: dict[str, tuple[Files, str, str]] = {
     "a folder per frame": (each(lambda _, token: f"{token}/pred.npz"), "other_layout", "label layout"),
     "backslashes": (each(lambda _, token: f"sub\\{token}.npz"), "other_layout", "names with backslashes"),
     "backslashes in folders": (each(lambda n, token: f"a\\{n}\\{token}.npz"), "other_layout", "names with backslashes"),
-    "a folder per scene": (each(lambda n, token: f"scene-{n}/{token}.npz"), "other_layout", "each frame in its own folder"),
+    "a folder per scene": (
+        each(lambda n, token: f"scene-{n}/{token}.npz"), "other_layout", "each frame in its own folder"
+    ),
     "npy": (each(lambda _, token: f"{token}.npy", npy()), "other_layout", ".npy instead of .npz"),
     "npy in a folder": (each(lambda _, token: f"sub/{token}.npy", npy()), "other_layout", ".npy instead of .npz"),
     "capitals": (each(lambda _, token: f"{token.upper()}.npz"), "other_layout", "in upper case or with dashes"),

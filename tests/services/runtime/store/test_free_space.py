@@ -30,9 +30,7 @@ def test_a_byte_more_than_what_the_reserve_leaves_is_refused_by_name(tmp_path: P
     space = FreeSpace(100, 40)
     assert space.takes(60)
     assert not space.takes(61)
-    with pytest.raises(
-        StorageFullError, match=f"cannot write 5 bytes: .* reserve of {2**62} bytes"
-    ) as refused:
+    with pytest.raises(StorageFullError, match=f"cannot write 5 bytes: .* reserve of {2**62} bytes") as refused:
         require_room(tmp_path, 5, 2**62)
     assert refused.value.code == "storage_full"
     assert str(tmp_path) not in str(refused.value)
