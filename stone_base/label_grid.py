@@ -1,4 +1,4 @@
-"""The label grids around the robot, as immutable values, and the grids that the platform knows by name.
+"""The label grids around the robot, as immutable values, and the named grids of the platform.
 
 **Conventions.** A grid is aligned with the ego frame. `min_m` is its lowest corner; voxel [i, j, k] starts at `min_m` +
 [i, j, k] · `voxel_m`. Arrays have its `shape`, axes x, y, z, C order. Labels come from a map with voxels of

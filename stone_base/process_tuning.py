@@ -2,7 +2,7 @@
 
 **Conventions.** Reference counting frees most objects at once; the cyclic GC only needs to run rarely, because loaded
 modules contain many permanent cycles. Every function also affects child processes forked later. Measured with Python's
-own thresholds: collections took a seventh of a command's start; with 50 concurrent readers they took a quarter of the
+own thresholds: collections took a seventh of a command's start. With 50 concurrent readers they took a quarter of the
 API's time and delayed requests by up to 2 s.
 """
 

@@ -2,8 +2,8 @@
 
 **Conventions.** Frames are sampled evenly. Every return inside the grid and at least `NEAREST_M` from the ego origin in
 plan counts. It is explained if it lies in an occupied voxel, or a quarter of a voxel above or below it. The share is
-measured for the stated grid and for each way to misread it: other voxel sizes, half a voxel off, the LiDAR mount's
-quaternion read as x y z w. Poses are checked with the returns of one frame in the labels of another, `APART_M` away. A
+measured for the stated grid and for its misreadings: other voxel sizes, half a voxel off, the LiDAR mount's quaternion
+read as x y z w. Poses are checked with the returns of one frame in the labels of another, `APART_M` away. A
 reading that explains many more returns than the stated one refutes it. So do the labels of another frame: of
 neighbours, and of the same frame in `OTHER_SCENES`.
 

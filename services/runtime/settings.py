@@ -97,8 +97,8 @@ class BrokerSettings:
         if not password:
             return self.url
         parts = urlsplit(self.url)
-        place = parts.netloc.rpartition("@")[2]
-        return parts._replace(netloc=f"{parts.username or ''}:{quote(password, safe='')}@{place}").geturl()
+        host = parts.netloc.rpartition("@")[2]
+        return parts._replace(netloc=f"{parts.username or ''}:{quote(password, safe='')}@{host}").geturl()
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ class UploadSettings:
     finished but not used yet; the default allows eight bags of 512 files each.
 
     `backend` is the place of incoming bytes: `folder`, which API and workers share, or `store`, in parts of at most
-    `part_bytes`. A change applies to new uploads only; existing uploads stay where they are.
+    `part_bytes`. A change applies to new uploads only; existing uploads stay in place.
     """
 
     max_bytes: int = 512 * GIB
@@ -328,8 +328,8 @@ class Settings(BaseSettings):
 
 def old_names_in_use() -> list[str]:
     """Return the keys of `RENAMED` that this process's environment or a secret file sets."""
-    found = {name.upper() for name in (*os.environ, *(path.name for path in secrets_folder().glob("*")))}
-    return [name for name in RENAMED if name in found]
+    names = {name.upper() for name in (*os.environ, *(path.name for path in secrets_folder().glob("*")))}
+    return [name for name in RENAMED if name in names]
 
 
 def _by_new_names(groups: dict[str, Any]) -> dict[str, Any]:

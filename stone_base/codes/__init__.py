@@ -1,1 +1,1 @@
-"""Catalogue of codes: what a finding or a failed run means, whether it harms labels, and what to do."""
+"""Catalogue of codes: the meaning of each finding and failed run, its effect on labels, and the remedy."""

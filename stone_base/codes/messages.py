@@ -1,4 +1,4 @@
-"""Meanings of MSG and TOP codes: what messages hold, and which topics are used."""
+"""Meanings of MSG and TOP codes: the content of messages, and the choice of topics."""
 
 from stone_base.codes.meaning import CodeMeaning
 

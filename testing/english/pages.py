@@ -23,8 +23,11 @@ WORDS = re.compile(r"(?<![\w/.#-])[A-Za-z][a-z]+(?![\w/=(-])")
 
 
 def markdown_texts(content: str) -> Iterator[tuple[int, str, str]]:
-    """Yield line, kind ("docs", "heading", "table cell") and words of each paragraph, list item and cell."""
-    is_code, start, lines = False, 0, list[str]()
+    """Yield line, kind ("docs", "heading", "table cell") and words of each paragraph, list item and fact of a cell.
+
+    Semicolons separate the facts of a cell.
+    """
+    is_code, is_list, start, lines = False, False, 0, list[str]()
     for number, line in enumerate([*content.split("\n"), ""], 1):
         is_fence = FENCE.match(line) is not None
         bare = line.strip()
@@ -33,12 +36,14 @@ def markdown_texts(content: str) -> Iterator[tuple[int, str, str]]:
             yield start, "docs", " ".join(lines)
             lines = []
         is_code = is_code != is_fence
-        if is_fence or is_code or line.startswith("        "):
+        is_list = ITEM.match(line) is not None or (is_list and (not bare or line.startswith(" ")))
+        if is_fence or is_code or (line.startswith("    ") and not is_list):
             continue
         if bare.startswith("|"):
             if not re.fullmatch(r"[|:\s-]+", bare):
                 cells = re.split(r"(?<!\\)\|", re.sub(r"`[^`]*`", "`x`", bare).strip("|"))
-                yield from ((number, "table cell", cell.strip()) for cell in cells if cell.strip())
+                facts = (fact.strip() for cell in cells for fact in cell.split("; "))
+                yield from ((number, "table cell", fact) for fact in facts if fact)
         elif bare.startswith("#"):
             yield number, "heading", bare.lstrip("# ")
         elif bare and not bare.startswith(("<!--", "---")):

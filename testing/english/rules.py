@@ -12,6 +12,7 @@ from testing.english.sentences import sentences, word_count
 from testing.english.texts import Source, Text
 
 MOST_WORDS = 30
+LONGEST_LABEL = 5
 START = r"(?:^|[;:] )[\"'(“]*"
 
 
@@ -33,10 +34,12 @@ def _finds(pattern: str, flags: re.RegexFlag = re.IGNORECASE) -> Callable[[str],
 
 def _is_clause_as_subject(sentence: str) -> bool:
     """Return whether a clause ("What is unobserved", "Whoever signs in") stands for the actor; questions are none."""
-    return not sentence.rstrip("\"')”").endswith("?") and CLAUSE.search(sentence) is not None
+    is_question = sentence.rstrip("\"')”").endswith("?")
+    return not is_question and (CLAUSE.search(sentence) or GENITIVE.match(sentence)) is not None
 
 
-CLAUSE = re.compile(rf"{START}(?:What|Who|Whoever|Whatever|Whichever|Of (?!course\b)\w+)\b", re.IGNORECASE)
+CLAUSE = re.compile(rf"{START}(?:What|Who|Whoever|Whatever|Whichever)\b(?! to\b)", re.IGNORECASE)
+GENITIVE = re.compile(r"[\"'(“]*Of (?!course\b)\w+")
 ANYWHERE: Mapping[str, Callable[[str], bool]] = {
     "long": lambda sentence: word_count(sentence) > MOST_WORDS,
     "clause as subject": _is_clause_as_subject,
@@ -53,6 +56,8 @@ ANYWHERE: Mapping[str, Callable[[str], bool]] = {
     ),
 }
 """Rules for every sentence."""
+OF_PROSE = {"clause as subject", "where for if"}
+"""Rules that do not hold for titles."""
 FIRST: Mapping[str, Callable[[str], bool]] = {
     "docstring begins with a clause": _finds(r"^(?:Of|What|Where|Who|How|Those|That|So)\b", re.NOFLAG),
 }
@@ -64,7 +69,9 @@ OF_FUNCTIONS: Mapping[str, Callable[[str], bool]] = {
     ),
 }
 """Rules for the first sentence of a function's docstring."""
-FRAGMENT = re.compile(r"(?:of|what|where|who|that|those|which|else|so|such|than|the same as)\b(?!.*\?$)", re.IGNORECASE)
+FRAGMENT = re.compile(
+    r"(?:of|what(?! to\b)|where|who|those|which|else|so|such|than|the same as)\b(?!.*\?$)", re.IGNORECASE
+)
 OF_CELLS: Mapping[str, Callable[[str], bool]] = {
     "cell without a subject": lambda cell: FRAGMENT.match(cell) is not None and word_count(cell) > 2,
 }
@@ -84,9 +91,14 @@ def hits(text: Text) -> Iterator[Hit]:
     for index, sentence in enumerate(sentences(text.words)):
         rules = {**ANYWHERE, **(_of_first(text.source) if index == 0 else {})}
         for rule, breaks in rules.items():
-            is_title = text.source is Source.HEADING and rule in {"clause as subject", "where for if"}
-            if not is_title and breaks(sentence):
+            if breaks(sentence) and not (rule in OF_PROSE and _is_title(text.source, sentence)):
                 yield Hit(rule, text, sentence)
+
+
+def _is_title(source: Source, sentence: str) -> bool:
+    """Return whether a sentence is a heading or a short label, which may be a clause ("What the codes mean")."""
+    is_label = source in {Source.STRING, Source.PAGE, Source.CELL} and word_count(sentence) <= LONGEST_LABEL
+    return source is Source.HEADING or (is_label and not sentence.endswith("."))
 
 
 def _of_first(source: Source) -> Mapping[str, Callable[[str], bool]]:

@@ -83,12 +83,13 @@ def _python_texts(path: str, content: str) -> Iterator[Text]:
             yield Text(path, node.lineno + offset, source if offset == 0 else Source.DOCS, paragraph)
     yield from (Text(path, line, Source.COMMENT, words) for line, words in _comments(content))
     inside = {part for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
+    fields = {part for node in ast.walk(tree) if isinstance(node, ast.ClassDef) for part in _targets(node)}
     for part in ast.walk(tree):
         if isinstance(part, ast.JoinedStr | ast.Constant) and part not in inside and part not in docstrings:
             words = _spelled(part)
             if is_prose(words):
                 yield Text(path, part.lineno, Source.STRING, words)
-        elif isinstance(part, ast.Name) and isinstance(part.ctx, ast.Store):
+        elif isinstance(part, ast.Name) and isinstance(part.ctx, ast.Store) and part not in fields:
             yield Text(path, part.lineno, Source.NAME, part.id)
 
 
@@ -101,6 +102,15 @@ def _docstrings(tree: ast.Module) -> Iterator[tuple[ast.Constant, Source]]:
             if isinstance(value, ast.Constant) and isinstance(value.value, str):
                 is_function = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and index == 0
                 yield value, Source.FUNCTION if is_function and not _is_property(node) else Source.DOCSTRING
+
+
+def _targets(node: ast.ClassDef) -> Iterator[ast.expr]:
+    """Yield the names of a class's own fields, which may be keys of a record or of the API."""
+    for statement in node.body:
+        if isinstance(statement, ast.AnnAssign):
+            yield statement.target
+        elif isinstance(statement, ast.Assign):
+            yield from statement.targets
 
 
 def _is_property(node: ast.AST) -> bool:

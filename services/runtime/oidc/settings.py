@@ -49,7 +49,7 @@ class OidcSettings:
         return self.title or urlsplit(self.issuer).hostname or ""
 
 
-# Checks of the settings of a provider: contradictions with which nobody could sign in, or anybody.
+# Checks of the settings of a provider: contradictions that would lock out all users, or admit anyone.
 
 
 LOCAL = ("localhost", "::1")

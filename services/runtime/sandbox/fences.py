@@ -59,7 +59,7 @@ def missing_fences() -> Mapping[str, str]:
         )
     if spoken == 0:
         missing["no_landlock"] = (
-            "a child that a damaged file takes over can read (and with a folder, write) all files of its user; "
+            "a child that a damaged file takes over can read (and with a folder, write) all files of its user. "
             "Landlock requires Linux 5.13 or later with landlock in its list of security modules (lsm=)."
         )
     elif spoken < WITH_SCOPES:

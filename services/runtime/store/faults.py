@@ -203,7 +203,7 @@ class ObjectDamagedError(PlatformFaultError):
     def __init__(self, named: str, object_keys: Sequence[str]) -> None:
         super().__init__(
             "object_damaged",
-            f"{named} is damaged in the store; this is a fault of the platform, and its operator can see it: "
-            "try again later, or if it is your file, upload it again to repair it",
+            f"{named} is damaged in the store. This is a fault of the platform, which its operator can see. "
+            "Try again later, or if it is your file, upload it again to repair it",
         )
         self.object_keys = tuple(object_keys)

@@ -27,7 +27,7 @@ class StorageFullError(StoreFullError):
             self,
             "storage_full",
             f"cannot write {more_bytes} bytes: the platform's disk has {space.free_bytes} bytes free, including a "
-            f"reserve of {space.reserve_bytes} bytes (STONE_STORE__RESERVE_BYTES); delete uploads, label sets, "
+            f"reserve of {space.reserve_bytes} bytes (STONE_STORE__RESERVE_BYTES). Delete uploads, label sets, "
             "exports or sequences that are no longer needed, or enlarge the disk, and try again",
         )
 
