@@ -1,7 +1,7 @@
-"""Single steps on upright columns of voxels, of which LLVM makes a few vector instructions; for compiled kernels only.
+"""Single steps on upright voxel columns, compiled to a few vector instructions; for use in compiled kernels only.
 
-**Conventions.** A column is 32 voxels: 32 bytes of labels, or one uint32 of a plane, bit n voxel n. Addresses are
-counted in elements of a C-contiguous array, and checked as those of `stone.kernels.lanes` are.
+**Conventions.** A column is 32 voxels: 32 bytes of labels, or one uint32 of a plane, where bit n is voxel n. Addresses
+count elements of a C-contiguous array, and are checked like those of `stone.kernels.lanes`.
 """
 
 from typing import Any
@@ -17,12 +17,14 @@ LOW, HIGH, BEYOND = 1, 2, 0xFC
 
 
 def _pack8(typing_context: Any, voxels: Any, start: Any, low: Any, high: Any, at: Any) -> Any:
-    """Bits 0 and 1 of the 256 bytes from voxels[start] on, to low[at] and high[at] on; not 0 if any is above 3."""
+    """Write bits 0 and 1 of the 256 bytes from voxels[start] to low[at] and high[at]; return not 0 if any value is
+    above 3.
+    """
     return _packing(voxels, low, high, 8)
 
 
 def _pack1(typing_context: Any, voxels: Any, start: Any, low: Any, high: Any, at: Any) -> Any:
-    """As `pack8`, of 32 bytes."""
+    """Do the same as `pack8` for 32 bytes."""
     return _packing(voxels, low, high, 1)
 
 
@@ -51,7 +53,7 @@ def _packing(voxels: Any, low: Any, high: Any, columns: int) -> Any:
 
 
 def _drivable32(typing_context: Any, low: Any, high: Any, evaluated: Any, at: Any) -> Any:
-    """Bit n: column at + n has an evaluated voxel of class 1 or 2 and none of class 3."""
+    """Return a word: bit n is set if column at + n has an evaluated voxel of class 1 or 2 and none of class 3."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         lanes = ir.VectorType(I32, 32)
@@ -69,9 +71,9 @@ def _drivable32(typing_context: Any, low: Any, high: Any, evaluated: Any, at: An
 
 
 def _unroll8(typing_context: Any, changes: Any, runs: Any, run: Any, out: Any, at: Any) -> Any:
-    """out[at + n] = runs[run + how many of the lowest n + 1 bits of `changes` are set], n of 0 to 7.
+    """Write out[at + n] = runs[run + number of set bits among the lowest n + 1 of `changes`], for n from 0 to 7.
 
-    Eight entries of `runs` from run + (changes & 1) on are read, wanted or not. Returns how many of the 8 bits are set.
+    Always reads eight entries of `runs` from run + (changes & 1). Return the number of set bits among the 8.
     """
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -91,7 +93,7 @@ def _unroll8(typing_context: Any, changes: Any, runs: Any, run: Any, out: Any, a
 
 
 def _permuted(context: Any, builder: Any, near: Any, rank: Any) -> Any:
-    """Lane n is lane rank[n] of `near`: one instruction with AVX2, else a lane at a time."""
+    """Return a vector: lane n is lane rank[n] of `near`, with one AVX2 instruction or lane by lane."""
     lanes = near.type
     if "+avx2" in str(context.codegen().magic_tuple()[2]):
         return _called(builder, "llvm.x86.avx2.permd", lanes, near, rank)
@@ -104,7 +106,7 @@ def _permuted(context: Any, builder: Any, near: Any, rank: Any) -> Any:
 
 
 def _called(builder: Any, name: str, kind: Any, *values: Any) -> Any:
-    """The intrinsic of this name, from `kind` to `kind`, on these values."""
+    """Return the call of the intrinsic `name` with argument and result type `kind`."""
     known = builder.module.globals.get(name)
     function = known or ir.Function(builder.module, ir.FunctionType(kind, [kind] * len(values)), name)
     return builder.call(function, values)

@@ -1,12 +1,12 @@
-"""Agreement of two label sets A and B of the same frames: counts of which neither is the truth.
+"""Agreement of two label sets A and B of the same frames, neither of which is the truth.
 
-**Conventions.** A confusion is [A, B] over the classes 0 free, 1 traversable (T), 2 potentially traversable (P), 3
-non-traversable (N). The ratios of `stone.scoring.confusion` read over all voxels do not change when A and B are
-exchanged, so they are those of two label sets as well. The *agreement* is the share of voxels of one class in both,
-among the voxels that are occupied in either; undefined (NaN) where neither holds an occupied voxel.
+**Conventions.** A confusion matrix is [A, B] over the classes 0 free, 1 traversable (T), 2 potentially traversable (P),
+3 non-traversable (N). The ratios of `stone.scoring.confusion` over all voxels are symmetric in A and B, so they also
+apply to two label sets. The *agreement* is the share of voxels with the same class, among the voxels that are occupied
+in A or B; undefined (NaN) if neither has an occupied voxel.
 
-A voxel *differs* in one of four ways, coded as `DIFFERENCES`: occupied in A only, in B only, occupied in both and in B
-of a class that is easier to drive (T before P before N), or of one that is harder.
+A voxel *differs* in one of four ways, coded as `DIFFERENCES`: occupied only in A, only in B, or occupied in both with a
+class in B that is easier (T before P before N) or harder to drive.
 """
 
 import numpy as np
@@ -23,7 +23,7 @@ BOTH_FREE, SAME, ONLY_A, ONLY_B, EASIER, HARDER = range(len(DIFFERENCES))
 
 
 def _difference_table() -> NDArray[np.uint8]:
-    """The code of each pair of classes (16,), A first."""
+    """Return the code of each pair of classes (16,), A first."""
     a, b = np.meshgrid(np.arange(CLASSES), np.arange(CLASSES), indexing="ij")
     codes = np.select(
         [(a == 0) & (b == 0), a == b, b == 0, a == 0, b < a], [BOTH_FREE, SAME, ONLY_A, ONLY_B, EASIER], HARDER
@@ -35,7 +35,9 @@ _CODES = _difference_table()
 
 
 def agreement_ratios(confusions: Counts) -> Ratios:
-    """(...,) of confusions (..., 4, 4); NaN where nothing is occupied in either. Raises `ShapeError`."""
+    """Return the agreement (...,) of confusion matrices (..., 4, 4); NaN if nothing is occupied. Raises
+    `ShapeError`.
+    """
     if confusions.shape[-2:] != (CLASSES, CLASSES):
         raise ShapeError("confusions", confusions.shape, f"(..., {CLASSES}, {CLASSES})")
     counts = confusions.astype(np.int64)
@@ -46,7 +48,7 @@ def agreement_ratios(confusions: Counts) -> Ratios:
 
 
 def differences(a: Grid, b: Grid) -> Grid:
-    """How each voxel of two grids of classes 0 to 3 differs, coded as `DIFFERENCES`; the shape of both.
+    """Return how each voxel of two grids of classes 0 to 3 differs, coded as `DIFFERENCES`, in their shape.
 
     Raises `ShapeError` for grids of different shapes.
     """

@@ -1,11 +1,11 @@
-"""Confusion of label grids by bit planes and population counts: exact integers, one to two memory passes.
+"""Confusion matrices of label grids by bit planes and population counts: exact integers, one to two memory passes.
 
-**Conventions.** A grid is (X, Y, Z) uint8, z fastest, classes 0–3; Z divides 32. Class bits split into a low and a high
-plane of one bit a voxel; a column (up to 32 voxels along z) is one uint32. Columns lie as in
-`stone.scoring.plane_layout`. Truth planes are ANDed with the plane of evaluated voxels beforehand. Confusions are
-[ring, truth, prediction]. Seen from above, a column is drivable where its evaluated voxels hold a T or P and no N;
-columns drivable in both, in the truth only and in the prediction only are counted [ring, 3]. The counts of
-`stone.scoring.columns` are made of the same planes where they are wanted.
+**Conventions.** A grid is (X, Y, Z) uint8, z fastest, classes 0–3; Z divides 32. Class bits are split into a low and a
+high plane with one bit per voxel; a column (up to 32 voxels along z) is one uint32. Columns are ordered as in
+`stone.scoring.plane_layout`. Truth planes are ANDed with the plane of evaluated voxels in advance. Confusion matrices
+are [ring, truth, prediction]. Seen from above, a column is drivable if its evaluated voxels contain a T or P and no N.
+Columns drivable in both, only in the truth and only in the prediction are counted as [ring, 3]. The counts of
+`stone.scoring.columns` use the same planes if they are requested.
 
 Source: counts of unions from counts of intersections by inclusion–exclusion; the planes are a bitmap index (O'Neil and
 Quass, 1997).
@@ -45,9 +45,9 @@ Columns = NDArray[np.uint32]
 
 @njit(cache=True, nogil=True)
 def _pack(source: Any, runs: NDArray[np.int64], low: Columns, high: Columns, wanted: Columns) -> np.uint64:
-    """Both planes of the columns in `runs`, sorted, from 0 on; not 0 if a voxel is above 3.
+    """Write both planes of the columns in `runs`, sorted, from 0; return not 0 if a voxel is above 3.
 
-    Packing leaves the memory idle, so that the same columns of `wanted` (planes, columns) are brought near meanwhile.
+    Packing leaves memory bandwidth unused, so the same columns of `wanted` (planes, columns) are prefetched meanwhile.
     """
     voxels, height = source
     origin = runs[0, 1]
@@ -68,9 +68,9 @@ def _pack(source: Any, runs: NDArray[np.int64], low: Columns, high: Columns, wan
 
 @njit(cache=True, nogil=True)
 def _pack_low(voxels: Grid, height: int, runs: NDArray[np.int64], low: Columns, high: Columns) -> np.uint64:
-    """As `_pack`, of columns of 8 or 16 voxels: 256 bytes are packed into words, which are columns of narrower ones.
+    """Do the same as `_pack` for columns of 8 or 16 voxels: 256 bytes are packed into words of several narrow columns.
 
-    At the end of a run the next columns are packed too, and not kept; there may be none at the end of the grid.
+    At the end of a run, the next columns are also packed and discarded; there may be none at the end of the grid.
     """
     origin, beyond, at_once = runs[0, 1], np.uint64(0), 256 // height
     near_low, near_high = np.empty(8, np.uint32), np.empty(8, np.uint32)
@@ -84,7 +84,7 @@ def _pack_low(voxels: Grid, height: int, runs: NDArray[np.int64], low: Columns, 
             else:
                 last[: voxels.size - begin] = voxels[begin:]
                 beyond |= pack8(last, 0, near_low, near_high, 0)
-            if height == 16 and kept == 16:  # a count that is known is followed in vectors
+            if height == 16 and kept == 16:  # a constant count is vectorised
                 _widen(near_low.view(np.uint16), low, target + i, 16)
                 _widen(near_high.view(np.uint16), high, target + i, 16)
             elif height == 16:
@@ -117,7 +117,7 @@ def _count_truth(planes: Planes, bounds: NDArray[np.int64], counts: NDArray[np.i
 def _joint(
     truth_low: Planes, truth_high: Planes, evaluated: Planes, low: Planes, high: Planes, joint: NDArray[np.int64]
 ) -> None:
-    """Counts [truth, prediction] of (any, low, high, both) added; truth "any" only of the prediction."""
+    """Add the counts [truth, prediction] of (any, low, high, both); for the truth, "any" is not needed."""
     s1 = s2 = s3 = s11 = s12 = s13 = s21 = s22 = s23 = s31 = s32 = s33 = np.uint64(0)
     for i in range(low.size):
         valid = evaluated[i]
@@ -151,7 +151,7 @@ def _joint(
 
 @njit(cache=True, nogil=True)
 def _drivable(truth: Any, evaluated: Any, low: Any, high: Any, bev: NDArray[np.int64]) -> None:
-    """Columns drivable in (both, truth, prediction) added; one uint32 a column, their number a multiple of 2."""
+    """Add the columns drivable in (both, truth, prediction); one uint32 per column, an even number of columns."""
     truth_low, truth_high = truth
     both = in_truth = in_prediction = np.uint64(0)
     whole = low.size - low.size % 32
@@ -174,7 +174,9 @@ def _drivable(truth: Any, evaluated: Any, low: Any, high: Any, bev: NDArray[np.i
 
 @njit(cache=True, nogil=True)
 def _exact(joint: NDArray[np.int64]) -> None:
-    """Inclusion–exclusion in place: counts of (any, low, high, both) become counts of classes 0–3, on both axes."""
+    """Convert counts of (any, low, high, both) in place to counts of classes 0–3 on both axes, by
+    inclusion–exclusion.
+    """
     for k in range(4):
         joint[0, k] += joint[3, k] - joint[1, k] - joint[2, k]
         joint[1, k] -= joint[3, k]
@@ -187,7 +189,7 @@ def _exact(joint: NDArray[np.int64]) -> None:
 
 @njit(cache=True, nogil=True)
 def _count(source: Any, truth: Planes, counts: NDArray[np.int64], schedule: Any, outs: Any) -> np.uint64:
-    """The counts of each ring, added to the column counts if these have rings; returns not 0 if a voxel is above 3."""
+    """Write the counts of each ring and add the column counts if requested; return not 0 if a voxel is above 3."""
     runs, chunks, overhead = schedule
     low, high, beyond = np.zeros(CHUNK, np.uint32), np.zeros(CHUNK, np.uint32), np.uint64(0)
     joint, bev = np.zeros((counts.shape[0], 4, 4), np.int64), np.zeros((counts.shape[0], 3), np.int64)
@@ -216,7 +218,7 @@ def _count(source: Any, truth: Planes, counts: NDArray[np.int64], schedule: Any,
 def truth_planes(
     grid: Grid, is_evaluated: NDArray[np.bool_], label_grid: LabelGrid = PAPER, is_late: NDArray[np.bool_] | None = None
 ) -> TruthPlanes:
-    """Ground truth made ready: voxels that are not evaluated count nowhere.
+    """Prepare ground truth for counting; voxels that are not evaluated are never counted.
 
     Raises `ShapeError` for other shapes than the label grid's and `LabelRangeError` for values above 3.
     """
@@ -229,7 +231,7 @@ def truth_planes(
 
 
 def truth_of_planes(planes: Planes, label_grid: LabelGrid = PAPER) -> TruthPlanes:
-    """Return the ground truth that has these planes. Raises `ShapeError` if they are not the label grid's."""
+    """Return the ground truth with these planes. Raises `ShapeError` if they do not match the label grid."""
     layout, counts = layout_of(label_grid), np.zeros((RINGS, 4), np.int64)
     if planes.shape != (3, layout.words):
         raise ShapeError("planes", planes.shape, f"(3, {layout.words}) for {label_grid}")
@@ -247,10 +249,10 @@ def count_by_ring(
     bev_out: Drivable,
     columns_out: ColumnCounts = NO_COLUMN_COUNTS,
 ) -> None:
-    """Write the confusion (3, 4, 4) and the drivable columns (3, 3) of one frame, over the evaluated voxels.
+    """Write the confusion matrices (3, 4, 4) and the drivable columns (3, 3) of one frame, over the evaluated voxels.
 
     Column counts are added to `columns_out` if it is given. Raises `ShapeError` for other shapes than the truth's grid
-    has and `LabelRangeError` for values above 3, evaluated or not; then what was written means nothing.
+    and `LabelRangeError` for values above 3, evaluated or not; the outputs are then invalid.
     """
     outs = (confusion_out, bev_out, columns_out.pairs, columns_out.columns)
     grid, layout = truth.grid, layout_of(truth.grid)
@@ -261,7 +263,7 @@ def count_by_ring(
 
 
 def frame_counts(prediction: Grid, truth: TruthPlanes) -> FrameCounts:
-    """What `count_by_ring` writes, as a value. Raises what it raises."""
+    """Return the results of `count_by_ring` as a value. Raises the same errors."""
     confusion, bev = np.empty((RINGS, CLASSES, CLASSES), np.int32), np.empty((RINGS, 3), np.int32)
     counts = FrameCounts(confusion, bev, no_column_counts(()))
     count_by_ring(prediction, truth, confusion, bev, counts.column_counts)
@@ -269,9 +271,9 @@ def frame_counts(prediction: Grid, truth: TruthPlanes) -> FrameCounts:
 
 
 def late_confusion(prediction: Grid, truth: TruthPlanes) -> Confusion:
-    """Return the confusion (4, 4) of the evaluated late voxels, or 0 if late voxels are unknown.
+    """Return the confusion matrix (4, 4) of the evaluated late voxels, or 0 if late voxels are unknown.
 
-    Raises what `count_by_ring` raises.
+    Raises the errors of `count_by_ring`.
     """
     if truth.late is None:
         return np.zeros((CLASSES, CLASSES), np.int32)
@@ -292,5 +294,5 @@ def _voxels(grid: Grid, label_grid: LabelGrid) -> Grid:
     if grid.shape != label_grid.shape or grid.dtype != np.uint8:
         raise ShapeError("a label grid", grid.shape, f"{label_grid.shape} of uint8 (not {grid.dtype})")
     voxels = np.ascontiguousarray(grid).reshape(-1)
-    voxels.flags.writeable = False  # as a buffer read from a file is: one compiled kernel serves both
+    voxels.flags.writeable = False  # read-only like a buffer read from a file, so one compiled kernel serves both
     return voxels

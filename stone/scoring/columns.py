@@ -1,17 +1,17 @@
-"""Counts by column: pairs of voxels one voxel apart in height, and columns that count once.
+"""Counts by column: pairs of voxels at most one voxel apart in height, and columns that count once.
 
-**Conventions.** A column is up to 32 voxels along z in the bits of a word, bit 0 the lowest; a class has the low and
-the high bit of two planes. Compiled kernels for `stone.scoring.bitplanes`, which hands over columns of the truth that
-hold no voxel but evaluated ones, and columns of a prediction that may.
+**Conventions.** A column is up to 32 voxels along z in the bits of a word, bit 0 the lowest. A class is the low and
+high bit of two planes. These kernels are compiled for `stone.scoring.bitplanes`, which passes truth columns with
+evaluated voxels only, and prediction columns that may contain others.
 
-- *Pairs* of a set (occupied, T, P, N): in each column the voxels of the truth that have a voxel of the prediction at
-  most one voxel above or below, or the voxels of the prediction that have one of the truth, whichever are fewer. A
-  sheet that lies one voxel too high pairs completely; a column of three voxels pairs with one voxel once.
-- The *class of a column* is the worst (N, P, T, free) of its voxels, without those N that are more than the robot's
-  height above its lowest T or P.
+- *Pairs* of a set (occupied, T, P, N): in each column, count the truth voxels with a predicted voxel at most one voxel
+  above or below, and the predicted voxels with such a truth voxel; the smaller count is the number of pairs. A surface
+  one voxel too high pairs completely; a column of three voxels pairs with one voxel once.
+- The *class of a column* is the worst (N, P, T, free) of its voxels, without the N voxels that are higher above its
+  lowest T or P than the robot's height.
 
 Both are counted in at most `COUNTED_FRAMES` frames of a submission (`frame_counts.py`), evenly spaced: neighbouring
-frames see the same ground, and counting costs as much as half of all else that is done for a frame.
+frames overlap, and these counts take half as long as all other work on a frame.
 """
 
 from typing import Any
@@ -29,7 +29,7 @@ Columns = NDArray[np.uint32]
 
 @njit(cache=True, nogil=True)
 def count_pairs(truth: Any, evaluated: Columns, prediction: Any, pairs: NDArray[np.int32]) -> None:
-    """Pairs (4,) of occupied, T, P and N added; truth and prediction are a low and a high plane each."""
+    """Add the pairs (4,) of occupied, T, P and N; truth and prediction are a low and a high plane each."""
     (truth_low, truth_high), (low, high) = truth, prediction
     occupied = t = p = n = np.uint64(0)
     for i in range(low.size):
@@ -53,13 +53,13 @@ def _pairs(a: Any, b: Any) -> Any:
 
 @njit(inline="always")
 def _thickened(column: Any) -> Any:
-    """With the voxels above and below; the bit above the highest voxel meets none."""
+    """Return the column with the voxels above and below; the bit above the highest voxel has no effect."""
     return column | (column << _ONE) | (column >> _ONE)
 
 
 @njit(cache=True, nogil=True)
 def count_columns(truth: Any, evaluated: Columns, prediction: Any, out: Any) -> None:
-    """The confusion (4, 4) [truth, prediction] of columns added; both are a low and a high plane.
+    """Add the confusion matrix (4, 4) [truth, prediction] of columns; both are a low and a high plane.
 
     `out` are the number of `overhead_voxels` and the counts.
     """
@@ -93,11 +93,11 @@ def count_columns(truth: Any, evaluated: Columns, prediction: Any, out: Any) -> 
 
 @njit(inline="always")
 def _class_of(low: Any, high: Any, overhead: Any) -> Any:
-    """Whether (0 or 1) a column is T, P, N; none of them where it is free."""
+    """Return whether (0 or 1) a column is T, P, N; all 0 for a free column."""
     blocking = low & high
     surface = low ^ high
     lowest = surface & (~surface + _ONE)
-    within_reach = (lowest << overhead) - _ONE  # all voxels where there is no surface
+    within_reach = (lowest << overhead) - _ONE  # all voxels if there is no surface
     is_n = np.uint64((blocking & within_reach) != 0)
     is_p = np.uint64((high & ~blocking) != 0) & (is_n ^ _ONE)
     is_t = np.uint64((low & ~blocking) != 0) & (is_n ^ _ONE) & (is_p ^ _ONE)

@@ -1,12 +1,11 @@
-"""Ratios of a 4 × 4 confusion: intersection over union of occupancy and of each traversability class.
+"""Ratios of a 4 × 4 confusion matrix: intersection over union of occupancy and of each traversability class.
 
 **Conventions.** Classes: 0 free, 1 traversable (T), 2 potentially traversable (P), 3 non-traversable (N). Rows are the
 ground truth, columns the prediction; counts of voxels, int64 in totals (int32 per frame and ring). Leading axes are
-batch axes. Ratios are in the order of `stone.scoring.metric.RATIOS`; what they mean is written in
-`stone.scoring.metric`.
+batch axes. Ratios have the order of `stone.scoring.metric.RATIOS`; `stone.scoring.metric` defines them.
 
-A ratio over an empty union (the class is in neither) is undefined: NaN in arrays, None in records; never 0, never 1. A
-mean over an undefined part is undefined too: a mean of two classes is not comparable with a mean of three.
+A ratio over an empty union (the class is in neither) is undefined: NaN in arrays, None in records; never 0 or 1. A mean
+with an undefined part is undefined too, because a mean of two classes is not comparable with a mean of three.
 
 Source: Jaccard (1912); the two metrics are the two readings of the STONE paper's "within occupied voxels".
 """
@@ -33,9 +32,9 @@ Ratios = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Extras:
-    """What an off-road user asks beside the ranking; each in [0, 1] or None where undefined.
+    """Unranked ratios for off-road use; each in [0, 1] or None if undefined.
 
-    Drivable is T or P. `clear_drivable_iou` leaves out obstacles above the robot's height; `bev_drivable_iou` does not.
+    Drivable is T or P. `clear_drivable_iou` ignores obstacles above the robot's height; `bev_drivable_iou` does not.
     """
 
     n_predicted_t_ratio: float | None
@@ -46,7 +45,7 @@ class Extras:
 
 
 def ratios(confusions: Counts, metric: str = METRIC_VERSION) -> Ratios:
-    """(..., 5) of confusions (..., 4, 4), NaN where undefined.
+    """Return the ratios (..., 5) of confusion matrices (..., 4, 4), NaN if undefined.
 
     Raises `ShapeError` for other shapes and `unknown_metric`.
     """
@@ -56,7 +55,8 @@ def ratios(confusions: Counts, metric: str = METRIC_VERSION) -> Ratios:
 
 
 def unions_and_hits(confusions: Counts, metric: str = METRIC_VERSION) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Denominators and numerators (..., 4) of IoU_occ and of IoU of T, P, N, of confusions (..., 4, 4).
+    """Return denominators and numerators (..., 4) of IoU_occ and of the IoU of T, P, N, of confusion matrices (..., 4,
+    4).
 
     Raises `ShapeError` for other shapes and `unknown_metric`.
     """
@@ -68,13 +68,14 @@ def unions_and_hits(confusions: Counts, metric: str = METRIC_VERSION) -> tuple[N
 
 
 def named_ratios(confusion: Counts, metric: str = METRIC_VERSION) -> dict[str, float | None]:
-    """The ratios of one confusion (4, 4) by name, None where undefined. Raises as `ratios` does."""
+    """Return the ratios of one confusion matrix (4, 4) by name, None if undefined. Raises the errors of `ratios`."""
     return dict(zip(RATIOS, map(_or_none, ratios(confusion, metric).tolist()), strict=True))
 
 
 def extras(confusion: Counts, bev: Counts, columns: Counts | None = None) -> Extras:
-    """Return the extras of one confusion (4, 4), of columns drivable in (both, truth only, prediction only) (3,) and of
-    the confusion of columns (4, 4) of `stone.scoring.columns`."""
+    """Return the extras of one confusion matrix (4, 4), of columns drivable in (both, truth only, prediction only) (3,)
+    and of the confusion matrix of columns (4, 4) from `stone.scoring.columns`.
+    """
     counts = _checked(confusion)
     of_truth = counts.sum(axis=-1)
     clear = np.zeros((CLASSES, CLASSES), np.int64) if columns is None else _checked(columns)
@@ -89,15 +90,16 @@ def extras(confusion: Counts, bev: Counts, columns: Counts | None = None) -> Ext
 
 
 def danger(confusion: Counts) -> dict[str, float | None]:
-    """Return the shares of N voxels of one confusion (4, 4) that are predicted T or P and T alone, None without N."""
+    """Return the shares of the N voxels of one confusion matrix (4, 4) predicted T or P, and T; None without N."""
     of_n = _checked(confusion)[N]
     return {name: _or_none(float(_ratio(of_n[wrong].sum(), of_n.sum()))) for name, wrong in DANGERS.items()}
 
 
 def tolerant_ratios(confusion: Counts, pairs: Counts) -> dict[str, float | None]:
-    """Return the ratios by name of one confusion (4, 4) with pairs (4,) for voxels in both (`stone.scoring.columns`).
+    """Return the ratios by name of one confusion matrix (4, 4) with pairs (4,) as intersection
+    (`stone.scoring.columns`).
 
-    IoU = pairs / (voxels of the truth + voxels of the prediction − pairs), over all evaluated voxels.
+    IoU = pairs / (truth voxels + predicted voxels − pairs), over all evaluated voxels.
     """
     counts, hits = _checked(confusion), pairs.astype(np.int64)
     of_truth, of_prediction = counts.sum(axis=1), counts.sum(axis=0)
@@ -108,37 +110,39 @@ def tolerant_ratios(confusion: Counts, pairs: Counts) -> dict[str, float | None]
 
 
 def iou_occupied(confusion: Counts) -> Ratios:
-    """IoU_occ (...,) of confusions (..., 4, 4); NaN where nothing is occupied in either."""
+    """Return IoU_occ (...,) of confusion matrices (..., 4, 4); NaN if nothing is occupied."""
     union, hit = _occupied(_checked(confusion))
     return _ratio(hit[..., 0], union[..., 0])
 
 
 def iou_classes(confusion: Counts) -> Ratios:
-    """IoU of T, P, N (..., 3) over all voxels of confusions (..., 4, 4); NaN for a class in neither."""
+    """Return the IoU of T, P, N (..., 3) over all voxels of confusion matrices (..., 4, 4); NaN for a class in
+    neither.
+    """
     union, hit = _classes(_checked(confusion))
     return _ratio(hit, union)
 
 
 def within_occupied(confusion: Counts) -> NDArray[np.int64]:
-    """The confusions (..., 4, 4) restricted to voxels that the ground truth calls occupied: row free emptied."""
+    """Return the confusion matrices (..., 4, 4) of voxels that are occupied in the ground truth: row free is 0."""
     counts = _checked(confusion).copy()
     counts[..., 0, :] = 0
     return counts
 
 
 def supports(confusion: Counts) -> Mapping[str, int]:
-    """Voxels of each class in the ground truth of one confusion (4, 4)."""
+    """Return the voxels of each class in the ground truth of one confusion matrix (4, 4)."""
     return dict(zip(CLASS_NAMES, _checked(confusion).sum(axis=-1).tolist(), strict=True))
 
 
 def _occupied(counts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Union and hits (..., 1) of occupancy."""
+    """Return union and hits (..., 1) of occupancy."""
     both = counts[..., OCCUPIED, OCCUPIED].sum(axis=(-2, -1))
     return (counts.sum(axis=(-2, -1)) - counts[..., 0, 0])[..., None], both[..., None]
 
 
 def _classes(counts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Union and hits (..., 3) of T, P, N."""
+    """Return union and hits (..., 3) of T, P, N."""
     both = np.diagonal(counts, axis1=-2, axis2=-1)[..., OCCUPIED]
     in_truth, in_prediction = counts.sum(axis=-1)[..., OCCUPIED], counts.sum(axis=-2)[..., OCCUPIED]
     return in_truth + in_prediction - both, both

@@ -1,8 +1,8 @@
-"""The counts of a frame, whatever counts them, and in which frames the counts by column are made.
+"""The counts of a frame, independent of their implementation, and the frames in which columns are counted.
 
-**Conventions.** A confusion is [ring, truth, prediction] int32; columns seen from above are counted [ring, 3]: drivable
-in both, in the truth only, in the prediction only (`stone/scoring/bitplanes.py`, `stone/scoring/columns.py`). This
-module needs NumPy alone.
+**Conventions.** A confusion matrix is [ring, truth, prediction] int32; columns seen from above are counted as [ring,
+3]: drivable in both, only in the truth, only in the prediction (`stone/scoring/bitplanes.py`,
+`stone/scoring/columns.py`). This module needs only NumPy.
 """
 
 from dataclasses import dataclass
@@ -20,13 +20,13 @@ Drivable = NDArray[np.int32]
 Planes = NDArray[np.uint64]
 
 CLEARANCE_M = 1.6
-"""The height of a robot that drives under an obstacle."""
+"""Minimum height of an obstacle that a robot drives under."""
 
 COUNTED_FRAMES = 250
 
 
 class LabelRangeError(StoneError):
-    """A grid holds a value that is no class."""
+    """A grid contains a value that is not a class."""
 
     code = "label_out_of_range"
 
@@ -40,9 +40,9 @@ class LabelRangeError(StoneError):
 
 @dataclass(frozen=True, eq=False)
 class TruthPlanes:
-    """Ground truth of one frame of a grid, ring-sorted: `planes` (3, words) = low, high, evaluated.
+    """Ground truth of one frame, sorted by ring: `planes` (3, words) = low, high, evaluated.
 
-    `counts` (3, 4) are, by ring, the voxels evaluated and those with the low, the high and both bits set. `late`
+    `counts` (3, 4) are, by ring, the evaluated voxels, and those with the low, the high and both bits set. `late`
     (words,) are the voxels of `stone.labels.late_voxels`, evaluated or not; None if unknown.
     """
 
@@ -54,13 +54,15 @@ class TruthPlanes:
 
 @dataclass(frozen=True, eq=False)
 class ColumnCounts:
-    """The counts of `stone.scoring.columns`: `pairs` (…, 3, 4) [ring, set], `columns` (…, 3, 4, 4) as a confusion."""
+    """The counts of `stone.scoring.columns`: `pairs` (…, 3, 4) [ring, set], `columns` (…, 3, 4, 4) as confusion
+    matrices.
+    """
 
     pairs: NDArray[np.int32]
     columns: Confusion
 
     def of_frame(self, index: int) -> "ColumnCounts":
-        """Return those of one of several frames, as a view."""
+        """Return the counts of one frame, as a view."""
         return ColumnCounts(self.pairs[index], self.columns[index])
 
 
@@ -74,17 +76,17 @@ class FrameCounts:
 
 
 def no_column_counts(shape: tuple[int, ...]) -> ColumnCounts:
-    """Column counts of frames of this shape, all zero."""
+    """Return column counts of frames of this shape, all zero."""
     return ColumnCounts(
         np.zeros((*shape, RINGS, CLASSES), np.int32), np.zeros((*shape, RINGS, CLASSES, CLASSES), np.int32)
     )
 
 
 def overhead_voxels(voxel_m: float) -> int:
-    """Return how many voxels above the surface an N leaves `CLEARANCE_M` between both."""
+    """Return the number of voxels between a surface and an N that leaves `CLEARANCE_M` between them."""
     return round(CLEARANCE_M / voxel_m) + 1
 
 
 def counted_every(frames: int) -> int:
-    """Return n: of this many frames the first and every n-th after it are counted."""
+    """Return n: of this many frames, the first and every n-th are counted."""
     return max(1, -(-frames // COUNTED_FRAMES))

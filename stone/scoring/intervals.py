@@ -1,18 +1,18 @@
-"""Intervals of scores and of differences of scores, or the reason why nothing is said.
+"""Intervals of scores and of differences of scores, or the reason why there is no interval.
 
-Two questions: *these places*, whether it was luck of the moment on the ground that was driven, from how the influence
-of frames wanders inside the sequences (`spectra.py`); and *a new place*, from how whole sequences differ:
+Two scopes. *These places*: the uncertainty on the driven ground, from how the influence of frames varies within the
+sequences (`spectra.py`). *New place*: the uncertainty for unseen places, from how whole sequences differ:
 
-    V = Σ_s z_s² / (1 − 2 w_s + Σ w²),   z_s the influence of sequence s, w_s its share of what is counted
+    V = Σ_s z_s² / (1 − 2 w_s + Σ w²),   z_s the influence of sequence s, w_s its share of the counted voxels
 
-Sequences that continue each other are one drive, and here one sequence: they share their place, and frames next to a
-joint are as correlated as any two neighbours.
+Sequences that continue each other are one drive and count as one sequence: they share their place, and frames next to a
+joint are as correlated as other neighbours.
 
-Both with critical values of Student's t. Intervals of a ratio are symmetric in its logit, so they stay inside (0, 1).
+Both use critical values of Student's t. Intervals of a ratio are symmetric in its logit, so they stay inside (0, 1).
 
-**Conventions.** Ratios are columns, `stone.scoring.metric.RATIOS`. What is not known is said to be so
-(`silences.py`), never shown as a narrow interval or a wide one. Of one submission to one ground truth a `RatioSpectra`
-is all that is needed, of two the difference of theirs: the ground that is hard is hard for both.
+**Conventions.** Ratios are columns, `stone.scoring.metric.RATIOS`. An unknown interval is reported as unknown with a
+reason, never as a narrow or wide interval. A `RatioSpectra` contains all that is needed for one submission and ground
+truth. For two submissions, use the difference of their spectra, because difficult ground is difficult for both.
 
 Source: Student (1908); small-sample variance and degrees of freedom of clusters, Bell and McCaffrey (2002).
 """
@@ -39,17 +39,11 @@ from stone.scoring.spectra import (
 )
 from stone.scoring.student import critical_value, two_sided
 
-# Influence of each frame on a ratio of sums: what its counts move the ratio by, to first order.
-#
-#     r = g(C), C = Σ_f c_f;   z_f = ∇g(C) · c_f,   Σ_f z_f = 0
-#
-# for a ratio does not change when all counts grow alike. The wander of the z along a sequence is the ratio's
-# uncertainty.
-#
-# **Conventions.** Confusions are (F, 4, 4) counts by frame; influences (F, 5) float64, columns
-# `stone.scoring.metric.RATIOS`, NaN where the ratio is undefined. Of a − b they are z_a − z_b.
-#
-# Source: the influence function, Hampel (1974); as the linearisation of a ratio estimator, Woodruff (1971).
+# Influence of each frame on a ratio of sums, to first order: r = g(C), C = Σ_f c_f; z_f = ∇g(C) · c_f. Σ_f z_f = 0,
+# because a ratio does not change if all counts grow by the same factor. The variation of z along a sequence is the
+# ratio's uncertainty. Confusion matrices are (F, 4, 4) by frame; influences (F, 5) float64, columns
+# `stone.scoring.metric.RATIOS`, NaN if the ratio is undefined. For a − b they are z_a − z_b. Source: the influence
+# function, Hampel (1974); as the linearisation of a ratio estimator, Woodruff (1971).
 
 
 OCCUPIED, MEAN = RATIOS.index("iou_occ"), RATIOS.index("miou")
@@ -60,14 +54,14 @@ Influences = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class FrameInfluences:
-    """`of_frame` (F, 5) the influences; `weight` (F, 5) ≥ 0 the share of the ratio's union that a frame holds."""
+    """`of_frame` (F, 5) the influences; `weight` (F, 5) ≥ 0 each frame's share of the ratio's union."""
 
     of_frame: Influences
     weight: Influences
 
 
 def frame_influences(confusions: Counts, metric: str = METRIC_VERSION) -> FrameInfluences:
-    """Return each frame's influence on the scores, from confusions (F, 4, 4).
+    """Return each frame's influence on the scores, from confusion matrices (F, 4, 4).
 
     Raises `ShapeError` for another shape or no frame, and `unknown_metric`.
     """
@@ -81,17 +75,17 @@ def frame_influences(confusions: Counts, metric: str = METRIC_VERSION) -> FrameI
 
 
 def _with_mean(of_parts: Influences) -> Influences:
-    """(F, 5) of occupancy and the three classes (F, 4): the mean has the mean influence of its classes."""
+    """Return influences (F, 5) from those of occupancy and the three classes (F, 4); the mean's is the mean of its
+    classes'.
+    """
     columns = np.empty((len(of_parts), len(RATIOS)))
     columns[:, [OCCUPIED, *CLASS_COLUMNS]] = of_parts
     columns[:, MEAN] = of_parts[:, 1:].mean(axis=1)
     return columns
 
 
-# Why no interval is told of a score, or of a difference of scores.
-#
-# **Conventions.** A silence is a code; its sentence goes on after "Nothing is said of it:". This module loads nothing,
-# so that every process may.
+# Reasons for missing intervals of a score or a difference of scores. A reason is a code; its sentence completes a
+# phrase such as "No interval:". This module loads nothing, so every process may import it.
 
 
 Scope = Literal["these_places", "new_place"]
@@ -124,15 +118,15 @@ SILENCES: Mapping[Silence, str] = {
 
 LEVEL = 0.95
 LEAST_SPREAD = 0.5
-LEAST_WANDER = 1e-12  # of a ratio: below it is rounding
+LEAST_WANDER = 1e-12  # of a ratio: less is rounding
 
 
 @dataclass(frozen=True, eq=False)
 class RatioSpectra:
-    """What is kept of a score to tell its uncertainty and that of its difference from others.
+    """Data for the uncertainty of a score, and of its difference from other scores.
 
-    `coefficients` (K, 5) of the influences; `sequence_weight` (S, 5) the share of each ratio's union that a sequence
-    holds; `spread` (5,) the share of the frames over which that union is spread, 1 where all hold as much.
+    `coefficients` (K, 5) of the influences; `sequence_weight` (S, 5) each sequence's share of each ratio's union;
+    `spread` (5,) the share of frames over which that union is spread, 1 if all frames have the same weight.
     """
 
     layout: SpectrumLayout
@@ -141,7 +135,7 @@ class RatioSpectra:
     spread: Floats
 
     def minus(self, other: "RatioSpectra") -> "RatioSpectra":
-        """Of the difference of two scores. Raises `ShapeError` where their sequences are others."""
+        """Return the spectra of the difference of two scores. Raises `ShapeError` if their sequences differ."""
         if self.layout != other.layout:
             theirs = other.layout.frames_of_sequence
             raise ShapeError("sequences", (len(theirs),), f"as long as the other entry's, {theirs[:8]}…")
@@ -159,12 +153,12 @@ class Estimate:
     degrees: float
 
     def interval(self, level: float = LEVEL) -> tuple[float, float]:
-        """Central, symmetric around the value."""
+        """Return the central interval, symmetric around the value."""
         reach = self.error * critical_value(level, self.degrees)
         return self.value - reach, self.value + reach
 
     def ratio_interval(self, level: float = LEVEL) -> tuple[float, float]:
-        """Of a ratio strictly between 0 and 1: central, symmetric in its logit."""
+        """Return the central interval of a ratio strictly between 0 and 1, symmetric in its logit."""
         logit = np.log(self.value / (1 - self.value))
         slope = self.value * (1 - self.value)
         ends = Estimate(logit, self.error / slope, self.degrees).interval(level)
@@ -173,12 +167,12 @@ class Estimate:
 
     @property
     def p(self) -> float:
-        """Two-sided, that the true value is 0."""
+        """The two-sided p-value of the hypothesis that the true value is 0."""
         return two_sided(self.value / self.error, self.degrees)
 
 
 def ratio_spectra(confusions: Counts, frames_of_sequence: Sequence[int], metric: str = METRIC_VERSION) -> RatioSpectra:
-    """Return the spectra of the scores, from confusions (F, 4, 4).
+    """Return the spectra of the scores, from confusion matrices (F, 4, 4).
 
     Raises `ShapeError` if the lengths do not add up to F, and `unknown_metric`.
     """
@@ -191,7 +185,9 @@ def ratio_spectra(confusions: Counts, frames_of_sequence: Sequence[int], metric:
 
 
 def estimates(values: NDArray[np.floating], spectra: RatioSpectra, scope: Scope) -> tuple[Estimate | Silence, ...]:
-    """Of each of the values (5,), ratios or differences of ratios."""
+    """Return the estimate, or the reason for its absence, of each of the values (5,): ratios or differences of
+    ratios.
+    """
     found = _within(spectra) if scope == "these_places" else _across(spectra)
     silences = _silences(values, spectra, scope)
     return tuple(
@@ -207,7 +203,7 @@ def _estimate(value: float, variance: float, degrees: float, scope: Scope) -> Es
 
 
 def _silences(values: NDArray[np.floating], spectra: RatioSpectra, scope: Scope) -> list[Silence | None]:
-    """What is known before anything is estimated."""
+    """Return the reasons that are known before any estimation."""
     wanders = np.ptp(sums_of_sequences(spectra.coefficients, spectra.layout), axis=0) > LEAST_WANDER
     if scope == "these_places":
         wanders = np.sqrt((spectra.coefficients**2).sum(axis=0)) > LEAST_WANDER
@@ -243,14 +239,16 @@ def across_variance(sums: Floats, sequence_weight: NDArray[np.floating]) -> Floa
 
 
 def across_degrees(spectra: RatioSpectra) -> Floats:
-    """Return the degrees of freedom (5,) of V, of the mean the fewest of its classes."""
+    """Return the degrees of freedom (5,) of V; for the mean, the fewest of its classes."""
     degrees = np.array([_degrees(weight) for weight in np.asarray(spectra.sequence_weight, np.float64).T])
     degrees[MEAN] = degrees[list(CLASS_COLUMNS)].min()
     return degrees
 
 
 def _degrees(weight: Floats) -> float:
-    """Of V, a quadratic form of sequences' ratios, were these normal and alike: (Σ λ)² / Σ λ² of its eigenvalues."""
+    """Return (Σ λ)² / Σ λ² of the eigenvalues λ of V, a quadratic form of sequence ratios assumed normal and
+    identical.
+    """
     scale = 1 - 2 * weight + (weight**2).sum()
     if not np.isfinite(weight).all() or scale.min() <= 1e-9:
         return 0.0

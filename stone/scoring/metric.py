@@ -1,10 +1,9 @@
-"""The metrics of the benchmark: their versions, their ratios, and the text that defines each of them.
+"""The metrics of the benchmark: their versions, their ratios, and the text that defines each version.
 
-**Conventions.** A version is never changed: another rule is another version, and a board shows one at a time. The
-definitions are plain Markdown for people; `confusion.ratios` computes what they say, golden vectors prove it. The
-versions `-1` have the same ratios as those that follow them, and intervals that claimed more than was known: of their
-scores no interval, tie or rank interval is told any more, and nothing is scored anew by them.
-This module loads nothing, so that every process may.
+**Conventions.** A version never changes: a changed rule is a new version, and a board shows one version at a time. The
+definitions are plain Markdown for people; `confusion.ratios` computes them, and test vectors prove that. The versions
+`-1` have the same ratios as their successors, but too narrow intervals: their scores have no intervals, ties or rank
+intervals, and they cannot be used for new scores. This module loads nothing, so every process may import it.
 """
 
 from collections.abc import Mapping
@@ -26,10 +25,10 @@ def unknown_metric(version: str) -> Refused:
 
 @dataclass(frozen=True)
 class Metric:
-    """One way to read ratios from confusions; `definition` is Markdown.
+    """A rule to compute ratios from confusion matrices; `definition` is Markdown.
 
-    `is_within_occupied` restricts classes to voxels that the ground truth calls occupied. `successor` has the same
-    ratios and intervals that hold; None of a version that is current.
+    `is_within_occupied` restricts classes to voxels that are occupied in the ground truth. `successor` has the same
+    ratios and valid intervals; None for a current version.
     """
 
     version: str
@@ -40,7 +39,7 @@ class Metric:
 
 
 def current_metric(version: str) -> Metric:
-    """The metric, if scores are made by it. Raises `unknown_metric`, `superseded_metric`."""
+    """Return the metric if it can be used for new scores. Raises `unknown_metric`, `superseded_metric`."""
     metric = metric_of(version)
     if metric.successor is not None:
         raise Refused(
@@ -52,7 +51,7 @@ def current_metric(version: str) -> Metric:
 
 
 def metric_of(version: str) -> Metric:
-    """Raises `unknown_metric`."""
+    """Return the metric of this version. Raises `unknown_metric`."""
     if version not in METRICS:
         raise unknown_metric(version)
     return METRICS[version]
@@ -167,7 +166,7 @@ predictions in the ground truth's free space lower only IoU_occ:
 
 
 def _versions(name: str, title: str, reading: str, is_within_occupied: bool) -> tuple[Metric, Metric]:
-    """The current version, and the one before it."""
+    """Return the current version and the superseded one."""
     (old, old_text), (new, new_text) = (
         (version, _definition(f"{version}: {title}", reading, *parts))
         for version, *parts in (

@@ -1,7 +1,7 @@
-"""Counts of a frame by NumPy alone: those of `stone.scoring.bitplanes`, for machines without its compiled kernels.
+"""Counts of a frame with NumPy only: as `stone.scoring.bitplanes`, for machines without its compiled kernels.
 
-**Conventions.** Those of `stone.scoring.bitplanes` and `stone.scoring.columns`, whose names the functions have: equal
-planes and equal counts, more slowly. A word is a column, bit 0 its lowest voxel.
+**Conventions.** Functions have the names, planes and counts of `stone.scoring.bitplanes` and `stone.scoring.columns`,
+but are slower. A word is a column, bit 0 its lowest voxel.
 """
 
 from itertools import pairwise
@@ -30,7 +30,7 @@ _BYTE_BITS = np.array([bin(byte).count("1") for byte in range(256)], np.uint8)
 def truth_planes(
     grid: Grid, is_evaluated: NDArray[np.bool_], label_grid: LabelGrid = PAPER, is_late: NDArray[np.bool_] | None = None
 ) -> TruthPlanes:
-    """Ground truth made ready, as `bitplanes.truth_planes` does. Raises `ShapeError`, `LabelRangeError`."""
+    """Prepare ground truth as `bitplanes.truth_planes` does. Raises `ShapeError`, `LabelRangeError`."""
     low, high = _sorted_planes(grid, label_grid)
     valid, _ = _sorted_planes(is_evaluated.astype(np.uint8), label_grid)
     late = None if is_late is None else _sorted_planes(is_late.astype(np.uint8), label_grid)[0].view(np.uint64)
@@ -76,7 +76,7 @@ def late_confusion(prediction: Grid, truth: TruthPlanes) -> Confusion:
 
 
 def _sorted_planes(grid: Grid, label_grid: LabelGrid) -> tuple[Columns, Columns]:
-    """The low and the high bit of every voxel, a word each column. Raises `ShapeError`, `LabelRangeError`."""
+    """Return the low and the high bit of every voxel, one word per column. Raises `ShapeError`, `LabelRangeError`."""
     if grid.shape != label_grid.shape or grid.dtype != np.uint8:
         raise ShapeError("a label grid", grid.shape, f"{label_grid.shape} of uint8 (not {grid.dtype})")
     if grid.size and grid.max() >= CLASSES:
@@ -94,19 +94,19 @@ def _sorted_planes(grid: Grid, label_grid: LabelGrid) -> tuple[Columns, Columns]
 
 
 def _rings(grid: LabelGrid) -> list[slice]:
-    """The places of each ring."""
+    """Return the positions of each ring."""
     return [slice(*ends) for ends in pairwise(layout_of(grid).bounds.tolist())]
 
 
 def _columns_of(grid: LabelGrid, ring: int) -> int:
-    """The number of columns of a ring, without places that no column takes."""
+    """Return the number of columns of a ring, without unused positions."""
     chunks = layout_of(grid).chunks
     of_ring = chunks[chunks[:, 0] == ring]
     return int((of_ring[:, 3] - of_ring[:, 1]).sum())
 
 
 def _classes(low: Columns, high: Columns, evaluated: Columns) -> tuple[Columns, Columns, Columns, Columns]:
-    """The evaluated voxels of each class."""
+    """Return the evaluated voxels of each class."""
     return evaluated & ~(low | high), low & ~high, high & ~low, low & high
 
 
@@ -115,17 +115,17 @@ def _bits(words: Columns) -> int:
 
 
 def _bits_of_columns(words: Columns) -> NDArray[np.uint8]:
-    """The bits of each word."""
+    """Return the bits of each word."""
     return np.asarray(_BYTE_BITS[words.view(np.uint8).reshape(-1, 4)].sum(axis=1, dtype=np.uint8))
 
 
 def _thickened(column: Columns) -> Columns:
-    """With the voxels above and below."""
+    """Return the columns with the voxels above and below."""
     return np.asarray(column | (column << 1) | (column >> 1), np.uint32)
 
 
 def _pairs(true: tuple[Columns, ...], predicted: tuple[Columns, ...]) -> list[int]:
-    """Pairs of occupied, T, P and N."""
+    """Return the pairs of occupied, T, P and N."""
     sets = [(true[1] | true[2] | true[3], predicted[1] | predicted[2] | predicted[3])]
     return [
         int(np.minimum(_bits_of_columns(a & _thickened(b)), _bits_of_columns(b & _thickened(a))).sum(dtype=np.int64))
@@ -134,7 +134,7 @@ def _pairs(true: tuple[Columns, ...], predicted: tuple[Columns, ...]) -> list[in
 
 
 def _column_classes(planes: tuple[Columns, ...], overhead: int) -> NDArray[np.uint8]:
-    """The worst class of each column, without those N that are above the robot."""
+    """Return the worst class of each column, without N voxels above the robot."""
     _, t, p, n = planes
     surface = (t | p).astype(np.uint64)
     lowest = surface & (~surface + np.uint64(1))
@@ -144,6 +144,6 @@ def _column_classes(planes: tuple[Columns, ...], overhead: int) -> NDArray[np.ui
 
 
 def _column_confusion(true: NDArray[np.uint8], predicted: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """The confusion of these columns."""
+    """Return the confusion matrix of these columns."""
     pairs = true * np.uint8(CLASSES) + predicted
     return np.bincount(pairs, minlength=CLASSES * CLASSES).reshape(CLASSES, CLASSES)

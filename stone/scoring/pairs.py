@@ -1,16 +1,15 @@
-"""All pairs of a board at once: which entry surely does better than which.
+"""Comparison of all pairs of a board: which entry is significantly better than which.
 
-    a is surely above b  where  (r_a − r_b) / √Var(r_a − r_b) > q(n, ν) / √2
+    a is significantly above b  if  (r_a − r_b) / √Var(r_a − r_b) > q(n, ν) / √2
 
-with q the quantile of Tukey's studentised range of n entries. So that *any* two of n equally good entries are told
-apart has the stated chance together, and the best of many lucky ones is not told apart from the last for its luck.
-Among many pairs some variance is always far too small by chance. So no variance is less than the pair's power (the sum
-of its squared coefficients) times the median ratio of variance to power of the board's pairs: they share the ground and
-its memory.
+where q is the quantile of Tukey's studentised range of n entries. The probability that *any* two of n equally good
+entries are separated is then the stated one. Among many pairs, some variance estimates are always far too small by
+chance. Therefore no variance is less than the pair's power (the sum of its squared coefficients) times the median ratio
+of variance to power over the board's pairs, which share the ground and its correlation.
 
-The variance is that of these places. If these places tell of too few pairs it is that of a new place, from the pairs'
-differences in whole sequences: it contains both the luck of the moment and that of the places, so claims by it hold for
-these places too.
+The variance is that of these places. If it is known for too few pairs, the variance of a new place is used, from the
+pairs' differences in whole sequences. It includes the variation within and between places, so its claims also hold for
+these places.
 
 **Conventions.** Coefficients are rows, (n, K) of `spectra.py`, of one ratio; ratios (n,).
 
@@ -45,14 +44,14 @@ from stone.scoring.spectra import (
 )
 
 PAIRS_AT_ONCE = 4096
-LEAST_TOLD = 0.5  # of pairs: the few of which these places do tell are wrong more often
+LEAST_TOLD = 0.5  # of pairs: with fewer known variances, the known ones are wrong more often
 Claims = NDArray[np.bool_]
 Places = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
 class EntrySpectra:
-    """Of one entry's ranked ratio: the coefficients (K,) and what `RatioSpectra` has beside them.
+    """The ranked ratio of one entry: the coefficients (K,) and the other data of `RatioSpectra`.
 
     `across_degrees` are the degrees of freedom across sequences.
     """
@@ -66,7 +65,7 @@ class EntrySpectra:
 
 @dataclass(frozen=True, eq=False)
 class BoardSpectra:
-    """Those of n entries, one below another: coefficients (n, K), sequence weights (n, S), all others (n,)."""
+    """The spectra of n entries, stacked: coefficients (n, K), sequence weights (n, S), all others (n,)."""
 
     layout: SpectrumLayout
     coefficients: Coefficients
@@ -77,14 +76,16 @@ class BoardSpectra:
 
 @dataclass(frozen=True, eq=False)
 class PairClaims:
-    """`above` (n, n): whether entry a surely does better than b, by the variance of these places or of a new one."""
+    """`above` (n, n): whether entry a is significantly better than b, by the variance of these places or of a new
+    one.
+    """
 
     above: Claims
     scope: Scope
 
 
 def entry_spectra(spectra: RatioSpectra, column: int) -> EntrySpectra:
-    """Return those of one of the ratios of a score."""
+    """Return the spectra of one ratio of a score."""
     return EntrySpectra(
         spectra.layout,
         np.ascontiguousarray(spectra.coefficients[:, column]),
@@ -95,7 +96,9 @@ def entry_spectra(spectra: RatioSpectra, column: int) -> EntrySpectra:
 
 
 def board_spectra(entries: Sequence[EntrySpectra]) -> BoardSpectra:
-    """Return the spectra of one entry or more, whose scores are by one ground truth, so of the same sequences."""
+    """Return the stacked spectra of one or more entries with the same ground truth, and therefore the same
+    sequences.
+    """
     return BoardSpectra(
         entries[0].layout,
         np.stack([one.coefficients for one in entries]),
@@ -106,9 +109,9 @@ def board_spectra(entries: Sequence[EntrySpectra]) -> BoardSpectra:
 
 
 def surely_above(values: NDArray[np.floating], spectra: BoardSpectra, level: float = LEVEL) -> PairClaims | None:
-    """Return which entries surely do better than which; None if nothing can be said of any pair.
+    """Return which entries are significantly better than which; None if no pair can be compared.
 
-    Raises `ShapeError` where there are not as many values as entries.
+    Raises `ShapeError` if the numbers of values and entries differ.
     """
     count = len(spectra.coefficients)
     if values.shape != (count,):
@@ -123,7 +126,7 @@ def surely_above(values: NDArray[np.floating], spectra: BoardSpectra, level: flo
 
 @dataclass(frozen=True, eq=False)
 class _Pairs:
-    """The pairs (p,): the variance of each difference, NaN if not known, its degrees of freedom and its power."""
+    """The pairs (p,): the variance of each difference (NaN if unknown), its degrees of freedom and its power."""
 
     scope: Scope
     first: Places
@@ -137,7 +140,7 @@ class _Pairs:
         return int(np.isfinite(self.variance).sum())
 
     def claims(self, values: NDArray[np.floating], level: float) -> PairClaims | None:
-        """Return the claims for entries of these values; None if no variance is known."""
+        """Return the claims for entries with these values; None if no variance is known."""
         if not self.told:
             return None
         known = np.isfinite(self.variance)
@@ -154,7 +157,7 @@ class _Pairs:
 def _in_parts(
     pairs_of: Callable[[BoardSpectra, Places, Places], _Pairs], spectra: BoardSpectra, first: Places, second: Places
 ) -> _Pairs:
-    """Return all pairs together, worked out in parts that fit into memory."""
+    """Return all pairs, computed in parts that fit into memory."""
     starts = range(0, max(1, len(first)), PAIRS_AT_ONCE)
     parts = [pairs_of(spectra, *(one[start : start + PAIRS_AT_ONCE] for one in (first, second))) for start in starts]
     joined = (np.concatenate([getattr(part, name) for part in parts]) for name in ("variance", "degrees", "power"))
@@ -185,12 +188,12 @@ def _differences(spectra: BoardSpectra, first: Places, second: Places) -> Floats
 
 
 def _power(differences: Floats, layout: SpectrumLayout) -> Floats:
-    """Return the sum of squares (p,) of all coefficients but C_0."""
+    """Return the sum of squares (p,) of all coefficients except C_0."""
     return np.asarray((np.delete(differences, [run.start for run in layout.runs], axis=1) ** 2).sum(axis=1))
 
 
 def _critical(count: int, degrees: Floats, level: float) -> Floats:
-    """q / √2 for each pair; degrees are rounded down."""
+    """Return q / √2 for each pair; degrees are rounded down."""
     whole = np.floor(degrees).astype(np.int64)
     known = {one: range_quantile(count, one, level) / np.sqrt(2) for one in np.unique(whole).tolist()}
     return np.array([known[one] for one in whole.tolist()])
@@ -198,7 +201,7 @@ def _critical(count: int, degrees: Floats, level: float) -> Floats:
 
 @lru_cache(4096)
 def range_quantile(count: int, degrees: int, level: float = LEVEL) -> float:
-    """The quantile of the studentised range of `count` ≥ 2 normal values, by bisection of its distribution."""
+    """Return the quantile of the studentised range of `count` ≥ 2 normal values, by bisection of its distribution."""
     low, high = 0.0, 64.0
     while high - low > 1e-6:
         middle = (low + high) / 2
@@ -207,8 +210,8 @@ def range_quantile(count: int, degrees: int, level: float = LEVEL) -> float:
 
 
 def _range_distribution(q: float, count: int, degrees: int) -> float:
-    """P(range / s ≤ q) = ∫ f(s) n ∫ φ(z) (Φ(z) − Φ(z − q s))ⁿ⁻¹ dz ds, s² a mean of `degrees` squares."""
-    from scipy.special import gammaln, ndtr  # a third of a second, which no process pays at its start
+    """Return P(range / s ≤ q) = ∫ f(s) n ∫ φ(z) (Φ(z) − Φ(z − q s))ⁿ⁻¹ dz ds, s² a mean of `degrees` squares."""
+    from scipy.special import gammaln, ndtr  # a lazy import: it takes a third of a second
 
     nodes, weights = _quadrature()
     s, ds = 2.5 * (nodes + 1), 2.5 * weights

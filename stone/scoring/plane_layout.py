@@ -1,8 +1,8 @@
-"""How the columns of a grid lie in its bit planes: sorted by range ring, each ring one contiguous run of words.
+"""The order of a grid's columns in its bit planes: sorted by range ring, each ring one contiguous run of words.
 
-**Conventions.** A column is one uint32 of a plane, whatever the height of the grid. A ring is the horizontal distance
-of the column's centre from the ego origin, half-open: 0–10, 10–20, from 20 m. Each ring takes an even number of places
-and all together a multiple of `WHOLE`; those at the end of a ring that no column takes are 0.
+**Conventions.** A column is one uint32 of a plane, for every grid height. A ring is the horizontal distance of the
+column's centre from the ego origin, half-open: 0–10, 10–20, from 20 m. Each ring has an even number of positions, and
+all rings together a multiple of `WHOLE`; unused positions at the end of a ring are 0.
 """
 
 from dataclasses import dataclass
@@ -16,17 +16,17 @@ from stone_base.label_grid import PAPER, LabelGrid
 
 RING_EDGES_M = (10.0, 20.0)
 RINGS = len(RING_EDGES_M) + 1
-# Columns counted at a time: their planes, 32 KiB, stay in the nearest cache and cost no page faults.
+# Columns counted at a time: their planes (32 KiB) stay in the L1 cache and cause no page faults.
 CHUNK = 4096
 WHOLE = 64
 
 
 @dataclass(frozen=True, eq=False)
 class PlaneLayout:
-    """The places of a grid's columns in a plane of `columns` places, `bounds` (4,) those of its rings.
+    """The positions of a grid's columns in a plane of `columns` positions; `bounds` (4,) are the rings' bounds.
 
-    `runs` (R, 3) are source column, place and length; `chunks` (C, 6) ring, first place, end, end of the places that
-    columns take, first run and end of the runs.
+    `runs` (R, 3) are source column, position and length; `chunks` (C, 6) ring, first position, end, end of the used
+    positions, first run and end of the runs.
     """
 
     grid: LabelGrid

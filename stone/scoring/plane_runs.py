@@ -1,7 +1,7 @@
-"""Bit planes as runs of equal columns: neighbours in a scene are often the same, and runs are quick to unroll.
+"""Bit planes as runs of equal columns: neighbouring columns are often equal, and runs are fast to expand.
 
-**Conventions.** Planes (3, W) uint64, W a multiple of 32, are taken as 6 · W columns of one uint32 in their order. Bit
-n of `changes` says that column n differs from the one before it (the first always does); `columns` are those that do.
+**Conventions.** Planes (3, W) uint64, W a multiple of 32, are 6 · W columns of one uint32 in this order. Bit n of
+`changes` is set if column n differs from the previous one (always for the first); `columns` are these columns.
 """
 
 from dataclasses import dataclass
@@ -20,14 +20,14 @@ PLANES = 3
 
 @dataclass(frozen=True, eq=False)
 class PlaneRuns:
-    """`changes` (6 · W / 64,) uint64 with as many bits set as `columns` (R,) uint32 has entries."""
+    """`changes` (6 · W / 64,) uint64, with one set bit for each entry of `columns` (R,) uint32."""
 
     changes: NDArray[np.uint64]
     columns: NDArray[np.uint32]
 
 
 def runs_of(planes: Planes) -> PlaneRuns:
-    """Raises `ShapeError` for other shapes than (3, a multiple of 32)."""
+    """Return the runs of planes. Raises `ShapeError` for other shapes than (3, a multiple of 32)."""
     if len(planes.shape) != 2 or planes.shape[0] != PLANES or 2 * planes.shape[1] % WHOLE or not planes.size:
         raise ShapeError("planes", planes.shape, f"({PLANES}, a multiple of {WHOLE // 2})")
     columns = np.ascontiguousarray(planes).view(np.uint32).reshape(-1)
@@ -36,9 +36,9 @@ def runs_of(planes: Planes) -> PlaneRuns:
 
 
 def planes_of(runs: PlaneRuns) -> Planes:
-    """The planes (3, W) that `runs_of` was given.
+    """Return the planes (3, W) of these runs.
 
-    Raises `ShapeError` where changes and columns do not belong together.
+    Raises `ShapeError` if changes and columns do not match.
     """
     changes, columns = runs.changes, runs.columns
     if changes.ndim != 1 or not changes.size or changes.size % PLANES or not changes[0] & np.uint64(1):
@@ -59,7 +59,7 @@ def _unroll(changes: NDArray[np.uint64], columns: NDArray[np.uint32], out: NDArr
             same = columns[run]
             for n in range(64):
                 out[64 * w + n] = same
-        elif run >= 0 and run + 64 + 8 < columns.size:  # what is read in advance is there
+        elif run >= 0 and run + 64 + 8 < columns.size:  # the entries read in advance exist
             for n in range(0, 64, 8):
                 run += unroll8(np.uint32((bits >> np.uint64(n)) & np.uint64(0xFF)), columns, run, out, 64 * w + n)
         else:

@@ -1,10 +1,10 @@
-"""Ranking with confidence: the order of a board, intervals of ranks, tie groups, the sign-flip test.
+"""Ranking with confidence: the order of a board, rank intervals, tie groups, the sign-flip test.
 
-**Conventions.** Ranks count from 1, the largest ratio first. `above` (n, n) says which entry surely does better than
-which (`pairs.py`), with one level for all pairs together, so that what is read from it here holds together too.
+**Conventions.** Ranks count from 1, the largest ratio first. `above` (n, n) contains which entry is significantly
+better than which (`pairs.py`), at one level for all pairs jointly, so rank intervals and tie groups hold jointly too.
 
-Two entries whose separate intervals overlap may well differ surely (Schenker and Gentleman, 2001); so ties are found by
-pairs. Source: rank intervals from pairs, Mogstad et al. (2024); sign-flip test, Fisher (1935).
+Two entries with overlapping separate intervals may differ significantly (Schenker and Gentleman, 2001), so ties are
+determined by pairs. Source: rank intervals from pairs, Mogstad et al. (2024); sign-flip test, Fisher (1935).
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ Ranks = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class SignFlip:
-    """Of differences by sequence; with so few, `smallest_p` is the least that any result could have given."""
+    """The result for differences by sequence; `smallest_p` is the smallest possible p for this number of sequences."""
 
     sequences: int
     p: float
@@ -31,12 +31,14 @@ class SignFlip:
 
 
 def in_order(keys: Sequence[Sequence[float]]) -> list[int]:
-    """The entries' places, best first: by the first key falling, then the next; equal ones as they were given."""
+    """Return the entries' indices, best first: by the first key descending, then the next; ties keep their order."""
     return sorted(range(len(keys)), key=lambda place: [-value for value in keys[place]])
 
 
 def shared_ranks(keys: Sequence[Sequence[float]]) -> list[int]:
-    """The rank of each entry of an order: one more than there are before it with other keys (1, 1, 3)."""
+    """Return the rank of each entry of an order: one more than the number of entries before it with other keys (1, 1,
+    3).
+    """
     ranks: list[int] = []
     for place, key in enumerate(keys):
         is_equal = place > 0 and list(key) == list(keys[place - 1])
@@ -45,15 +47,15 @@ def shared_ranks(keys: Sequence[Sequence[float]]) -> list[int]:
 
 
 def rank_intervals(above: Claims) -> Ranks:
-    """The lowest and the highest rank (n, 2) that each entry may have, both included."""
+    """Return the lowest and the highest possible rank (n, 2) of each entry, both included."""
     return np.stack([1 + above.sum(axis=0), len(above) - above.sum(axis=1)], axis=1).astype(np.int64)
 
 
 def tie_groups(above: Claims) -> Ranks:
-    """The group (n,) of each entry, from 1, of entries in the order of the board.
+    """Return the group (n,) of each entry, from 1, for entries in board order.
 
-    A group begins with the first entry that is surely below the beginning of the group before. Entries of a group do
-    not surely differ from its first.
+    A group starts with the first entry that is significantly below the start of the previous group. Entries of a group
+    do not differ significantly from its first entry.
     """
     groups = np.ones(len(above), np.int64)
     first = 0
@@ -65,10 +67,10 @@ def tie_groups(above: Claims) -> Ranks:
 
 
 def sign_flip(differences: Sequence[float]) -> SignFlip:
-    """The two-sided test that differences by sequence (n,) are as likely to lie the other way round.
+    """Return the two-sided test that the signs of the differences by sequence (n,) are random.
 
-    Every way of flipping signs is tried, up to `MOST_EXACT` sequences; beyond, `RANDOM_FLIPS` of them. No p can be
-    smaller than 2 / 2^n: of 5 sequences 0.0625, however large the difference. Without a sequence p is 1.
+    All sign flips are evaluated for up to `MOST_EXACT` sequences, `RANDOM_FLIPS` random ones for more. No p can be
+    smaller than 2 / 2^n: 0.0625 for 5 sequences, however large the difference. Without a sequence p is 1.
     """
     values = np.asarray(differences, np.float64)
     flips = _flips(len(values))
@@ -79,7 +81,7 @@ def sign_flip(differences: Sequence[float]) -> SignFlip:
 
 
 def _flips(sequences: int) -> NDArray[np.float64]:
-    """Signs (…, n), the unflipped ones among them."""
+    """Return signs (…, n), including the unflipped ones."""
     if sequences <= MOST_EXACT:
         bits = np.arange(2**sequences)[:, None] >> np.arange(sequences) & 1
         return np.asarray(1.0 - 2.0 * bits)

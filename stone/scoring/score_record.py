@@ -1,8 +1,8 @@
-"""The record of a score: every table is read from the counts that are kept by frame and ring.
+"""The record of a score: every table is computed from the stored counts by frame and ring.
 
-**Conventions.** Frames are in the order of the ground truth's manifest, sequences contiguous runs of them. What an
-interval takes for independent is a drive: sequences that continue each other count as one, joined in time. Ratios are
-in [0, 1] or None where undefined. The record is exact: who may see which part of it is decided by who serves it.
+**Conventions.** Frames have the order of the ground truth's manifest; sequences are contiguous runs of them. Intervals
+treat drives as independent: sequences that continue each other count as one, joined in time. Ratios are in [0, 1] or
+None if undefined. The record is complete; the caller restricts who may see which part.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -39,7 +39,8 @@ RING_NAMES = tuple(
 @dataclass(frozen=True)
 class SequenceFacts:
     """Facts about a sequence, None if unknown. `drive` is the drive that it shares with other sequences; `places` are
-    its frames' places in time, () if the frames are in time order."""
+    its frames' positions in time, () if the frames are in time order.
+    """
 
     name: str
     frames: int
@@ -50,12 +51,12 @@ class SequenceFacts:
     places: tuple[int, ...] = ()
 
     def in_time(self) -> NDArray[np.intp]:
-        """Return the indices of its frames in time order."""
+        """Return the indices of the frames in time order."""
         return np.argsort(self.places) if self.places else np.arange(self.frames)
 
 
 class Timed(Protocol):
-    """A sequence whose frames' order in time is known."""
+    """A sequence with a known time order of its frames."""
 
     @property
     def first_stamp_ns(self) -> int: ...
@@ -66,7 +67,7 @@ class Timed(Protocol):
 def facts_of(
     sequences: Mapping[str, Sequence[str]], timed: Mapping[str, Timed] | None = None
 ) -> tuple[SequenceFacts, ...]:
-    """Return the facts about sequences of these frame tokens, in time order if they are `timed`."""
+    """Return the facts about sequences with these frame tokens, in time order if they are `timed`."""
     if timed is None:
         return tuple(SequenceFacts(name, len(tokens)) for name, tokens in sequences.items())
     return tuple(
@@ -77,7 +78,7 @@ def facts_of(
 
 @dataclass(frozen=True, eq=False)
 class SubmissionCounts:
-    """All counts of one submission: `confusions` [F, 3, 4, 4] and `bev` [F, 3, 3] int32, the frames of `sequences`.
+    """All counts of one submission: `confusions` [F, 3, 4, 4] and `bev` [F, 3, 3] int32, for the frames of `sequences`.
 
     `column_counts` and the counts of `late` voxels [F, 4, 4] are zero for frames without them, and None if an earlier
     version counted.
@@ -94,7 +95,7 @@ class SubmissionCounts:
         return tuple(sequence.frames for sequence in self.sequences)
 
     def spectra(self, metric: str = METRIC_VERSION) -> RatioSpectra:
-        """Return the sums that give the uncertainty of the ratios. Raises `unknown_metric`, and `ShapeError`."""
+        """Return the spectra for the uncertainty of the ratios. Raises `unknown_metric`, and `ShapeError`."""
         runs = list(pairwise(accumulate(self.frames_of_sequence, initial=0)))
         drives = self._drives()
         order = np.concatenate([runs[row][0] + self.sequences[row].in_time() for rows in drives for row in rows])
@@ -102,39 +103,40 @@ class SubmissionCounts:
         return spectra_of(self.confusions[order], frames_of_drive, metric_of(metric))
 
     def _drives(self) -> list[list[int]]:
-        """The places of the sequences of each drive, in time order."""
+        """Return the indices of the sequences of each drive, in time order."""
         drives = dict[tuple[bool, str], list[int]]()
         for row, facts in enumerate(self.sequences):
             drives.setdefault((bool(facts.drive), facts.drive or facts.name), []).append(row)
         return [sorted(rows, key=lambda row: self.sequences[row].first_stamp_ns or 0) for rows in drives.values()]
 
     def columns(self) -> NDArray[np.int64] | None:
-        """Return the confusion (4, 4) of the columns of all frames."""
+        """Return the confusion matrix (4, 4) of the columns of all frames."""
         return self.column_counts.columns.sum(axis=(0, 1), dtype=np.int64) if self.column_counts else None
 
     def cells(self) -> NDArray[np.int64]:
-        """The confusions of each sequence [sequence, ring, truth, prediction]."""
+        """The confusion matrices of each sequence [sequence, ring, truth, prediction]."""
         runs = pairwise(accumulate(self.frames_of_sequence, initial=0))
         return np.stack([self.confusions[start:stop].sum(axis=0, dtype=np.int64) for start, stop in runs])
 
 
 @dataclass(frozen=True)
 class ConfidenceLimit:
-    """The least confidence of evaluated occupied voxels, and how many occupied voxels are `left_out` for it."""
+    """The minimum confidence of evaluated occupied voxels, and the number of occupied voxels `left_out` below it."""
 
     least_confidence: float
     left_out: int
 
     def as_record(self, occupied: int) -> Record:
-        """With the share of the occupied voxels left out; `occupied` counts those that are evaluated."""
+        """Return the record with the share of excluded occupied voxels; `occupied` counts the evaluated ones."""
         whole = self.left_out + occupied
         return {**asdict(self), "left_out_ratio": self.left_out / whole if whole else None}
 
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """One submission against one ground truth; whether its frames are in time order, which intervals need; and the
-    version of the code that counted it."""
+    """The scores of one submission against one ground truth; whether its frames are in time order, which intervals
+    require; and the code version that counted it.
+    """
 
     counts_of_frames: SubmissionCounts
     signature: Signature
@@ -143,7 +145,7 @@ class Scores:
     limit: ConfidenceLimit | None = None
 
     def as_record(self) -> Record:
-        """What `stone score --json` prints."""
+        """Return the output of `stone score --json`."""
         counts_of_frames, metric = self.counts_of_frames, self.signature.metric
         spectra = counts_of_frames.spectra(metric)
         told = record_of(counts_of_frames, spectra, metric, is_in_time_order=self.is_in_time_order)
@@ -163,7 +165,7 @@ def record_of(
     *,
     is_in_time_order: bool = True,
 ) -> Record:
-    """All that is said of a score; `spectra` are those of the same counts and metric.
+    """Return the complete record of a score; `spectra` must belong to the same counts and metric.
 
     Raises `unknown_metric`.
     """
@@ -188,7 +190,7 @@ def record_of(
 
 
 def _column_record(counts_of_frames: SubmissionCounts) -> Record:
-    """`tolerant` and `columns`: the ratios by name of the frames in which they are counted, or None."""
+    """Return `tolerant` and `columns`: the ratios by name of the frames in which they are counted, or None."""
     columns, column_counts = counts_of_frames.columns(), counts_of_frames.column_counts
     if columns is None or column_counts is None:
         return {"tolerant": None, "columns": None}
@@ -218,7 +220,7 @@ def _late_record(counts_of_frames: SubmissionCounts, metric: str) -> Record | No
 def _breakdowns(
     counts_of_frames: SubmissionCounts, cells: NDArray[np.int64], metric: str
 ) -> Iterator[tuple[str, Record]]:
-    """(what by, name → part); what no sequence is known by is left out."""
+    """Yield (kind, name → part) of each breakdown; kinds that no sequence has are left out."""
     rings = zip(RING_NAMES, cells.sum(axis=0), strict=True)
     yield "distance", {name: _part(ring, len(counts_of_frames.confusions), metric) for name, ring in rings}
     of_sequence = cells.sum(axis=1)
@@ -247,27 +249,27 @@ def _part(confusion: NDArray[np.int64], frames: int, metric: str) -> Record:
     return {**named_ratios(confusion, metric), "support": supports(confusion), "frames": frames}
 
 
-# Intervals of a score as its record has them.
-#
-# **Conventions.** By scope (`these_places`, `new_place`) and ratio: `intervals` has [low, high] or None, `silences`
-# the code of why there is none (`stone.scoring.intervals`), or None.
+# Intervals of a score in its record. By scope (`these_places`, `new_place`) and ratio, `intervals` has [low, high] or
+# None, and `silences` the code of the reason for None (`stone.scoring.intervals`), or None.
 
 
 Ratios = Mapping[str, float | None]
 
 
 def spectra_of(confusions: Counts, frames_of_sequence: tuple[int, ...], metric: Metric) -> RatioSpectra:
-    """Of confusions [F, ring, 4, 4] in time order inside each sequence. Raises `ShapeError`."""
+    """Return the spectra of confusion matrices [F, ring, 4, 4], in time order within each sequence. Raises
+    `ShapeError`.
+    """
     return ratio_spectra(confusions.sum(axis=1, dtype=np.int64), frames_of_sequence, metric.version)
 
 
 def interval_record(
     total: Ratios, spectra: RatioSpectra, metric: Metric, *, is_in_time_order: bool = True
 ) -> dict[str, Any]:
-    """`intervals` and `silences` of a score's totals; a metric whose intervals are withdrawn has none.
+    """Return `intervals` and `silences` of a score's totals; a metric with withdrawn intervals has none.
 
-    Where the order of the frames in time is unknown, nothing is said of these places: neighbours that are alike would
-    pass for independent ones, and the interval would be too narrow.
+    If the time order of frames is unknown, there is no interval for these places: correlated neighbours would count as
+    independent, and the interval would be too narrow.
     """
     values = np.array([np.nan if total[name] is None else total[name] for name in RATIOS], np.float64)
     found = {scope: estimates(values, spectra, scope) for scope in SCOPES}

@@ -1,4 +1,4 @@
-"""Signatures of scores: what makes two of them comparable, in one line printed with each (after sacrebleu)."""
+"""Signatures of scores: the conditions under which scores are comparable, in one line (after sacrebleu)."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from stone_base.label_grid import PAPER, LabelGrid
 
 @dataclass(frozen=True)
 class Signature:
-    """A board never mixes signatures. `ground_truth` is the hash of everything that was evaluated."""
+    """A board never mixes signatures. `ground_truth` is the hash of all evaluated data."""
 
     ground_truth: str
     mask: str
@@ -16,7 +16,7 @@ class Signature:
     grid: LabelGrid = PAPER
 
     def __str__(self) -> str:
-        """`truth` is the first 16 hex digits of the hash of everything that was evaluated."""
+        """Return the line; `truth` is the first 16 hex digits of the hash."""
         grid = "x".join(map(str, self.grid.shape)) + f"@{self.grid.voxel_m}m"
         if self.grid.min_m != PAPER.min_m:
             grid += f"[{','.join(f'{low_m:g}' for low_m in self.grid.min_m)}]"

@@ -1,15 +1,15 @@
-"""Slow part of the influences' spectrum: cosine coefficients of each sequence, as many as inference looks at.
+"""Low-frequency part of the influences' spectrum: the cosine coefficients of each sequence that inference uses.
 
     C_j = √(2/n) Σ_t cos(π j (t + ½) / n) z_t,  j ≥ 1;   C_0 = √(1/n) Σ_t z_t
 
-A sequence's C_j are nearly uncorrelated, with the spectral density at ω_j = π j / n as variance. Frequency is told as
-a time: `period_frames` p stands for ω = π / (`FRAMES_PER_PERIOD` · p), so a process with correlation time p is nearly
-white below its frequency.
+A sequence's C_j are nearly uncorrelated, with the spectral density at ω_j = π j / n as variance. Frequency is expressed
+as a time: `period_frames` p stands for ω = π / (`FRAMES_PER_PERIOD` · p), so a process with correlation time p is
+nearly white below this frequency.
 
-**Conventions.** Sequences are contiguous runs of frames in time order, their lengths in `frames_of_sequence`. Of each
-the first coefficients are kept, those of all sequences one below another: (K, …). They are linear in z: those of a
-difference are the difference of theirs. A correlation time is (1 + ρ) / (1 − ρ) of a first-order process: as many
-frames say as much as one that is independent of the others.
+**Conventions.** Sequences are contiguous runs of frames in time order, with lengths `frames_of_sequence`. The first
+coefficients of each are kept, stacked over all sequences: (K, …). They are linear in z, so the coefficients of a
+difference are the difference of coefficients. A correlation time is (1 + ρ) / (1 − ρ) of a first-order process: this
+many frames contain as much information as one independent frame.
 
 Source: discrete cosine transform of type II, Ahmed et al. (1974); its use for variances of means, Müller (2007).
 """
@@ -26,53 +26,53 @@ from numpy.typing import NDArray
 from stone.errors import ShapeError
 
 FRAMES_PER_PERIOD = 6.0
-MOST_USED = 24  # coefficients from which a variance is estimated: more would narrow an interval by 4 %
+MOST_USED = 24  # coefficients for a variance: more would narrow an interval by 4 %
 STEPS_PER_OCTAVE = 4
-OCTAVES_ABOVE = 4  # looked at above those that are used, to tell how far the spectrum is flat
+OCTAVES_ABOVE = 4  # above the used ones, to test how far the spectrum is flat
 
 Coefficients = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
 class SpectrumLayout:
-    """Which coefficients are kept of sequences of these lengths."""
+    """The coefficients kept for sequences of these lengths."""
 
     frames_of_sequence: tuple[int, ...]
 
     @property
     def shortest_period_frames(self) -> float:
-        """The shortest correlation time that is considered, one frame or more."""
+        """The shortest correlation time that is considered, at least one frame."""
         return max(1.0, sum(self.frames_of_sequence) / (FRAMES_PER_PERIOD * MOST_USED))
 
     def used(self, period_frames: float) -> NDArray[np.int64]:
-        """How many coefficients of each sequence, from j = 1, lie below the frequency of this period (S,)."""
+        """Return the number (S,) of coefficients of each sequence, from j = 1, below the frequency of this period."""
         frames = np.asarray(self.frames_of_sequence, np.int64)
         whole: NDArray[np.int64] = (frames // (FRAMES_PER_PERIOD * period_frames)).astype(np.int64)
         return np.minimum(whole, frames - 1)
 
     @cached_property
     def kept(self) -> tuple[int, ...]:
-        """How many are kept of each sequence, C_0 among them."""
+        """The number of kept coefficients of each sequence, including C_0."""
         return tuple((1 + self.used(self.shortest_period_frames / 2**OCTAVES_ABOVE)).tolist())
 
     @cached_property
     def runs(self) -> tuple[slice, ...]:
-        """Where those of each sequence stand."""
+        """The slice of each sequence's coefficients."""
         return tuple(slice(*ends) for ends in pairwise(accumulate(self.kept, initial=0)))
 
     @cached_property
     def steps(self) -> NDArray[np.int64]:
-        """The step of period that each kept coefficient lies in (K,), falling with frequency; C_0 in none, −1000."""
+        """The period step (K,) of each kept coefficient, decreasing with frequency; −1000 for C_0, which has none."""
         return np.concatenate([self._steps(*of) for of in zip(self.frames_of_sequence, self.kept, strict=True)])
 
     @cached_property
     def frequencies(self) -> NDArray[np.float64]:
-        """ω of each kept coefficient (K,), in radians a frame."""
+        """The frequency ω (K,) of each kept coefficient, in radians per frame."""
         lengths = zip(self.frames_of_sequence, self.kept, strict=True)
         return np.concatenate([np.pi * np.arange(kept) / frames for frames, kept in lengths])
 
     def period_frames(self, step: int) -> float:
-        """The period at the lower end of a step's frequencies is that of the next."""
+        """Return the period at the lower end of a step's frequencies, which is the next step's period."""
         return float(self.shortest_period_frames * 2.0 ** (step / STEPS_PER_OCTAVE))
 
     def _steps(self, frames: int, kept: int) -> NDArray[np.int64]:
@@ -82,7 +82,7 @@ class SpectrumLayout:
 
 
 def coefficients(influences: NDArray[np.floating], layout: SpectrumLayout) -> NDArray[np.float64]:
-    """The kept coefficients (K, …) of influences (F, …). Raises `ShapeError` where lengths and frames disagree."""
+    """Return the kept coefficients (K, …) of influences (F, …). Raises `ShapeError` if lengths and frames disagree."""
     frames = layout.frames_of_sequence
     if len(influences) != sum(frames) or min(frames, default=0) < 1:
         raise ShapeError("influences", influences.shape, f"({sum(frames)}, …), sequences of at least one frame each")
@@ -92,7 +92,7 @@ def coefficients(influences: NDArray[np.floating], layout: SpectrumLayout) -> ND
 
 
 def _cosine_transform(signal: NDArray[np.floating]) -> NDArray[np.float64]:
-    """The orthonormal transform of type II along the first axis, by the FFT of as many values (Makhoul 1980)."""
+    """Return the orthonormal type II transform along the first axis, by an FFT of the same length (Makhoul 1980)."""
     frames = len(signal)
     turns = np.exp(-0.5j * np.pi * np.arange(frames) / frames).reshape(-1, *[1] * (signal.ndim - 1))
     transformed = (np.fft.fft(np.concatenate([signal[::2], signal[1::2][::-1]]), axis=0) * turns).real
@@ -102,61 +102,51 @@ def _cosine_transform(signal: NDArray[np.floating]) -> NDArray[np.float64]:
 
 
 def sums_of_sequences(kept: Coefficients, layout: SpectrumLayout) -> NDArray[np.float64]:
-    """The sum of the influences of each sequence (S, …), from C_0 of the kept coefficients (K, …)."""
+    """Return the sum of the influences of each sequence (S, …), from C_0 of the kept coefficients (K, …)."""
     first = np.asarray([kept[run.start] for run in layout.runs], np.float64)
     return np.asarray(first * np.sqrt(layout.frames_of_sequence).reshape(-1, *[1] * (first.ndim - 1)))
 
 
 def layout_of(frames_of_sequence: Sequence[int]) -> SpectrumLayout:
-    """Of sequences with so many frames, in their order."""
+    """Return the layout of sequences with these numbers of frames."""
     return SpectrumLayout(tuple(int(frames) for frames in frames_of_sequence))
 
 
-# Variance of a sum of correlated influences, from the slow part of their spectrum, or silence.
-#
-#     Var(Σ z) ≈ Σ_s n_s · mean of C_j², j = 1 … ν_s,   where the spectrum is flat below ω = π / (6 p), ν_s = ⌊n_s /
-# 6p⌋
-#
-# The period p must not be shorter than the correlation time, or the variance is too small. So p is the shortest one of
-# which it can be said with 90 % confidence that the correlation time is no longer: first-order spectra over a noise
-# floor are fitted to the four octaves *above* ω, and all longer ones must fit clearly worse. What is used and what
-# decides are different coefficients, nearly independent; so it is not just the lucky narrow intervals that are told.
-# With fewer than five coefficients nothing is said.
-#
-# Long memory, a spectrum that rises as a power law all the way to frequency 0, looks much like a long correlation time
-# over a floor of noise. Power laws are fitted too, to the coefficients that are used and those above, and the variance
-# is the mean over both kinds of process, weighted by their likelihood:
-#
-#     Var = (P(short) · Var_short + Σ_d P(d) · Var_d) / (P(short) + Σ_d P(d)),   S_d(ω) ∝ ω^−2d
-#     Var_d(Σ z) = S_d(1) · Σ_s n_s^(1 + 2d) / (Γ(2 + 2d) cos πd)
-#
-# So intervals are wider by as much as long memory is likely, and as often told as without it.
-#
-# **Conventions.** Series are rows: coefficients (R, K) of `spectra.py`. Frames are the unit of time.
-#
-# Source: equal-weighted cosine estimator with critical values of t, Müller (2007), Lazarus et al. (2018); spectral
-# likelihood, Whittle (1953); degrees of freedom of a sum of variances, Satterthwaite (1946); fractional Gaussian noise,
-# H = d + 1/2, Mandelbrot and Van Ness (1968); mean over models by likelihood, Leamer (1978).
+# Variance of a sum of correlated influences, from the low-frequency part of their spectrum, or no result. Var(Σ z) ≈
+# Σ_s n_s · mean of C_j², j = 1 … ν_s, if the spectrum is flat below ω = π / (6 p), with ν_s = ⌊n_s / 6p⌋. The period p
+# must not be shorter than the correlation time, or the variance is too small. So p is the shortest period for which,
+# with 90 % confidence, the correlation time is not longer: first-order spectra over a noise floor are fitted to the
+# four octaves *above* ω, and all longer correlation times must fit clearly worse. The variance and this decision use
+# different, nearly independent coefficients, so that narrow intervals are not selected by chance. Fewer than five
+# coefficients give no result. Long memory (a spectrum that rises as a power law down to frequency 0) resembles a long
+# correlation time over a noise floor. Power laws are therefore fitted too, to the used coefficients and those above,
+# and the variance is the mean over both kinds of process, weighted by likelihood: Var = (P(short) · Var_short + Σ_d
+# P(d) · Var_d) / (P(short) + Σ_d P(d)), S_d(ω) ∝ ω^−2d, Var_d(Σ z) = S_d(1) · Σ_s n_s^(1 + 2d) / (Γ(2 + 2d) cos πd).
+# Intervals are wider according to the likelihood of long memory, and are given as often as without it. Series are rows:
+# coefficients (R, K) of `spectra.py`. Frames are the unit of time. Source: equal-weighted cosine estimator with
+# critical values of t, Müller (2007), Lazarus et al. (2018); spectral likelihood, Whittle (1953); degrees of freedom of
+# a sum of variances, Satterthwaite (1946); fractional Gaussian noise, H = d + 1/2, Mandelbrot and Van Ness (1968); mean
+# over models by likelihood, Leamer (1978).
 
 
 FEWEST_USED = 5
 FEWEST_DEGREES = 3.0
 MOST_UNSEEN_RATIO = 0.2  # frames of sequences too short for a coefficient of their own
 FLOORS = (0.0, 0.1, 0.3)  # noise of single frames, as a share of the slow part's density at 0
-LONGEST_FITTED = 2.0  # times the period: far longer ones cannot be told from a flat spectrum
+LONGEST_FITTED = 2.0  # times the period: much longer times are indistinguishable from a flat spectrum
 SHORTEST_FITTED = 0.25
 CLEARLY_WORSE = 0.82  # of log-likelihood: half the 0.8 quantile of χ²(1), 90 % one-sided
 MEMORIES = np.array([0.2, 0.3, 0.4, 0.45])  # d of the power laws
-LONG_MEMORY_ODDS = 10.0  # to one, before the coefficients are seen: so that intervals hold at H = 0.9
+LONG_MEMORY_ODDS = 10.0  # prior odds, chosen so that intervals hold at H = 0.9
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class SamplingVariances:
-    """Of R series: the variance of their sums, its degrees of freedom, and the correlation time that was allowed for.
+    """For R series: the variance of their sums, its degrees of freedom, and the assumed correlation time.
 
-    All (R,), NaN where nothing can be said.
+    All (R,), NaN if there is no result.
     """
 
     variance: Floats
@@ -170,7 +160,7 @@ class SamplingVariances:
 
 @dataclass(frozen=True, eq=False)
 class _Models:
-    """Spectra up to a scale, at `counted` coefficients that lie in groups.
+    """Spectra up to a scale, at `counted` coefficients in groups.
 
     `inverse` (groups, models) is 1 / density, `log_density` (models,) its sum over coefficients.
     """
@@ -187,11 +177,11 @@ class _Models:
 
 @dataclass(frozen=True, eq=False)
 class _Period:
-    """A period that is tried: the coefficients it would use of each sequence, the steps that decide, and the models.
+    """A candidate period: the coefficients it would use of each sequence, the steps that decide, and the models.
 
-    `places` are those of the used coefficients; `above` are models at the steps alone, `short` and `long` at the used
-    coefficients too. `is_longer` says of each short model whether its correlation time is longer than the period,
-    `long_variance` the variance of the sum by each long one of scale 1.
+    `places` are the positions of the used coefficients. `above` are models at the steps only, `short` and `long` also
+    at the used coefficients. `is_longer` marks each short model with a correlation time longer than the period;
+    `long_variance` is the variance of the sum for each long model of scale 1.
     """
 
     period_frames: float
@@ -206,7 +196,7 @@ class _Period:
 
 
 def sampling_variances(series: Coefficients, layout: SpectrumLayout) -> SamplingVariances:
-    """Of coefficients (R, K). A series without any wander, or that is not finite, is not known."""
+    """Return the variances for coefficients (R, K). A constant or non-finite series has no result."""
     squares = np.asarray(series, np.float64) ** 2
     found = SamplingVariances(*(np.full(len(series), np.nan) for _ in range(3)))
     periods = _periods(layout)
@@ -235,7 +225,9 @@ def _settle(
 
 
 def _variance(squares: Floats, layout: SpectrumLayout, used: NDArray[np.int64]) -> tuple[Floats, Floats]:
-    """The variances (R,) and their degrees of freedom; a sequence too short for a coefficient is held to be as all."""
+    """Return the variances (R,) and their degrees of freedom; a sequence too short for a coefficient uses the overall
+    mean.
+    """
     of_sequence = np.stack(
         [
             squares[:, run.start + 1 : run.start + 1 + count].sum(axis=1)
@@ -247,21 +239,21 @@ def _variance(squares: Floats, layout: SpectrumLayout, used: NDArray[np.int64]) 
     density = np.where(used > 0, of_sequence / np.maximum(used, 1), of_all)
     parts = density * np.asarray(layout.frames_of_sequence)
     variance = parts.sum(axis=1)
-    # x²/ν estimates the square of a variance too large by (ν + 2)/ν, whence + 2 and − 2.
+    # x²/ν overestimates the square of a variance by (ν + 2)/ν, hence + 2 and − 2.
     spread = (parts**2 / (used + 2) * (used > 0)).sum(axis=1)
     degrees = np.divide(variance**2, spread, out=np.full_like(variance, 2.0), where=spread > 0) - 2
     return variance, np.clip(degrees, 1, used.sum())
 
 
 def _is_flat(power: Floats, period: _Period) -> NDArray[np.bool_]:
-    """Whether every model with a longer correlation time fits clearly worse than the best one (R,)."""
+    """Return whether every model with a longer correlation time fits clearly worse than the best one (R,)."""
     _, fit = period.above.fit(power[:, period.steps])
     longer = fit[:, period.is_longer].max(axis=1)
     return np.asarray(fit.max(axis=1) - longer > CLEARLY_WORSE)
 
 
 def _with_long_memory(variance: Floats, power: Floats, period: _Period) -> Floats:
-    """Return the mean (R,) of this variance and those of the power laws, weighted by likelihood."""
+    """Return the mean (R,) of this variance and the power laws' variances, weighted by likelihood."""
     _, short = period.short.fit(power)
     scale, long = period.long.fit(power)
     best = np.maximum(short.max(axis=1), long.max(axis=1))[:, None]
@@ -272,7 +264,7 @@ def _with_long_memory(variance: Floats, power: Floats, period: _Period) -> Float
 
 
 def _power_by_step(squares: Floats, layout: SpectrumLayout) -> Floats:
-    """The sums of squares (R, steps) of each step of period, the highest frequencies first."""
+    """Return the sums of squares (R, steps) of each period step, the highest frequencies first."""
     place = layout.steps + OCTAVES_ABOVE * STEPS_PER_OCTAVE
     power = np.zeros((len(squares), _highest_step(layout) + OCTAVES_ABOVE * STEPS_PER_OCTAVE + 1))
     for step in np.unique(place[place >= 0]):
@@ -286,7 +278,7 @@ def _highest_step(layout: SpectrumLayout) -> int:
 
 @lru_cache(64)
 def _periods(layout: SpectrumLayout) -> tuple[_Period, ...]:
-    """The periods to try, shortest first, while enough coefficients are left."""
+    """Return the candidate periods, shortest first, that leave enough coefficients."""
     return tuple(_tried(layout))
 
 
@@ -330,7 +322,7 @@ def _period(layout: SpectrumLayout, step: int, used: NDArray[np.int64]) -> _Peri
 
 
 def _models(groups: Sequence[Floats], density: Callable[[Floats], Floats]) -> _Models:
-    """Return the models whose mean density at a group of frequencies is this one over each of the floors."""
+    """Return the models with this mean density in each group of frequencies, over each of the floors."""
     bare = np.stack([density(frequencies) for frequencies in groups])
     whole = np.concatenate([bare + floor for floor in FLOORS], axis=1)
     counts = np.array([len(frequencies) for frequencies in groups])
@@ -338,14 +330,16 @@ def _models(groups: Sequence[Floats], density: Callable[[Floats], Floats]) -> _M
 
 
 def _long_variance(frames: NDArray[np.int64], lowest: float) -> Floats:
-    """Return the variance of the sum by each power law, 1 at the lowest of these frequencies, over each floor."""
+    """Return the variance of the sum for each power law, scaled to 1 at the lowest of these frequencies, over each
+    floor.
+    """
     gammas = np.array([gamma(2 + 2 * memory) for memory in MEMORIES.tolist()])
     at_zero = (frames[:, None] * lowest) ** (2 * MEMORIES) / (gammas * np.cos(np.pi * MEMORIES))
     return np.concatenate([frames @ (at_zero + floor) for floor in FLOORS])
 
 
 def _fitted_times(period_frames: float) -> Floats:
-    """Correlation times around the period, one frame at the least, and no correlation at all."""
+    """Return correlation times around the period, at least one frame, and no correlation."""
     octaves = np.log2([SHORTEST_FITTED, LONGEST_FITTED])
     steps = np.arange(octaves[0] * STEPS_PER_OCTAVE, octaves[1] * STEPS_PER_OCTAVE + 1) / STEPS_PER_OCTAVE
     times = period_frames * 2.0**steps
@@ -353,6 +347,6 @@ def _fitted_times(period_frames: float) -> Floats:
 
 
 def _density(frequencies: Floats, times: Floats) -> Floats:
-    """The mean density (times,) at these frequencies of first-order processes, 1 at frequency 0."""
+    """Return the mean density (times,) of first-order processes at these frequencies, scaled to 1 at frequency 0."""
     rho = (times - 1) / (times + 1)
     return np.asarray(((1 - rho) ** 2 / (1 - 2 * rho * np.cos(frequencies[:, None]) + rho**2)).mean(axis=0))

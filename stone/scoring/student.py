@@ -1,9 +1,9 @@
-"""Student's t distribution for degrees of freedom that need not be whole.
+"""Student's t distribution for real-valued degrees of freedom.
 
     P(|T| ≥ t) = I_x(ν/2, 1/2),   x = ν / (ν + t²),   I the regularised incomplete beta function
 
-**Conventions.** Degrees are positive; up to 10,000 of them nine digits are right. It needs the standard library alone,
-so that participants compute intervals without SciPy.
+**Conventions.** Degrees are positive; results have nine correct digits up to 10,000 degrees. Only the standard library
+is used, so that participants compute intervals without SciPy.
 
 Source: Student (1908); the continued fraction of I and its evaluation, Lentz (1976), as in Press et al., Numerical
 Recipes, section 6.4.
@@ -33,7 +33,7 @@ def critical_value(level: float, degrees: float) -> float:
     """Return t with P(|T| ≥ t) = 1 − level, for a level in (0, 1)."""
     log_scale = lgamma((degrees + 1) / 2) - lgamma(degrees / 2) - log(degrees * pi) / 2
     t = 0.0
-    for _ in range(_MOST_STEPS):  # Newton's steps: the tail is convex, so they approach from below
+    for _ in range(_MOST_STEPS):  # Newton's steps converge from below, because the tail is convex
         density = exp(log_scale - (degrees + 1) / 2 * log1p(t * t / degrees))
         step = (two_sided(t, degrees) - (1 - level)) / (2 * density)
         t += step
@@ -43,7 +43,7 @@ def critical_value(level: float, degrees: float) -> float:
 
 
 def _fraction(x: float, a: float, b: float) -> float:
-    """The continued fraction of the incomplete beta function."""
+    """Return the continued fraction of the incomplete beta function."""
     c, d = 1.0, 1 / _nonzero(1 - (a + b) * x / (a + 1))
     found = d
     for m in range(1, _MOST_TERMS):

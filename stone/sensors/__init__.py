@@ -1,1 +1,1 @@
-"""Sensors: calibration, clocks, deskewing, and the values that a synchronised sequence is made of."""
+"""Sensors: calibration, clocks, deskewing, and the data of a synchronised sequence."""

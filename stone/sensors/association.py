@@ -1,8 +1,8 @@
 """Association of samples with the stamps of another clock.
 
-**Conventions.** Stamps are integer nanoseconds, int64 throughout: float64 seconds of today's date resolve 238 ns.
-`dt_ns` is signed: sample − query. Index −1 (with dt 0) means that no sample is near enough. Samples must not go
-back in time; `numpy.searchsorted` would silently answer wrong.
+**Conventions.** Stamps are int64 nanoseconds: float64 seconds of a current date have a resolution of 238 ns. `dt_ns` is
+signed: sample − query. Index −1 (with dt 0) means that no sample is near enough. Samples must be sorted by time,
+otherwise `numpy.searchsorted` would silently return wrong results.
 """
 
 from dataclasses import dataclass
@@ -14,21 +14,21 @@ from stone.errors import Refused
 
 Stamps = NDArray[np.int64]
 
-# A camera triggered where the sweep begins jitters around the sweep's stamp; its phase is then near zero rather than
-# near a whole period (design §3: a residual of 2 ms is the limit of what counts as on time).
+# A camera triggered at the start of the sweep jitters around the sweep's stamp; with this guard its phase is near zero
+# instead of near a whole period (design §3: residuals up to 2 ms count as on time).
 PHASE_GUARD_NS = 2_000_000
 
 
 @dataclass(frozen=True, eq=False)
 class Nearest:
-    """For each query the `index` (N,) of its sample, −1 for none, and `dt_ns` (N,) = sample − query, 0 for none."""
+    """For each query, the `index` (N,) of its sample (−1 for none), and `dt_ns` (N,) = sample − query (0 for none)."""
 
     index: NDArray[np.int64]
     dt_ns: NDArray[np.int64]
 
 
 def require_sorted(name: str, stamps_ns: Stamps) -> None:
-    """Raises `unsorted_stamps` at the first stamp that is earlier than the one before it."""
+    """Raise `unsorted_stamps` at the first stamp that is earlier than the previous one."""
     back = np.flatnonzero(stamps_ns[1:] < stamps_ns[:-1])
     if back.size:
         at = int(back[0])
@@ -40,17 +40,18 @@ def require_sorted(name: str, stamps_ns: Stamps) -> None:
 
 
 def nearest_samples(queries_ns: Stamps, stamps_ns: Stamps, tolerance_ns: int) -> Nearest:
-    """The sample nearest to each query within ±`tolerance_ns`, limits included; of two equally near, the earlier.
+    """Return the nearest sample within ±`tolerance_ns` (inclusive) of each query; of two equally near samples, the
+    earlier.
 
-    Queries may come in any order; of samples with equal stamps the first is taken. No samples: every index is −1.
-    Raises `unsorted_stamps` when `stamps_ns` go back.
+    Queries may have any order; of samples with equal stamps, the first is used. Without samples every index is −1.
+    Raises `unsorted_stamps` if `stamps_ns` decrease.
     """
     require_sorted("stamps_ns", stamps_ns)
     if stamps_ns.size == 0:
         return Nearest(np.full(queries_ns.shape, -1, np.int64), np.zeros(queries_ns.shape, np.int64))
     after = np.searchsorted(stamps_ns, queries_ns, side="left")
     later = np.minimum(after, stamps_ns.size - 1)
-    # The stamp before may be repeated: the first of its equals is the sample, as it is on the later side.
+    # Equal stamps before the query: use the first of them, as on the later side.
     earlier = np.searchsorted(stamps_ns, stamps_ns[np.maximum(after - 1, 0)], side="left")
     is_earlier = np.abs(queries_ns - stamps_ns[earlier]) <= np.abs(stamps_ns[later] - queries_ns)
     index = np.where(is_earlier, earlier, later).astype(np.int64)
@@ -60,16 +61,16 @@ def nearest_samples(queries_ns: Stamps, stamps_ns: Stamps, tolerance_ns: int) ->
 
 
 def typical_period_ns(stamps_ns: Stamps) -> int:
-    """Median step between stamps, ns; 0 for fewer than two."""
+    """Return the median step between stamps in ns, or 0 for fewer than two stamps."""
     return int(np.median(np.diff(stamps_ns))) if stamps_ns.size > 1 else 0
 
 
 def trigger_phase_ns(frames_ns: Stamps, stamps_ns: Stamps, period_ns: int) -> int:
-    """How long after a frame's stamp this sensor fires: the median, on the circle of one period.
+    """Return the sensor's trigger delay after a frame's stamp: the median on the circle of one period.
 
-    In [−2 ms, period − 2 ms); 0 when no sample falls into a frame's period. Phases on both sides of the turn average to
-    the turn, not to half a period, because the median is taken around the circular mean.
-    Raises `unsorted_stamps` when `frames_ns` go back.
+    The result is in [−2 ms, period − 2 ms), or 0 if no sample falls into a frame's period. The median is taken around
+    the circular mean, so phases on both sides of the wrap do not average to half a period. Raises `unsorted_stamps` if
+    `frames_ns` decrease.
     """
     require_sorted("frames_ns", frames_ns)
     frame = np.searchsorted(frames_ns, stamps_ns, side="right") - 1
@@ -85,10 +86,10 @@ def trigger_phase_ns(frames_ns: Stamps, stamps_ns: Stamps, period_ns: int) -> in
 
 
 def triggered_samples(frames_ns: Stamps, stamps_ns: Stamps, period_ns: int) -> tuple[Nearest, int]:
-    """The sample each frame triggered, and the learnt phase: nearest to stamp + phase within half a period.
+    """Return the sample that each frame triggered (nearest to stamp + phase within half a period), and the phase.
 
-    The nearest sample to the stamp itself would be the neighbour's for a phase beyond half a period. `dt_ns` is
-    sample − frame stamp, so `dt_ns` − phase is the residual. Raises `unsorted_stamps` when either side goes back.
+    The nearest sample to the stamp itself would be a neighbour's if the phase exceeds half a period. `dt_ns` is sample
+    − frame stamp, so `dt_ns` − phase is the residual. Raises `unsorted_stamps` if either side decreases.
     """
     phase_ns = trigger_phase_ns(frames_ns, stamps_ns, period_ns)
     found = nearest_samples(frames_ns + phase_ns, stamps_ns, max(period_ns // 2 - 1, 0))

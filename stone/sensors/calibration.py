@@ -1,6 +1,6 @@
-"""The calibration of a robot: where its sensors sit, how its cameras project, where it touches the ground.
+"""The calibration of a robot: sensor mounts, camera intrinsics, footprint and vehicle limits.
 
-**Conventions.** Extrinsics are `lidar_from_<sensor>`; the ego frame is the base link, x forward, y left, z up, its
+**Conventions.** Extrinsics are `lidar_from_<sensor>`. The ego frame is the base link: x forward, y left, z up, with its
 origin on the ground contact plane under the robot (REP 103/105). Cameras are optical: z forward, x right, y down.
 """
 
@@ -15,7 +15,7 @@ SensorKind = Literal["camera", "radar", "ins", "imu", "lidar"]
 
 @dataclass(frozen=True)
 class Box:
-    """Axis-aligned, half-open: min ≤ p < max, metres, in the frame its holder names."""
+    """An axis-aligned, half-open box: min ≤ p < max, metres, in the frame that its owner defines."""
 
     min_m: tuple[float, float, float]
     max_m: tuple[float, float, float]
@@ -23,7 +23,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Footprint:
-    """The rectangle of ground the robot covers, centred on the ego origin (paper, IV: 1.06 × 0.85 m)."""
+    """The rectangle of ground that the robot covers, centred on the ego origin (paper, IV: 1.06 × 0.85 m)."""
 
     length_m: float = 1.06
     width_m: float = 0.85
@@ -31,10 +31,10 @@ class Footprint:
 
 @dataclass(frozen=True)
 class Vehicle:
-    """What the robot gets over and under: the slope of the ground below its footprint, a step up or down, its height.
+    """The vehicle's limits: the slope of the ground under its footprint, a step up or down, and its height.
 
-    Ground beyond one of them is non-traversable in profile `field`, however alike it is to the driven ground. The
-    defaults are a careful choice for a wheeled robot of the paper's size, not the paper's.
+    Profile `field` labels ground beyond a limit non-traversable, even if it resembles the driven ground. The defaults
+    are conservative values for a wheeled robot of the paper's size, not the paper's.
     """
 
     max_slope_deg: float = 20.0
@@ -49,7 +49,9 @@ class Vehicle:
 
 @dataclass(frozen=True)
 class CameraIntrinsics:
-    """`distortion` has the length its model asks for: pinhole 0, plumb_bob 5, rational_polynomial 8, equidistant 4."""
+    """`distortion` has the length that its model requires: pinhole 0, plumb_bob 5, rational_polynomial 8, equidistant
+    4.
+    """
 
     model: CameraModel
     width_px: int
@@ -75,7 +77,7 @@ class Mount:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Everything fixed on one robot; immutable, and a sequence pins one."""
+    """All fixed properties of one robot; immutable, and every sequence refers to one version."""
 
     name: str
     ego_from_lidar: SE3
@@ -85,7 +87,7 @@ class Calibration:
     vehicle: Vehicle = field(default_factory=Vehicle)
 
     def mount(self, name: str) -> Mount | None:
-        """The mount of this channel, or None when the calibration does not know it."""
+        """Return the mount of this channel, or None if the calibration does not have it."""
         return next((mount for mount in self.mounts if mount.name == name), None)
 
     def of_kind(self, kind: SensorKind) -> tuple[Mount, ...]:
@@ -93,7 +95,7 @@ class Calibration:
 
 
 def entry_of(mount: Mount | SE3) -> str:
-    """Return a mount, or that of the LiDAR, as a person enters it."""
+    """Return the entry of a mount, or of the LiDAR's mount, as users write it."""
     name = f"lidar_from_sensor of {mount.name}" if isinstance(mount, Mount) else "ego_from_lidar"
     transform = mount.lidar_from_sensor if isinstance(mount, Mount) else mount
     place = ", ".join(f"{value:.3f}" for value in transform.translation_m.tolist())

@@ -1,8 +1,8 @@
 """Checks of a calibration before use: small faults are corrected and reported, large ones refused.
 
-**Conventions.** Every check takes `sensor`, the name to say in a message, and returns findings (severity "warning",
-topic = sensor) or raises a leaf of `calibration_errors`. Thresholds: design §2. Four decimals of rounding leave a
-rotation 1e-6…1e-4 off; of 17 extrinsics published with OpenCalib three are beyond 5e-3 (determinants 0, 0.97, 0.999).
+**Conventions.** Every check takes `sensor`, the name for messages, and returns findings (severity "warning", topic =
+sensor) or raises a refusal. Thresholds: design §2. Rounding to four decimals leaves a rotation error of 1e-6…1e-4; of
+17 extrinsics published with OpenCalib, three exceed 5e-3 (determinants 0, 0.97, 0.999).
 """
 
 from collections.abc import Sequence
@@ -31,9 +31,9 @@ def warning(code: str, sensor: str, sentence: str) -> Finding:
 
 
 def checked_transform(sensor: str, matrix: Array) -> tuple[SE3, Findings]:
-    """A homogeneous matrix (4, 4) as SE3.
+    """Return a homogeneous matrix (4, 4) as SE3.
 
-    Raises ShapeError, `CAL-416`, `CAL-407` and what `checked_rotation` and `check_translation` raise.
+    Raises ShapeError, `CAL-416`, `CAL-407` and the errors of `checked_rotation` and `check_translation`.
     """
     if matrix.shape != (4, 4):
         raise ShapeError(f"{sensor} matrix", matrix.shape, "(4, 4)")
@@ -45,7 +45,7 @@ def checked_transform(sensor: str, matrix: Array) -> tuple[SE3, Findings]:
 
 
 def rotation_and_translation(sensor: str, rotation: Array, translation_m: Array) -> tuple[SE3, Findings]:
-    """A rotation matrix (3, 3) and a translation (3,) as SE3; raises as the two checks do."""
+    """Return a rotation matrix (3, 3) and a translation (3,) as SE3. Raises the errors of the two checks."""
     proper, findings = checked_rotation(sensor, rotation)
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = proper, translation_m
@@ -56,16 +56,16 @@ def rotation_and_translation(sensor: str, rotation: Array, translation_m: Array)
 def quaternion_and_translation(
     sensor: str, kind: SensorKind, wxyz: Array, translation_m: Array
 ) -> tuple[SE3, Findings]:
-    """A quaternion (4,) declared `wxyz` and a translation (3,) as SE3, with a doubt about the order where there is one.
+    """Return a quaternion (4,) declared `wxyz` and a translation (3,) as SE3, with a warning if the order is doubtful.
 
-    Raises `CAL-416`, `CAL-402` and what `check_translation` raises.
+    Raises `CAL-416`, `CAL-402` and the errors of `check_translation`.
     """
     findings = checked_norm(sensor, wxyz) + check_translation(sensor, translation_m)
     return SE3.from_parts(wxyz, translation_m), findings + order_doubt(sensor, kind, wxyz)
 
 
 def checked_rotation(sensor: str, rotation: Array) -> tuple[Array, Findings]:
-    """The rotation (3, 3) itself when ‖RᵀR−I‖ and |det−1| ≤ 1e-4; up to 5e-3 the nearest rotation (SVD) and a warning.
+    """Return the rotation (3, 3) if ‖RᵀR−I‖ and |det−1| ≤ 1e-4; up to 5e-3 the nearest rotation (SVD) and a warning.
 
     Raises ShapeError, `CAL-416`, `CAL-408` (det < 0), `CAL-401`.
     """
@@ -98,7 +98,7 @@ def checked_rotation(sensor: str, rotation: Array) -> tuple[Array, Findings]:
 
 
 def checked_norm(sensor: str, wxyz: Array) -> Findings:
-    """Fine within ±1e-3 of 1, a warning within ±1e-2. Raises ShapeError, `CAL-416`, `CAL-402` beyond."""
+    """Return no finding within ±1e-3 of 1, a warning within ±1e-2. Raises ShapeError, `CAL-416`, `CAL-402` beyond."""
     if wxyz.shape != (4,):
         raise ShapeError(f"{sensor} quaternion", wxyz.shape, "(4,)")
     if not np.isfinite(wxyz).all():
@@ -116,11 +116,11 @@ def checked_norm(sensor: str, wxyz: Array) -> Findings:
 
 
 def order_doubt(sensor: str, kind: SensorKind, wxyz: Array) -> Findings:
-    """A warning when the quaternion read as xyzw would be a much likelier mount: upright.
+    """Return a warning if the quaternion read as xyzw would be a much more plausible, upright mount.
 
     A sensor is expected upright within 60°: cameras with image down (+y) along −z, all others with +z up. Half a turn
-    about the vertical is not doubted: left radars beside a Hesai (y forward) have it, and so have LiDARs that look
-    backwards. For these the names of cameras decide (`stone.sensors.camera_views`).
+    about the vertical gives no warning: left radars next to a Hesai (y forward) have it, as do LiDARs that look
+    backwards. For these, the cameras' names decide (`stone.sensors.camera_views`).
     """
     declared, other = SE3.from_parts(wxyz, np.zeros(3)), SE3.from_parts(np.roll(wxyz, 1), np.zeros(3))
     up = np.array([0.0, -1.0, 0.0]) if kind == "camera" else np.array([0.0, 0.0, 1.0])
@@ -135,7 +135,7 @@ def order_doubt(sensor: str, kind: SensorKind, wxyz: Array) -> Findings:
 
 
 def check_translation(sensor: str, translation_m: Array) -> Findings:
-    """A warning beyond 10 m. Raises ShapeError, `CAL-416`, `CAL-409` beyond 100 m."""
+    """Return a warning beyond 10 m. Raises ShapeError, `CAL-416`, `CAL-409` beyond 100 m."""
     if translation_m.shape != (3,):
         raise ShapeError(f"{sensor} translation", translation_m.shape, "(3,)")
     if not np.isfinite(translation_m).all():
@@ -153,14 +153,14 @@ def check_translation(sensor: str, translation_m: Array) -> Findings:
 
 
 def require_mounts(calibration: Calibration, names: tuple[str, ...], why: str) -> None:
-    """Raises MissingSensorError naming every one of `names` that the calibration does not know."""
+    """Raise MissingSensorError with all `names` that the calibration does not have."""
     missing = [name for name in names if calibration.mount(name) is None]
     if missing:
         raise MissingSensorError(missing, [mount.name for mount in calibration.mounts], why)
 
 
 def check_calibration(calibration: Calibration) -> Findings:
-    """What only the whole shows: unique channels, a footprint and self boxes with extent, mounts that are not copies.
+    """Return findings about the whole: unique channels, footprint and self boxes with an extent, no identical mounts.
 
     Raises `CAL-413`, `CAL-415`.
     """
@@ -182,7 +182,7 @@ def check_calibration(calibration: Calibration) -> Findings:
 
 
 def _sunken_lidar(calibration: Calibration) -> Findings:
-    """The ego origin lies on the ground, so a LiDAR below it is under the ground."""
+    """Return a warning for a LiDAR below the ego origin, which is on the ground."""
     height_m = float(calibration.ego_from_lidar.translation_m[2])
     if height_m >= 0:
         return ()
@@ -194,7 +194,7 @@ def _sunken_lidar(calibration: Calibration) -> Findings:
 
 
 def _unmeasured_mounts(calibration: Calibration) -> Findings:
-    """More than one sensor exactly on the LiDAR: extrinsics that nobody filled in."""
+    """Return a warning if several sensors are exactly at the LiDAR: extrinsics that were never filled in."""
     identity = SE3.identity().wxyz_xyz
     on_lidar = [m.name for m in calibration.mounts if np.array_equal(m.lidar_from_sensor.wxyz_xyz, identity)]
     if len(on_lidar) < 2:
@@ -202,10 +202,7 @@ def _unmeasured_mounts(calibration: Calibration) -> Findings:
     return (warning("CAL-417", ", ".join(on_lidar), "the extrinsics are the identity; were they never measured?"),)
 
 
-# Checks of a camera's intrinsics before anything is projected with them.
-#
-# **Conventions.** As in `stone.sensors.calibration_checks`: findings are returned, refusals raised, thresholds from
-# design §2.
+# Checks of a camera's intrinsics before any projection, with the conventions above.
 
 
 DISTORTION_LENGTHS = {"pinhole": 0, "plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}
@@ -215,7 +212,7 @@ ASPECT_TOLERANCE_RATIO = 0.05
 
 
 def check_intrinsics(sensor: str, camera: CameraIntrinsics) -> Findings:
-    """Warnings for unusual focal lengths and principal points, and for a lens that folds its image over.
+    """Return warnings for unusual focal lengths and principal points, and for a lens that folds its image.
 
     Raises `CAL-416`, `CAL-410`, `CAL-411` (focal length ≤ 0, principal point off the image).
     """
@@ -239,7 +236,7 @@ def check_intrinsics(sensor: str, camera: CameraIntrinsics) -> Findings:
 
 
 def check_image_size(mount: Mount, width_px: int, height_px: int) -> None:
-    """Raises ImageSizeError when the mount's intrinsics are for images of another size."""
+    """Raise ImageSizeError if the mount's intrinsics belong to another image size."""
     camera = mount.intrinsics
     if camera is not None and (camera.width_px, camera.height_px) != (width_px, height_px):
         raise ImageSizeError(mount.name, (camera.width_px, camera.height_px), (width_px, height_px))

@@ -1,7 +1,7 @@
-"""Differences between two calibrations of one robot: how far each sensor moved and turned, and its lens.
+"""Differences between two calibrations of one robot: each sensor's shift, turn and lens changes.
 
-**Conventions.** From `before` to `after`. A shift is the difference of the sensor's origins in the LiDAR frame (of the
-LiDAR's in the ego frame), metres; a turn the angle between the two orientations, degrees in [0, 180].
+**Conventions.** From `before` to `after`. A shift is the difference in metres of the sensor's origin in the LiDAR frame
+(for the LiDAR: in the ego frame). A turn is the angle between the two orientations, in degrees in [0, 180].
 """
 
 from dataclasses import asdict, dataclass, fields
@@ -13,7 +13,7 @@ from stone.geometry.se3 import SE3, multiply
 from stone.sensors.calibration import Calibration, CameraIntrinsics, Mount, SensorKind
 
 Status = Literal["same", "changed", "added", "removed"]
-# Below this a difference is the rounding of a file, not a measurement.
+# Smaller differences are file rounding.
 SAME_M, SAME_DEG = 1e-6, 1e-5
 
 
@@ -32,7 +32,7 @@ class TransformChange:
 
 @dataclass(frozen=True)
 class ValueChange:
-    """One value of a lens, of a sensor's frame or of the robot; None where one side has no such value."""
+    """One changed value of a lens, a sensor's frame or the robot; None if one side has no such value."""
 
     key: str
     before: float | str | None
@@ -41,7 +41,7 @@ class ValueChange:
 
 @dataclass(frozen=True)
 class SensorChange:
-    """One channel; `transform` and `time_offset_ns` are zero where it was added or removed."""
+    """One channel; `transform` and `time_offset_ns` are zero if it was added or removed."""
 
     name: str
     kind: SensorKind
@@ -53,7 +53,7 @@ class SensorChange:
 
 @dataclass(frozen=True)
 class CalibrationDifference:
-    """`sensors` in the order of `after`, then those that are gone; `robot` are changes of footprint and limits."""
+    """`sensors` in the order of `after`, then removed ones; `robot` are changes of footprint and limits."""
 
     ego_from_lidar: TransformChange
     sensors: tuple[SensorChange, ...]
@@ -66,7 +66,7 @@ class CalibrationDifference:
 
 
 def difference(before: Calibration, after: Calibration) -> CalibrationDifference:
-    """Channel by channel; a channel is known by its name."""
+    """Return the differences by channel name."""
     sensors = [_sensor(before.mount(mount.name), mount) for mount in after.mounts]
     gone = (mount for mount in before.mounts if after.mount(mount.name) is None)
     sensors += [SensorChange(mount.name, mount.kind, "removed") for mount in gone]
@@ -75,7 +75,7 @@ def difference(before: Calibration, after: Calibration) -> CalibrationDifference
 
 
 def transform_change(before: SE3, after: SE3) -> TransformChange:
-    """Between two single transforms."""
+    """Return the change between two single transforms."""
     shift_m = after.translation_m - before.translation_m
     turn = multiply(before.wxyz * (1.0, -1.0, -1.0, -1.0), after.wxyz)
     angle_rad = 2 * np.arctan2(np.linalg.norm(turn[1:]), abs(turn[0]))

@@ -1,6 +1,6 @@
-"""Why a calibration is refused: coded CAL-4xx as findings about calibrations are.
+"""Refusals of calibrations, with the codes CAL-4xx of findings about calibrations.
 
-**Conventions.** `sensor` is the channel (CAM_FRONT, INS, …) or the transform (ego_from_lidar) the fact is about.
+**Conventions.** `sensor` is the affected channel (CAM_FRONT, INS, …) or transform (ego_from_lidar).
 """
 
 from collections.abc import Iterable
@@ -9,7 +9,7 @@ from stone.errors import Refused, StoneError
 
 
 class ImageSizeError(StoneError):
-    """A camera was calibrated for images of another size than it recorded."""
+    """A camera's calibrated image size differs from its recorded one."""
 
     code = "CAL-403"
 
@@ -32,7 +32,7 @@ def distortion_length(sensor: str, model: str, length: int, expected: int) -> Re
 
 
 class MissingSensorError(StoneError):
-    """A sensor that the job needs is not in the calibration."""
+    """A sensor that the job requires is not in the calibration."""
 
     code = "CAL-412"
 

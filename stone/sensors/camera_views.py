@@ -1,7 +1,7 @@
-"""Directions of cameras, compared with their names: what an inverted transform gives away.
+"""Directions of cameras, compared with their names to detect inverted transforms.
 
-**Conventions.** Directions are in the ego frame (x forward, y left, z up). A name says its direction by the words
-FRONT, BACK, REAR, LEFT, RIGHT (CAM_BACK_LEFT); one without any says nothing. The optical axis is +z, the image's up −y.
+**Conventions.** Directions are in the ego frame (x forward, y left, z up). The words FRONT, BACK, REAR, LEFT, RIGHT of
+a name define its direction (CAM_BACK_LEFT). The optical axis is +z, the image's up −y.
 """
 
 import re
@@ -16,10 +16,10 @@ from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Calibration, CameraIntrinsics, Mount
 from stone.sensors.projection import project
 
-# Half of the points that a lens' share of the horizon holds, but never more than the 5 % of design §2.
+# Half the share of points that a lens's part of the horizon contains, but never more than the 5 % of design §2.
 LEAST_RATIO = 0.05
-# FRONT_LEFT may mean 20° or 70°; looking more than 75° past what the name says is another direction. LEFT alone may be
-# the left one of a pair that looks forward, so only its opposite is wrong.
+# FRONT_LEFT may mean 20° or 70°; more than 75° from the name's direction is another direction. LEFT alone may be the
+# left camera of a forward-looking pair, so only the opposite direction is wrong.
 OFF_NAME_LIMIT_DEG, OFF_SIDE_LIMIT_DEG = 75.0, 135.0
 UPRIGHT_LEAST, LEVEL_MOST = 0.5, 0.8
 BACKWARD_LEAST = 0.99  # of a quaternion's z: half a turn about the vertical within 16°
@@ -29,7 +29,7 @@ WORDS = {"FRONT": (1, 0), "FORWARD": (1, 0), "BACK": (-1, 0), "REAR": (-1, 0), "
 
 @dataclass(frozen=True)
 class CameraView:
-    """How one camera sees: `off_name_deg` is None where its name says no direction; `is_plausible` as mounts are."""
+    """A camera's view: `off_name_deg` is None if its name has no direction; `is_plausible` as for mounts."""
 
     seen_ratio: float
     off_name_deg: float | None
@@ -41,7 +41,7 @@ class CameraView:
 
 
 def named_direction(name: str) -> NDArray[np.float64] | None:
-    """The unit direction (2,) a channel's words add up to; None without any, or where they cancel."""
+    """Return the unit direction (2,) from a channel's words; None without direction words, or if they cancel."""
     steps = [WORDS[word] for word in re.split(r"[^A-Z]+", name.upper()) if word in WORDS]
     total = np.sum(steps, axis=0, dtype=np.float64) if steps else np.zeros(2)
     length = float(np.linalg.norm(total))
@@ -49,9 +49,9 @@ def named_direction(name: str) -> NDArray[np.float64] | None:
 
 
 def off_name_deg(name: str, ego_from_camera: SE3) -> float | None:
-    """Horizontal angle between the optical axis and the name's direction, 0 to 180; None where the name says none.
+    """Return the horizontal angle between optical axis and the name's direction, 0 to 180; None without a direction.
 
-    An axis that is nearly vertical has no direction and is 180° off any.
+    A nearly vertical axis has no direction; the result is 180°.
     """
     wanted = named_direction(name)
     if wanted is None:
@@ -64,7 +64,7 @@ def off_name_deg(name: str, ego_from_camera: SE3) -> float | None:
 
 
 def is_elsewhere(name: str, apart_deg: float | None) -> bool:
-    """Whether a camera of this name that looks `apart_deg` off it is another camera, or its transform wrong."""
+    """Return whether a camera this far from its name's direction is another camera or has a wrong transform."""
     if apart_deg is None:
         return False
     words = set(re.split(r"[^A-Z]+", name.upper())) & set(WORDS)
@@ -72,14 +72,14 @@ def is_elsewhere(name: str, apart_deg: float | None) -> bool:
 
 
 def least_seen_ratio(intrinsics: CameraIntrinsics) -> float:
-    """Below this share of the sweep's points the camera does not look where the LiDAR measures."""
+    """Return the minimum share of a sweep's points in view; below it the camera looks elsewhere than the LiDAR."""
     half_rad = intrinsics.width_px / 2 / intrinsics.fx_px
     width_rad = 2 * (half_rad if intrinsics.model == "equidistant" else float(np.arctan(half_rad)))
     return min(LEAST_RATIO, width_rad / (2 * pi) / 2)
 
 
 def view_of(mount: Mount, ego_from_lidar: SE3, points_camera: NDArray[np.float64]) -> CameraView:
-    """What the camera makes of a sweep (N, 3) in its own frame; one without intrinsics sees nothing."""
+    """Return the camera's view of a sweep (N, 3) in its own frame; without intrinsics, it sees nothing."""
     is_in_image = project(points_camera, mount.intrinsics)[1] if mount.intrinsics else np.zeros(0, np.bool_)
     ego_from_camera = ego_from_lidar @ mount.lidar_from_sensor
     axis, up = ego_from_camera.rotation() @ (0.0, 0.0, 1.0), ego_from_camera.rotation() @ (0.0, -1.0, 0.0)
@@ -93,8 +93,11 @@ def view_of(mount: Mount, ego_from_lidar: SE3, points_camera: NDArray[np.float64
 
 
 def name_findings(calibration: Calibration) -> tuple[Finding, ...]:
-    """A warning for each camera that looks elsewhere than its name says, and for a LiDAR whose turn makes them do so;
-    no recording is needed to see that."""
+    """Return a warning for each camera that does not look in its name's direction, and for a LiDAR whose turn causes
+    this.
+
+    No recording is needed.
+    """
     findings = []
     for mount in calibration.of_kind("camera"):
         apart_deg = off_name_deg(mount.name, calibration.ego_from_lidar @ mount.lidar_from_sensor)
@@ -108,9 +111,12 @@ def name_findings(calibration: Calibration) -> tuple[Finding, ...]:
 
 
 def _backward_findings(calibration: Calibration) -> tuple[Finding, ...]:
-    """CAL-402 for a LiDAR with half a turn about the vertical, which is also how no turn reads if its quaternion is in
-    the order x, y, z, w: a warning if cameras look where their names say without the turn only, nothing if they do so
-    with it, and an info if no name decides."""
+    """Return CAL-402 for a LiDAR with half a turn about the vertical, which may also be an identity in the order x, y,
+    z, w.
+
+    The finding is a warning if cameras look in their names' directions only without the turn, none if they do so with
+    it, and an info if no name decides.
+    """
     turned = calibration.ego_from_lidar
     if abs(turned.wxyz[3]) <= BACKWARD_LEAST:
         return ()

@@ -1,11 +1,11 @@
-"""Comparison of clocks: offset, drift and jitter of stamps against the times at which they were recorded.
+"""Comparison of clocks: offset, drift and jitter of stamps relative to their record times.
 
-**Conventions.** The distance of a message is record time − stamp. Its median is the offset: transport delay plus what
-the clocks differ by. Drift is how much faster the stamping clock runs than the recording one, in parts per million
-(positive: fast, so the distance shrinks). Jitter, here and wherever a page or table says so, is robust σ: 1.4826 times
-the median absolute deviation, here from the line; it is σ where the noise is Gaussian. The line is Theil and Sen's
-(median of the slopes between all pairs), of block medians where there are many samples: up to 29 % of the blocks may
-lie anywhere. Sources: Theil 1950, Sen 1968, Huber 1981.
+**Conventions.** The distance of a message is record time − stamp. Its median is the offset: transport delay plus clock
+difference. Drift is how much faster the stamping clock runs than the recording clock, in parts per million (positive:
+fast, so the distance shrinks). Jitter, here and in all pages and tables, is robust σ: 1.4826 times the median absolute
+deviation, here from the line; for Gaussian noise it is σ. The line is Theil–Sen (median of the slopes between all
+pairs), over block medians if there are many samples: up to 29 % of the blocks may be outliers. Sources: Theil 1950, Sen
+1968, Huber 1981.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ Stamps = NDArray[np.int64]
 Array = NDArray[np.float64]
 
 MAD_TO_SIGMA = 1.4826
-MEDIAN_TO_SIGMA = 1.2533  # a median scatters √(π/2) times as much as a mean does
+MEDIAN_TO_SIGMA = 1.2533  # a median scatters √(π/2) times as much as a mean
 BLOCKS = 64
 LEAST_SAMPLES = 8
 PPM = 1e6
@@ -26,7 +26,7 @@ PPM = 1e6
 
 @dataclass(frozen=True)
 class ClockLine:
-    """`drift_ppm` and its standard error are None below `LEAST_SAMPLES` samples, or where no record time passes."""
+    """`drift_ppm` and its standard error are None below `LEAST_SAMPLES` samples, or if all record times are equal."""
 
     offset_ns: int
     jitter_ns: int
@@ -35,7 +35,7 @@ class ClockLine:
 
 
 def clock_line(stamps_ns: Stamps, record_times_ns: Stamps) -> ClockLine | None:
-    """The line of N ≥ 1 messages with ascending record times; None for N = 0."""
+    """Return the line of N ≥ 1 messages with ascending record times; None for N = 0."""
     if not stamps_ns.size:
         return None
     distance_ns = record_times_ns - stamps_ns
@@ -52,7 +52,9 @@ def clock_line(stamps_ns: Stamps, record_times_ns: Stamps) -> ClockLine | None:
 
 
 def robust_slope(x: Array, y: Array) -> float:
-    """Theil–Sen slope of samples in ascending `x` (N,), of at most `BLOCKS` medians; 0 where every `x` is the same."""
+    """Return the Theil–Sen slope of samples in ascending `x` (N,), over at most `BLOCKS` medians; 0 if all `x` are
+    equal.
+    """
     if len(x) > BLOCKS:
         edges = np.linspace(0, len(x), BLOCKS + 1).astype(np.int64)
         cuts = [slice(start, stop) for start, stop in pairwise(edges)]
@@ -64,15 +66,15 @@ def robust_slope(x: Array, y: Array) -> float:
 
 
 def spread(values: Array) -> float:
-    """Robust σ: 1.4826 × median absolute deviation from the median; 0 for no values."""
+    """Return robust σ: 1.4826 × median absolute deviation from the median; 0 for no values."""
     if not values.size:
         return 0.0
     return MAD_TO_SIGMA * float(np.median(np.abs(values - np.median(values))))
 
 
 def interval_jitter_ns(stamps_ns: Stamps) -> int:
-    """σ of single stamps by the intervals between them: lost messages and drift do not count; 0 below three stamps.
+    """Return σ of single stamps from their intervals, robust to lost messages and drift; 0 below three stamps.
 
-    An interval has the noise of two stamps, so it scatters √2 times as much as one.
+    An interval has the noise of two stamps, so it scatters √2 times as much as one stamp.
     """
     return round(spread(np.diff(stamps_ns).astype(np.float64)) / np.sqrt(2)) if stamps_ns.size > 2 else 0

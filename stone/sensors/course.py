@@ -1,9 +1,10 @@
-"""The heading of a track held against its course: an orientation that is not the robot's does not turn as it drives.
+"""Comparison of a track's heading with its course: an orientation that is not the robot's does not turn with its
+course.
 
-**Conventions.** The course is the direction of a step of at least `STEP_M` in plan, the heading that of the ego frame's
-x axis midway. Their difference is constant for a robot that steers, whichever way its sensor is mounted, and the same
-but for half a turn for one that reverses. A robot that drives aside has another course than heading, and noise of
-positions has a course of its own: a doubt is no proof, and says where to look for one.
+**Conventions.** The course is the direction of a step of at least `STEP_M` in plan; the heading is the direction of the
+ego frame's x axis midway. Their difference is constant for a steering robot with any sensor mount, and constant except
+for half a turn for a reversing robot. For a robot that moves sideways, course and heading differ, and position noise
+has its own course. A doubt is therefore no proof; it marks a stretch to examine.
 """
 
 from dataclasses import dataclass, replace
@@ -27,7 +28,7 @@ STRAIGHT_STEPS, TICK_NS, BASE_M = 4, 50_000_000, 0.6
 
 @dataclass(frozen=True)
 class Doubt:
-    """Between which stamps the heading does not turn as the course does, or points elsewhere (`is_aside`)."""
+    """The stamps between which the heading does not turn with the course, or points elsewhere (`is_aside`)."""
 
     begin_ns: int
     end_ns: int
@@ -37,7 +38,7 @@ class Doubt:
 
 @dataclass(frozen=True, eq=False)
 class _Steps:
-    """S steps: stamps of their ends (S, 2), unwrapped course (S,) and the course from the heading (S,)."""
+    """S steps: stamps of their ends (S, 2), unwrapped course (S,) and the course relative to the heading (S,)."""
 
     stamps_ns: NDArray[np.int64]
     course_rad: Array
@@ -45,22 +46,25 @@ class _Steps:
 
 
 def doubts_of(track: Trajectory) -> list[Doubt]:
-    """Return where the heading of a track fits its course worst, at most `MOST_DOUBTS` a stretch, those of turns first;
-    none if it fits, or the track tells no course."""
+    """Return where a track's heading fits its course worst: at most `MOST_DOUBTS` per stretch, turns first; none if it
+    fits or the track has no course.
+    """
     found = [doubt for rows in _stretches(track) for doubt in _doubts(_steps(track, rows))]
     return sorted(found, key=lambda doubt: doubt.is_aside)[:MOST_DOUBTS]
 
 
 def aside_of_course(track: Trajectory) -> float:
-    """Return the median angle between heading and course, rad; π if the track tells no course."""
+    """Return the median angle between heading and course in rad; π if the track has no course."""
     found = [_steps(track, rows).off_rad for rows in _stretches(track)]
     off = np.concatenate([*found, np.zeros(0)])
     return float(np.median(np.abs(np.angle(np.exp(1j * off))))) if len(off) else float(np.pi)
 
 
 def headings_along(place_m: Array) -> Array:
-    """Return the course (N,) at each of N places (N, 2 or 3) of a way, over `BASE_M` of it; the nearest course if the
-    robot stands. NaN if the way is shorter than `BASE_M`."""
+    """Return the course (N,) at each of N places (N, 2 or 3) of a track, over `BASE_M` of it.
+
+    If the robot stands, the nearest course is used; NaN if the track is shorter than `BASE_M`.
+    """
     gone_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(place_m[:, :2], axis=0).T)))
     if gone_m[-1] <= BASE_M:
         return np.full(len(place_m), np.nan)
@@ -69,7 +73,9 @@ def headings_along(place_m: Array) -> Array:
     course = np.unwrap(np.arctan2(y, x))
     first = int(np.searchsorted(gone_m, 2 * BASE_M))
     last = int(np.searchsorted(gone_m, gone_m[-1] - 2 * BASE_M, side="right")) - 1
-    if 0 < first < len(course) and 0 <= last < len(course) - 1:  # the course over an end is that of its middle
+    if (
+        0 < first < len(course) and 0 <= last < len(course) - 1
+    ):  # the course over an end equals the course of its middle
         begin = (course[first] - course[0]) / max(at_m[first] - at_m[0], BASE_M / 2)
         end = (course[-1] - course[last]) / max(at_m[-1] - at_m[last], BASE_M / 2)
         course = course + np.minimum(gone_m - at_m, 0.0) * begin + np.maximum(gone_m - at_m, 0.0) * end
@@ -82,7 +88,7 @@ def _stretches(track: Trajectory) -> list[NDArray[np.int64]]:
 
 
 def doubt_of_still(track: Trajectory) -> Doubt | None:
-    """Return the middle of a track that neither goes anywhere nor turns; None for any other."""
+    """Return the middle of a track that neither moves nor turns; None for any other."""
     poses = track.map_from_ego
     turned = multiply(poses.wxyz[0] * np.array([1.0, -1.0, -1.0, -1.0]), poses.wxyz)
     is_turning = 2 * np.arccos(np.clip(np.abs(turned[:, 0]).min(), 0.0, 1.0)) > STILL_RAD
@@ -93,13 +99,13 @@ def doubt_of_still(track: Trajectory) -> Doubt | None:
 
 
 def unturned(track: Trajectory) -> Trajectory:
-    """Return the places of a track without its orientations: its doubt is where it turns."""
+    """Return the positions of a track without orientations; its doubt is at a turn."""
     places_m = track.map_from_ego.translation_m
     return replace(track, map_from_ego=SE3.from_parts(np.array([1.0, 0.0, 0.0, 0.0]), places_m))
 
 
 def headings(poses: SE3) -> Array:
-    """Return the yaw of the x axis of each pose (N,) in plan."""
+    """Return the yaw (N,) of each pose's x axis in plan."""
     forward = poses.rotation()[..., :, 0]
     return np.asarray(np.arctan2(forward[..., 1], forward[..., 0]))
 
@@ -144,7 +150,7 @@ def _doubts(steps: _Steps) -> list[Doubt]:
 
 
 def _aside(steps: _Steps) -> Doubt | None:
-    """Return the straightest stretch of a track that leads aside of its heading all along."""
+    """Return the straightest stretch of a track whose course differs from its heading throughout."""
     off = np.arctan2(np.sin(steps.off_rad), np.cos(steps.off_rad))
     if float(np.median(np.abs(off))) <= ASIDE_RAD:
         return None
@@ -161,7 +167,7 @@ def _between(steps: _Steps, first: int, last: int) -> Doubt:
 
 
 def _smoothed(values: Array) -> Array:
-    """Return the running median of three, so that one step of noise is no doubt."""
+    """Return the running median of three, so that a single noisy step gives no doubt."""
     if len(values) < SMOOTHED:
         return values
     around = np.lib.stride_tricks.sliding_window_view(np.pad(values, 1, mode="edge"), SMOOTHED)

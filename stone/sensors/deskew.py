@@ -1,14 +1,14 @@
-"""Deskewing: every point of a sweep moved to where the LiDAR was at the sweep's stamp.
+"""Deskewing: every point of a sweep is moved to the LiDAR's pose at the sweep's stamp.
 
     lidar(stamp)_from_lidar(t) = (map_from_ego(stamp) @ ego_from_lidar)⁻¹ @ map_from_ego(t) @ ego_from_lidar
 
 **Conventions.** `offset_ns` is a point's time relative to the sweep's stamp. One transform serves each 100 µs bin,
-centred on whole multiples of 100 µs, so a pose is at most 50 µs off: below 1.3 mm at 40 m, 4.8 m/s and 28 °/s.
+centred on multiples of 100 µs, so the time error is at most 50 µs: below 1.3 mm at 40 m, 4.8 m/s and 28 °/s.
 
 A point whose bin has no pose (before the first, after the last, in a gap, beyond a jump, or moved out of reach within
-one sweep) is dropped, not moved by the
-nearest pose: clamping is extrapolation with velocity zero and smears what it keeps. A frame whose whole sweep is not
-covered should be excluded before it comes here (`stone_recordings.sync` does, with a reason); the drop is for others.
+one sweep) is dropped instead of moved by the nearest pose: clamping is extrapolation with zero velocity and smears
+points. Callers should exclude frames whose sweep is not completely covered (`stone_recordings.sync` does, with a
+reason).
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ from stone.sensors.reach import is_in_reach
 
 BIN_NS = 100_000
 
-# No LiDAR turns slower than 1 Hz; offsets beyond this are absolute times or garbage, and would size the pose table.
+# No LiDAR turns slower than 1 Hz; larger offsets are absolute times or garbage and would inflate the pose table.
 MAX_OFFSET_NS = 1_000_000_000
 
 
@@ -39,7 +39,9 @@ def point_offset(first_ns: int, last_ns: int) -> Refused:
 
 @dataclass(frozen=True, eq=False)
 class SweepMotion:
-    """`stamp_from_bin` of B bins from `first_bin`: rotation (B, 3, 3), translation (B, 3), metres, `has_pose` (B,)."""
+    """`stamp_from_bin` of B bins from `first_bin`: rotation (B, 3, 3), translation (B, 3) in metres, `has_pose`
+    (B,).
+    """
 
     first_bin: int
     rotation: NDArray[np.float32]
@@ -49,7 +51,7 @@ class SweepMotion:
 
 @dataclass(frozen=True, eq=False)
 class SweepMount:
-    """What turns time into a LiDAR pose: the ego trajectory, the mount, and the longest gap that is bridged."""
+    """The data that determine the LiDAR pose at a time: ego trajectory, mount, and longest bridged gap."""
 
     trajectory: Trajectory
     ego_from_lidar: SE3
@@ -57,9 +59,9 @@ class SweepMount:
 
 
 def sweep_motion(mount: SweepMount, stamp_ns: int, span_ns: tuple[int, int]) -> SweepMotion:
-    """The transforms of all bins that hold offsets in `span_ns` = (first, last), both included.
+    """Return the transforms of all bins with offsets in `span_ns` = (first, last), both included.
 
-    No bin has a pose when the stamp itself has none. Raises `point_offset` beyond ±1 s.
+    No bin has a pose if the stamp itself has none. Raises `point_offset` beyond ±1 s.
     """
     if not -MAX_OFFSET_NS <= span_ns[0] <= span_ns[1] <= MAX_OFFSET_NS:
         raise point_offset(*span_ns)
@@ -79,9 +81,9 @@ def sweep_motion(mount: SweepMount, stamp_ns: int, span_ns: tuple[int, int]) -> 
 def deskew(
     points_lidar: NDArray[np.float32], offset_ns: NDArray[np.int64], mount: SweepMount, stamp_ns: int
 ) -> NDArray[np.float32]:
-    """Points (N, 3) moved to the sweep's stamp, in their order, without those (≤ N) whose time has no pose.
+    """Return the points (≤ N, 3) moved to the sweep's stamp, in their order, without points whose time has no pose.
 
-    Raises ShapeError when points and offsets do not pair up, `point_offset` when an offset is beyond ±1 s.
+    Raises ShapeError if points and offsets do not match, `point_offset` if an offset is beyond ±1 s.
     """
     if points_lidar.ndim != 2 or points_lidar.shape[1] != 3:
         raise ShapeError("points_lidar", points_lidar.shape, "(N, 3)")
@@ -103,7 +105,7 @@ def _bin_of(offset_ns: int) -> int:
 
 @njit(cache=True, nogil=True)
 def _fill_motion(times, track, ego_from_lidar, made):  # type: ignore[no-untyped-def]
-    """`stamp_from_bin` at each of the times (B,), none across a break of the track."""
+    """Fill `stamp_from_bin` at each of the times (B,), without a pose across a break of the track."""
     stamp_ns, times_ns = times
     rotation, translation, has_pose = made
     (q, t), is_ok, segment = _lidar_at(stamp_ns, track, ego_from_lidar)
@@ -121,7 +123,9 @@ def _fill_motion(times, track, ego_from_lidar, made):  # type: ignore[no-untyped
 
 @njit(cache=True, nogil=True)
 def _lidar_at(time_ns, track, ego_from_lidar):  # type: ignore[no-untyped-def]
-    """`map_from_lidar` at a time as rotation and place, whether it has one, and its segment (`Trajectory.at`)."""
+    """Return `map_from_lidar` at a time as rotation and translation, whether it exists, and its segment
+    (`Trajectory.at`).
+    """
     stamps_ns, poses, segment, max_gap_ns = track
     left = max(np.searchsorted(stamps_ns, time_ns, side="right") - 1, 0)
     is_alone = stamps_ns[left] == time_ns or left + 1 == stamps_ns.shape[0]
@@ -148,7 +152,7 @@ def _write_rotation(q, matrix):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _moved(points, offset_ns, first_bin, rotation, translation, has_pose):  # type: ignore[no-untyped-def]
-    """Points come in the order of time, or nearly: neighbours share a bin and are moved together."""
+    """Move points in (nearly) time order: neighbours share a bin and are moved together."""
     moved = np.empty_like(points)
     kept, begin = 0, 0
     while begin < points.shape[0]:
