@@ -1,10 +1,10 @@
-"""The direction a robot drives in, in the frame of its poses: a bias of heading or pitch shows in every step.
+"""The driving direction of a robot in the frame of its poses: a bias of heading or pitch shows in every step.
 
-**Conventions.** Wheels and tracks drive along x of the ego frame. A step is the way between two poses at least `STEP_M`
-apart, in the ego frame of the pose midway; steps that lead backwards or far aside say nothing. Yaw is positive to the
-left of x, pitch positive above it. Both are those of a robot that does not turn, by a line over the turn in a metre;
-steps far from the line are left out, so a bump moves neither. The steps times what yaw is off the line add up to how
-far the poses wander to the side: a heading knows nothing of positions that drift to and fro.
+**Conventions.** Wheels and tracks drive along x of the ego frame. A step is the motion between two poses at least
+`STEP_M` apart, in the ego frame of the pose midway; backward and strongly sideways steps are ignored. Yaw is positive
+to the left of x, pitch positive above it. Both apply to straight driving: a line over the turn per metre is fitted, and
+steps far from the line are excluded, so that bumps have no effect. The sum of the steps' yaw deviations from the line
+is the sideways drift of the poses, because headings are independent of positions that drift to and fro.
 """
 
 from dataclasses import dataclass, replace
@@ -18,10 +18,10 @@ from stone.sensors.calibration import Calibration, Mount
 from stone.sensors.clocks import MAD_TO_SIGMA
 
 STEP_M, MOST_ASIDE_RAD = 0.5, float(np.deg2rad(20.0))
-WANDER_STEPS = 40  # 20 m: noise of the heading adds up over more
+WANDER_STEPS = 40  # 20 m: heading noise adds up over longer distances
 FEWEST_STEPS = 20
 ROUNDS, OUTLIER_SIGMAS, RIDGE = 5, 3.0, 1e-9
-# Of sound drives, simulated, analytic and KITTI's, both are at most 0.4°.
+# In sound drives (simulated, analytic and KITTI's) both are at most 0.4°.
 YAW_BIAS_RAD, PITCH_BIAS_RAD = float(np.deg2rad(0.6)), float(np.deg2rad(1.0))
 SURE_TIMES, UNSTEADY_RAD = 4.0, float(np.deg2rad(4.0))
 
@@ -31,9 +31,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DrivingDirection:
-    """Over `steps`: yaw and pitch of the way against the robot's x where it goes straight on, and their errors, rad.
-    `aside_m` is how far the poses wander to the side, one standard deviation about a straight drift over 20 m (the
-    median of such stretches); 0 if none is as long."""
+    """Over `steps`: yaw and pitch of straight driving relative to the robot's x, and their errors, in rad.
+
+    `aside_m` is the sideways drift of the poses: one standard deviation about a straight drift over 20 m (the median of
+    such stretches), or 0 without such a stretch.
+    """
 
     steps: int
     yaw_rad: float
@@ -44,20 +46,21 @@ class DrivingDirection:
 
     @property
     def is_yawed(self) -> bool:
-        """Whether the heading is off by more than a sound run shows."""
+        """Whether the heading bias exceeds that of sound runs."""
         return abs(self.yaw_rad) > max(YAW_BIAS_RAD, SURE_TIMES * self.yaw_error_rad)
 
     @property
     def is_pitched(self) -> bool:
-        """Whether the pitch is off by more than a sound run shows."""
+        """Whether the pitch bias exceeds that of sound runs."""
         return abs(self.pitch_rad) > max(PITCH_BIAS_RAD, SURE_TIMES * self.pitch_error_rad)
 
 
 def turned_to_way(calibration: Calibration, yaw_rad: float, pitch_rad: float) -> tuple[Mount, ...]:
-    """Return the mounts of INS with which a way that led `yaw_rad` to the left of x and `pitch_rad` above it leads
-    along x; their places on the robot stay."""
+    """Return the INS mounts that turn a way `yaw_rad` to the left of x and `pitch_rad` above it to x; positions
+    stay.
+    """
     way = np.array([np.cos(pitch_rad) * np.cos(yaw_rad), np.cos(pitch_rad) * np.sin(yaw_rad), np.sin(pitch_rad)])
-    half = np.array([1.0 + way[0], 0.0, way[2], -way[1]])  # the shortest turn of the way to x
+    half = np.array([1.0 + way[0], 0.0, way[2], -way[1]])  # the shortest rotation of the way to x
     mounts = []
     for mount in calibration.of_kind("ins"):
         placed = calibration.ego_from_lidar @ mount.lidar_from_sensor
@@ -67,8 +70,9 @@ def turned_to_way(calibration: Calibration, yaw_rad: float, pitch_rad: float) ->
 
 
 def driving_direction(track: Trajectory) -> DrivingDirection | None:
-    """Return the direction of a track's steps; None for fewer than `FEWEST_STEPS`, or if they scatter as of a robot
-    that drives in any direction."""
+    """Return the direction of a track's steps; None for fewer than `FEWEST_STEPS`, or if the scatter shows a robot that
+    drives in any direction.
+    """
     parts = [_steps(track.map_from_ego[rows]) for rows in _stretches(track.segments)]
     steps = np.concatenate([np.zeros((0, 4)), *parts])
     if len(steps) < FEWEST_STEPS:
@@ -83,7 +87,7 @@ def driving_direction(track: Trajectory) -> DrivingDirection | None:
 
 
 def _aside_m(off_rad: list[Array]) -> float:
-    """Return how far stretches of `WANDER_STEPS` that are so far off their direction (S,) each wander to the side."""
+    """Return the sideways drift of stretches of `WANDER_STEPS` steps with these direction errors (S,)."""
     found, way = [], np.arange(WANDER_STEPS + 1.0)
     for off in off_rad:
         for begin in range(0, len(off) - WANDER_STEPS + 1, WANDER_STEPS):
@@ -93,10 +97,10 @@ def _aside_m(off_rad: list[Array]) -> float:
 
 
 def _straight_on(angles_rad: Array, turns: Array) -> tuple[Array, float, float]:
-    """Return the line of the angles (S,) over the turn (S,): (angle at no turn, slope); the error of that angle, and
-    the spread about the line.
+    """Return the line of the angles (S,) over the turn (S,) as (angle without turn, slope), the error of that angle,
+    and the spread about the line.
 
-    The ego origin of a robot that steers need not be where it turns about: it then slides aside in proportion.
+    The ego origin of a steering robot need not be its centre of rotation; it then slides sideways in proportion.
     """
     design = np.column_stack([np.ones_like(turns), turns])
     kept = np.ones(len(turns), np.bool_)
@@ -114,7 +118,9 @@ def _stretches(segments: NDArray[np.int64]) -> list[NDArray[np.int64]]:
 
 
 def _steps(poses: SE3) -> Array:
-    """Yaw and pitch (S, 2) of the steps of one stretch against the pose midway, and how much each turns a metre."""
+    """Return yaw and pitch (S, 2) of one stretch's steps relative to the pose midway, and the turn of each per
+    metre.
+    """
     lengths_m = np.linalg.norm(np.diff(poses.translation_m, axis=0), axis=1)
     marks = np.floor(np.concatenate([[0.0], np.cumsum(lengths_m)]) / STEP_M)
     rows = np.flatnonzero(np.append(True, np.diff(marks) > 0)[: len(marks)])

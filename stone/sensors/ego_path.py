@@ -1,9 +1,9 @@
-"""The robot's own way through each map of a run: every pose of its track, never joined where the track breaks.
+"""The robot's path through each map of a run: every pose of its track, never joined across breaks.
 
-**Conventions.** A track breaks at jumps and gaps (`stone.geometry.segments`). What lies on two sides of a break is in
-two maps, unless registration joined them (`Sequence.map_of_segment`); the way is not joined even then, for nobody knows
-how the robot got across. Frames whose poses were refined take the track between them along: the correction of a pose
-is interpolated between those of the frames around it, and is that of the nearest frame beyond them all.
+**Conventions.** A track breaks at jumps and gaps (`stone.geometry.segments`). The two sides of a break are in two maps,
+unless registration joined them (`Sequence.map_of_segment`). Even then the path is not joined, because the motion across
+the break is unknown. The track follows refined frame poses: corrections are interpolated between the surrounding
+frames, and beyond the frames the nearest frame's correction applies.
 """
 
 import numpy as np
@@ -20,7 +20,7 @@ STEP_RAD = 0.05
 
 
 def track_of(sequence: Sequence) -> Trajectory:
-    """The track of a sequence; frames that were made without one are theirs, split where they jump."""
+    """Return the track of a sequence; without a recorded track, the frames' poses, split at jumps."""
     if sequence.track is not None:
         return sequence.track
     frames = Trajectory(sequence.frames.stamps_ns, sequence.frames.map_from_ego)
@@ -28,16 +28,16 @@ def track_of(sequence: Sequence) -> Trajectory:
 
 
 def maps_of_frames(sequence: Sequence) -> NDArray[np.int64]:
-    """Which of the run's maps each frame (N,) is in, counted from 0."""
+    """Return the map of each frame (N,), counted from 0."""
     if not len(sequence.frames):
         return np.zeros(0, np.int64)
     return _maps(sequence, segments_at(track_of(sequence), sequence.frames.stamps_ns))
 
 
 def ego_path(sequence: Sequence, number: int) -> tuple[SE3, ...]:
-    """The stretches of the robot's way in one map, poses at most `STEP_M` or `STEP_RAD` nearer than the track has them.
+    """Return the stretches of the robot's path in one map, without poses within `STEP_M` and `STEP_RAD` of each other.
 
-    A stretch without a frame is left out: in which map it lies, only a frame of it tells.
+    A stretch without a frame is left out, because only frames determine its map.
     """
     track, frames = track_of(sequence), sequence.frames
     segment_of_frame = segments_at(track, frames.stamps_ns)
@@ -53,10 +53,10 @@ def ego_path(sequence: Sequence, number: int) -> tuple[SE3, ...]:
 
 
 def datum_m(sequence: Sequence, number: int) -> float:
-    """How much higher the frames of one map are than those of the first that has any, on average, metres.
+    """Return the mean height of one map's frames above the first map's frames, in metres.
 
-    Elevations of two maps that are not joined cannot be compared but by what was driven in each: a source that jumped
-    jumped in height, too.
+    Elevations of two unjoined maps can only be compared by the driven ground in each, because a source that jumps also
+    jumps in height.
     """
     maps, heights_m = maps_of_frames(sequence), sequence.frames.map_from_ego.translation_m[:, 2]
     if number == maps[0]:
@@ -71,7 +71,7 @@ def _maps(sequence: Sequence, segments: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _kept(poses: SE3) -> NDArray[np.int64]:
-    """Rows of which none is left out but between two that are near each other; the first and the last are kept."""
+    """Return the kept rows: the first, the last, and all that are not near both neighbours."""
     lengths_m, angles_rad = steps_of(poses)
     steps = np.floor(np.concatenate([[0.0], np.cumsum(lengths_m / STEP_M + angles_rad / STEP_RAD)]))
     is_kept = np.append(True, np.diff(steps) > 0)
@@ -80,7 +80,7 @@ def _kept(poses: SE3) -> NDArray[np.int64]:
 
 
 def _corrected(stretch: Trajectory, track: Trajectory, sequence: Sequence, rows: NDArray[np.int64]) -> SE3:
-    """The stretch as the frames `rows` of its segment, which may have been moved, ask for."""
+    """Return the stretch, corrected to the (possibly moved) frames `rows` of its segment."""
     frames = sequence.frames
     given = track.at(frames.stamps_ns[rows], sequence.max_pose_gap_ns).map_from_ego
     if np.array_equal(given.wxyz_xyz, frames.map_from_ego[rows].wxyz_xyz):

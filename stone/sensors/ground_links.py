@@ -1,15 +1,15 @@
-"""Drift of a run's poses in z, by the ground: how far apart two looks at the same place say that it lies.
+"""Drift of a run's poses in z, measured by the ground: the height difference between two looks at the same place.
 
     ground seen around a pose → links of poses that saw the same ground → one correction in z for every pose
 
-**Conventions.** A look is one sweep's ground in cells of the map's plan; poses are picked `SPACING_M` apart. A link
-says by how much the ground of its second look lies higher than that of its first, in the cells that both saw: the
-median, so that neither movers nor a hedge count, and from both sides alike, so that what is seen differently from afar
-cancels. Corrections are metres to be added to z; the first look of each map keeps its own.
+**Conventions.** A look is one sweep's ground in cells of the map's plan; poses are selected `SPACING_M` apart. A link
+is the height of its second look's ground above its first look's, in the cells that both contain. It uses the median, so
+that movers and hedges have no effect, and both directions equally, so that range-dependent errors cancel. Corrections
+are metres added to z; the first look of each map is not corrected.
 
-Poses of the ego frame that a tilted mount belongs to look like drift, too: each look finds higher what lies ahead. So
-where the ground is tilted in the ego frame beyond `TERRAIN_RAD`, looks are also compared with that tilt taken out, and
-what needs the least correction counts.
+A tilted mount also looks like drift, because each look sees the ground ahead too high. If the ground is tilted in the
+ego frame beyond `TERRAIN_RAD`, looks are also compared with that tilt removed, and the variant with the smaller
+correction is used.
 """
 
 import math
@@ -29,7 +29,7 @@ CELL_M = 0.5
 FEWEST_CELLS, MOST_SCATTER_M = 40, 0.15
 PARTNERS_BEFORE, PARTNERS_OF_VISITS = 5, 6
 TERRAIN_RAD = float(np.deg2rad(0.5))
-# Two floors lie farther apart than the robot is high: nearer, it is the same one seen twice.
+# Two floors are farther apart than the robot's height; ground at a smaller distance is the same floor.
 SAME_FLOOR_RATIO, LEAST_FLOOR_M = 0.8, 0.3
 ROUNDS, ROBUST_M, STIFFNESS = 8, 0.02, 0.02
 FARTHEST_PLACE_M = 100_000.0
@@ -40,7 +40,7 @@ Rows = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """The ground around one pose: cells (C,) of the map's plan, sorted, and their heights (C,) in it."""
+    """The ground around one pose: cells (C,) of the map's plan, sorted, and their heights (C,)."""
 
     cells: Rows
     heights_m: NDArray[np.float32]
@@ -48,7 +48,7 @@ class Look:
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """Of every look its place in plan (K, 2), how far was driven until then (K,), and which map (K,) it is in."""
+    """For every look: its position in plan (K, 2), the distance driven until then (K,), and its map (K,)."""
 
     places_m: Array
     driven_m: Array
@@ -57,8 +57,9 @@ class Way:
 
 @dataclass(frozen=True, eq=False)
 class Links:
-    """Pairs (L, 2) of looks at the same ground, by how much the second finds it higher (L,), and where: the middle
-    (L, 2) in plan of the cells that both saw."""
+    """Pairs (L, 2) of looks at the same ground, the height of the second above the first (L,), and the centre (L, 2) in
+    plan of the cells that both contain.
+    """
 
     pairs: Rows
     height_m: Array
@@ -66,20 +67,21 @@ class Links:
 
 
 def looks_along(places_m: Array) -> Rows:
-    """Which of the places (N, 2) or (N, 3) along a way are looked around at: the first, and one every `SPACING_M`, more
-    where that would be many."""
+    """Return the positions (N, 2) or (N, 3) along a track with a look: the first, and one every `SPACING_M` (a larger
+    spacing for long tracks).
+    """
     driven_m = driven(places_m)
     spacing_m = min(max(SPACING_M, float(driven_m[-1]) / MANY_LOOKS), WIDEST_SPACING_M)
     return np.unique(np.searchsorted(driven_m, np.arange(0.0, driven_m[-1] + 1e-9, spacing_m))).astype(np.int64)
 
 
 def driven(places_m: Array) -> Array:
-    """How far was driven, in plan, until each of the places (N, 2) or (N, 3)."""
+    """Return the distance driven, in plan, until each of the positions (N, 2) or (N, 3)."""
     return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(places_m[:, :2], axis=0), axis=1)))
 
 
 def look(points_map: Array) -> Look:
-    """What the points (N, 3) of a sweep around the robot, in the map, show of the ground."""
+    """Return the ground in the points (N, 3) of a sweep around the robot, in the map."""
     cell = np.empty(len(points_map), np.int64)
     if _plan_cells(points_map, cell):
         is_on_lattice = cell != EMPTY
@@ -89,7 +91,7 @@ def look(points_map: Array) -> Look:
 
 
 def links_between(looks: Listing[Look], way: Way) -> Links:
-    """Return the links of the looks (K,) along a way."""
+    """Return the links of the looks (K,) along a track."""
     pairs = _pairs(way)
     found = np.array([_higher(looks[a], looks[b]) for a, b in pairs.tolist()]).reshape(-1, 3)
     is_found = np.isfinite(found[:, 0])
@@ -97,15 +99,15 @@ def links_between(looks: Listing[Look], way: Way) -> Links:
 
 
 def of_one_visit(links: Links, way: Way) -> NDArray[np.bool_]:
-    """Return which of the links (L,) are of looks right after each other."""
+    """Return which of the links (L,) connect consecutive looks."""
     return np.asarray(np.diff(way.driven_m[links.pairs], axis=1)[:, 0] <= 2 * FARTHEST_M)
 
 
 def drift(links: Links, way: Way, floor_m: float) -> tuple[HeightDrift, Array]:
-    """Return the drift by the links, and the correction (K,) of each look.
+    """Return the drift from the links, and the correction (K,) of each look.
 
-    Passes whose ground is more than `floor_m` apart, once the way between them is corrected, are on two floors and say
-    nothing.
+    Passes whose ground is more than `floor_m` apart, after correction of the track between them, are on two floors and
+    are ignored.
     """
     pairs, height_m, is_near = links.pairs, links.height_m, of_one_visit(links, way)
     found_m = _corrections(pairs[is_near], height_m[is_near], way)
@@ -117,7 +119,9 @@ def drift(links: Links, way: Way, floor_m: float) -> tuple[HeightDrift, Array]:
 
 
 def _told(height_m: Array, moved_m: Array, is_near: NDArray[np.bool_], looks: tuple[Array, Way]) -> HeightDrift:
-    """Of links (L,): by how much each one's second look lies higher, and is moved up against the first."""
+    """Return the drift from links (L,): the height of each second look above the first, and its correction relative to
+    the first.
+    """
     found_m, way = looks
     apart_m, left_m = np.abs(moved_m), np.abs(height_m + moved_m)
     return HeightDrift(
@@ -132,9 +136,10 @@ def _told(height_m: Array, moved_m: Array, is_near: NDArray[np.bool_], looks: tu
 
 
 def _pairs(way: Way) -> Rows:
-    """The pairs (L, 2) of looks of one map that can have seen the same ground: of each some right before it, and some
-    of earlier visits."""
-    from scipy.spatial import cKDTree  # loaded where it is used: `stone inspect` seldom gets here
+    """Return the pairs (L, 2) of looks of one map that may see the same ground: recent looks and looks of earlier
+    visits.
+    """
+    from scipy.spatial import cKDTree  # a lazy import: `stone inspect` rarely needs it
 
     tree = cKDTree(way.places_m)
     pairs = [
@@ -147,15 +152,16 @@ def _pairs(way: Way) -> Rows:
 
 
 def _partners(before: Rows) -> list[int]:
-    """The last of the earlier looks, and a few spread over the others."""
+    """Return the last of the earlier looks, and a few spread over the others."""
     last, others = before[-PARTNERS_BEFORE:], before[:-PARTNERS_BEFORE]
     spread = np.linspace(0, len(others) - 1, PARTNERS_OF_VISITS).round().astype(np.int64) if len(others) else others
     return [*np.unique(others[spread]).tolist(), *last.tolist()]
 
 
 def _higher(one: Look, other: Look) -> tuple[float, float, float]:
-    """By how much the other's ground lies higher than the one's, and where; NaN where too little is shared, or it
-    scatters."""
+    """Return the height of the second look's ground above the first's, and the position; NaN if little is shared or it
+    scatters.
+    """
     cells, mine, theirs = np.intersect1d(one.cells, other.cells, assume_unique=True, return_indices=True)
     if len(mine) < FEWEST_CELLS:
         return np.nan, np.nan, np.nan
@@ -167,8 +173,9 @@ def _higher(one: Look, other: Look) -> tuple[float, float, float]:
 
 
 def _corrections(pairs: Rows, height_m: Array, way: Way) -> Array:
-    """The corrections (K,) with which the links agree best, as few of them as may be given less weight; where nothing
-    is linked a correction stays what it was before."""
+    """Return the corrections (K,) that fit the links best, with a smaller weight for outliers; unlinked looks keep
+    their previous correction.
+    """
     count = len(way.maps)
     is_new = np.append(True, np.diff(way.maps) != 0)
     chain = np.column_stack([np.arange(count - 1), np.arange(1, count)])[~is_new[1:]]
@@ -185,7 +192,7 @@ def _corrections(pairs: Rows, height_m: Array, way: Way) -> Array:
 
 
 def _solved(springs: tuple[Rows, Array, Array], fixed: Rows, count: int) -> Array:
-    """The places (K,) at which springs between pairs rest, with those of `fixed` at 0."""
+    """Return the equilibrium positions (K,) of springs between pairs, with those of `fixed` at 0."""
     from scipy.sparse import coo_array
     from scipy.sparse.linalg import spsolve
 
@@ -199,7 +206,7 @@ def _solved(springs: tuple[Rows, Array, Array], fixed: Rows, count: int) -> Arra
 
 @njit(cache=True, nogil=True)
 def _plan_cells(points, cell):  # type: ignore[no-untyped-def]
-    """The key of each point's cell in plan, `EMPTY` of what is off the lattice; how many are."""
+    """Write the key of each point's cell in plan, `EMPTY` for points off the lattice; return the number of keys."""
     off, inverse = 0, 1.0 / CELL_M
     for p in range(points.shape[0]):
         x, y = points[p, 0], points[p, 1]

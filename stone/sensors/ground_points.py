@@ -1,8 +1,8 @@
-"""The ground that one sweep shows around the robot: its points, the low one of each cell of a plan, and their plane.
+"""The ground in one sweep around the robot: its points, the low point of each cell in plan, and their plane.
 
-**Conventions.** A plane is (height_m, slope_x, slope_y), as `stone.sensors.ground_plane` has it. A low point is that of
-its cell at `LOW_QUANTILE` of height: what grows above and the odd return from below do not move it. Of points as
-high, the first in the order given counts. Nothing is sorted but the cells.
+**Conventions.** A plane is (height_m, slope_x, slope_y), as in `stone.sensors.ground_plane`. A cell's low point is at
+`LOW_QUANTILE` of height, so that vegetation above and stray returns below have no effect. Of equally high points, the
+first is used. Only cells are sorted.
 """
 
 import numpy as np
@@ -14,11 +14,11 @@ from stone.geometry.lattice import EMPTY, slot_of
 NEAREST_M, FARTHEST_M = 0.8, 12.0
 LOWEST_M, HIGHEST_M = -2.5, 1.5
 LOW_QUANTILE, FEWEST_IN_CELL = 0.3, 3
-SLACK_RATIO = 1e-12  # beyond the rounding of a squared distance
+SLACK_RATIO = 1e-12  # more than the rounding of a squared distance
 CELL_M = 0.3
 FEWEST_CELLS, FULL_SHARE = 24, 0.2
-REACHES_M = (2.5, 3.0, 4.0, 6.0, 8.0, FARTHEST_M)  # the nearest that is full enough, or shows enough: terrain bends
-TRIPLES, INLIER_M, STEEPEST = 200, 0.08, 0.35  # tan 19°: steeper is no ground a mount could be held against
+REACHES_M = (2.5, 3.0, 4.0, 6.0, 8.0, FARTHEST_M)  # the nearest range with enough cells is used, because terrain bends
+TRIPLES, INLIER_M, STEEPEST = 200, 0.08, 0.35  # tan 19°: steeper surfaces are not usable as ground
 LEAST_INLIERS = 0.4
 FITS, FAR_M = 12, 0.15
 SEED = 17
@@ -28,7 +28,7 @@ Rows = NDArray[np.int64]
 
 
 def around_robot(points_ego: NDArray[np.float32]) -> Array:
-    """Those of the points (N, 3) that may be ground near the robot."""
+    """Return the points (N, 3) that may be ground near the robot."""
     near = np.empty((len(points_ego), 3))
     count, doubtful = _near(points_ego, near)
     points = near[:count]
@@ -39,8 +39,11 @@ def around_robot(points_ego: NDArray[np.float32]) -> Array:
 
 
 def low_points(points: Array, cell: Rows) -> tuple[Rows, Array]:
-    """The cells (C,) that hold `FEWEST_IN_CELL` of the points (N, 3), sorted, and the low point (C, 3) of each; `cell`
-    (N,), none below 0, says which each point is in."""
+    """Return the cells (C,) with at least `FEWEST_IN_CELL` of the points (N, 3), sorted, and the low point (C, 3) of
+    each.
+
+    `cell` (N,) ≥ 0 is the cell of each point.
+    """
     slots = 1 << (2 * len(cell) + 1).bit_length()
     number, cells = np.empty(len(cell), np.int64), np.empty(len(cell), np.int64)
     taken, numbers = np.full(slots, EMPTY, np.int64), np.empty(slots, np.int64)
@@ -57,8 +60,10 @@ def low_points(points: Array, cell: Rows) -> tuple[Rows, Array]:
 
 
 def plane_around(points_ego: NDArray[np.float32]) -> Array | None:
-    """(height_m, slope_x, slope_y) of the ground around the robot by the points (N, 3) of one sweep; None where too
-    little of it is seen, or no plane holds."""
+    """Return (height_m, slope_x, slope_y) of the ground around the robot from the points (N, 3) of one sweep.
+
+    Return None if too little ground is visible, or no plane fits.
+    """
     cells = _lowest(points_ego)
     around = [cells[np.hypot(cells[:, 0], cells[:, 1]) <= reach_m] for reach_m in REACHES_M]
     shown = [near for near in around if len(near) >= FEWEST_CELLS and _is_around(near)]
@@ -68,25 +73,27 @@ def plane_around(points_ego: NDArray[np.float32]) -> Array | None:
 
 
 def _share(cells: Array, reach_m: float) -> float:
-    """How much of the plan within reach the cells are: of little, it may be what stands beside the robot."""
+    """Return the cells' share of the plan within reach; a small share may be objects beside the robot."""
     return len(cells) * CELL_M**2 / (np.pi * reach_m**2)
 
 
 def _lowest(points_ego: NDArray[np.float32]) -> Array:
-    """The low points (C, 3) of cells around the robot."""
+    """Return the low points (C, 3) of cells around the robot."""
     points = around_robot(points_ego)
     index = np.floor(points[:, :2] / CELL_M).astype(np.int64) + 1000
     return low_points(points, index[:, 0] * 10_000 + index[:, 1])[1]
 
 
 def _is_around(cells: Array) -> bool:
-    """Whether they lie on at least three of the four sides of the robot: a plane on one side is no ground under it."""
+    """Return whether cells lie on at least three of the robot's four sides; a plane on one side is not the ground under
+    it.
+    """
     sides = np.floor((np.arctan2(cells[:, 1], cells[:, 0]) + np.pi) / (np.pi / 2)).astype(np.int64) % 4
     return len(np.unique(sides)) >= 3
 
 
 def _plane(cells: Array) -> Array | None:
-    """The plane that most cells lie on, by triples of them, then by robust least squares; None below a share."""
+    """Return the plane that most cells lie on, by triples of cells, then robust least squares; None below a share."""
     rng = np.random.default_rng(SEED)
     triples = cells[rng.integers(0, len(cells), (TRIPLES, 3))]
     design = np.concatenate([np.ones((TRIPLES, 3, 1)), triples[:, :, :2]], axis=2)
@@ -104,14 +111,16 @@ def _plane(cells: Array) -> Array | None:
         off_m = np.abs(cells[:, 2] - everywhere @ plane)
         if (off_m <= INLIER_M).sum() < max(LEAST_INLIERS * len(cells), 3):
             return None
-        root = np.clip(1.0 - np.square(off_m / FAR_M), 0.0, None)  # of Tukey's biweight: no cell comes or goes at once
+        root = np.clip(1.0 - np.square(off_m / FAR_M), 0.0, None)  # Tukey's biweight: cells enter and leave smoothly
         plane = np.linalg.lstsq(everywhere * root[:, None], cells[:, 2] * root, rcond=None)[0]
     return np.asarray(plane)
 
 
 @njit(cache=True, nogil=True)
 def _near(points, near):  # type: ignore[no-untyped-def]
-    """Write those of the points that may be near; how many they are, and at how many a limit is too close to tell."""
+    """Write the points that may be near; return their number, and the number of points too close to a limit to
+    decide.
+    """
     count, doubtful = np.int64(0), np.int64(0)
     least, most = NEAREST_M * NEAREST_M * (1 - SLACK_RATIO), FARTHEST_M * FARTHEST_M * (1 + SLACK_RATIO)
     sure_least, sure_most = NEAREST_M * NEAREST_M * (1 + SLACK_RATIO), FARTHEST_M * FARTHEST_M * (1 - SLACK_RATIO)
@@ -127,7 +136,9 @@ def _near(points, near):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _number(cell, taken, numbers, out):  # type: ignore[no-untyped-def]
-    """Number the cells as they come: that of each point, and the cell of each number; how many there are."""
+    """Number the cells in order of appearance: write each point's number and each number's cell; return the number of
+    cells.
+    """
     number, cells = out
     count = 0
     for p in range(cell.size):
@@ -141,7 +152,7 @@ def _number(cell, taken, numbers, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _group(number, following, rows):  # type: ignore[no-untyped-def]
-    """Fill `rows` with the points cell by cell, in their order; `following` is where each cell begins."""
+    """Fill `rows` with the points cell by cell, in their order; `following` are the cells' starts."""
     for p in range(number.size):
         rows[following[number[p]]] = p
         following[number[p]] += 1
@@ -149,7 +160,7 @@ def _group(number, following, rows):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _select(heights, ranges, rows, lowest):  # type: ignore[no-untyped-def]
-    """The row that would be at its rank if each range of rows, both ends included, were sorted (Hoare, 1961)."""
+    """Write the row that would be at its rank if each range of rows (both ends included) were sorted (Hoare, 1961)."""
     firsts, lasts, ranks = ranges
     for c in range(ranks.size):
         first, last, rank = firsts[c], lasts[c], ranks[c]

@@ -1,7 +1,7 @@
-"""Why nothing is labelled of a run by where its sweeps show the ground: the mount, or the poses, cannot be right.
+"""Refusals of runs whose ground shows a wrong mount or wrong poses.
 
-**Conventions.** In the ego frame of `stone/sensors/ground_plane.py`. Labelling and inspection ask here alike, so that
-inspection names beforehand what labelling will refuse.
+**Conventions.** In the ego frame of `stone/sensors/ground_plane.py`. Labelling and inspection use the same check, so
+that inspection predicts refusals.
 """
 
 import math
@@ -14,15 +14,15 @@ from stone.sensors.sequence import Sequence
 
 
 def ground_refusal(sequence: Sequence, band_m: float = BAND_M) -> Refused | None:
-    """Return the refusal of a run whose footprint floats above the ground or sinks into it, or whose halves do one
-    each, or whose LiDAR or poses are tilted; None if they are not, or no ground was measured.
+    """Return the refusal of a run whose footprint, or one half of it, is above or below the ground, or whose LiDAR or
+    poses are tilted; None otherwise, or if no ground was measured.
 
-    Driven ground is looked for within `band_m` metres of the footprint.
+    The search band for driven ground is `band_m` metres around the footprint.
     """
     ground, footprint = sequence.ground, sequence.calibration.footprint
     if ground is None:
         return None
-    # From the middle of the footprint to the middle of its half.
+    # from the footprint's centre to the centre of its half
     lean_m = max(abs(ground.slope_x) * footprint.length_m, abs(ground.slope_y) * footprint.width_m) / 4
     if is_off_ground(ground, band_m) or lean_m > band_m:
         return footprint_off_ground(ground, sequence.calibration.ego_from_lidar, band_m)

@@ -1,15 +1,15 @@
 """The lag of a gyro's stamps behind a source of orientations, from the turns that both measured.
 
-    rate of turn(t) ≈ R ω(t + lag) + b,   the lag at which the two agree best
+    rate of turn(t) ≈ R ω(t + lag) + b,   with the lag that gives the best agreement
 
 **Conventions.** The rate of turn is the rotation between two orientations, in the source's own axes, divided by the
-time between them; the gyro is integrated over the same time, so that neither is differentiated nor resampled. The
-rotation `R` and the bias `b` are fitted: the mount of the gyro need not be known. All three axes count, because rough
-ground rolls and pitches a robot faster than it ever yaws (on simulated drives of 6 s: 0.3 ms from the truth, by yaw
-alone 8 ms). A positive lag means that the gyro's stamps are late. Orientations are `wxyz`.
-Source: generalised cross-correlation (Knapp and Carter, 1976) with a fitted mount (Kabsch, 1976); the standard error is
-that of least squares, residual over the slope of the signal. The best lag is found by golden sections (Kiefer, 1953):
-SciPy's optimisers take a third of a second to load, which is a fifth of `stone inspect`.
+time between them. The gyro is integrated over the same time, so that neither is differentiated or resampled. The
+rotation `R` and the bias `b` are fitted, so the gyro's mount need not be known. All three axes are used, because rough
+ground rolls and pitches a robot faster than it yaws (error on simulated drives of 6 s: 0.3 ms; with yaw only, 8 ms). A
+positive lag means that the gyro's stamps are late. Orientations are `wxyz`. Source: generalised cross-correlation
+(Knapp and Carter, 1976) with a fitted mount (Kabsch, 1976). The standard error is that of least squares: residual over
+the slope of the signal. The best lag is found by golden sections (Kiefer, 1953), because loading SciPy's optimisers
+takes a third of a second, a fifth of `stone inspect`.
 """
 
 from collections.abc import Callable
@@ -27,11 +27,11 @@ MAX_LAG_S = 0.5
 COARSE_STEP_S = 0.01
 FINE_STEP_S = 1e-6
 GOLDEN = (5**0.5 - 1) / 2
-# Turns over less time than this are mostly noise; 20 Hz sources are taken as they are.
+# Turns over less time are mostly noise; sources at 20 Hz are used unchanged.
 LEAST_STEP_S = 0.045
-# An interval longer than this many typical ones is a gap.
+# A gap is an interval longer than this many typical intervals.
 GAP_RATIO = 2.5
-# Three seconds at 20 Hz: fewer smooth turns can be those of any other moment, under some mount.
+# Three seconds at 20 Hz: fewer smooth turns can match any other moment under some mount.
 LEAST_TURNS = 60
 SLOPE_STEP_S = 0.001
 LAST_RATE_RAD_S = 1000.0
@@ -49,7 +49,7 @@ class GyroLag:
 
 @dataclass(frozen=True, eq=False)
 class Turns:
-    """K steps of the source: begin and end (K,) in seconds, and the mean rates (K, 3) between them."""
+    """K steps of the source: start and end (K,) in seconds, and the mean rates (K, 3) between them."""
 
     begin_s: Array
     end_s: Array
@@ -67,7 +67,7 @@ class _Gyro:
     angle_rad: Array
 
     def rates_between(self, turns: Turns, lag_s: float) -> Array:
-        """Mean rates (K, 3) over the steps, `lag_s` later, without what they share."""
+        """Return the mean rates (K, 3) over the steps, `lag_s` later, without their common part."""
         begin_s, end_s = turns.begin_s + lag_s, turns.end_s + lag_s
         turned = [
             np.interp(end_s, self.time_s, axis) - np.interp(begin_s, self.time_s, axis) for axis in self.angle_rad.T
@@ -77,10 +77,10 @@ class _Gyro:
 
 
 def gyro_lag(gyro: tuple[Stamps, Array], source: tuple[Stamps, Array]) -> GyroLag | None:
-    """From rates (N, 3) in rad/s and orientations (K, 4), each with its stamps, in any order.
+    """Return the lag from rates (N, 3) in rad/s and orientations (K, 4), each with its stamps, in any order.
 
-    None where fewer than `LEAST_TURNS` steps lie within the gyro's record, where nothing turns, or where the best
-    agreement is at the end of the search (± `MAX_LAG_S`), which is no peak.
+    Return None if fewer than `LEAST_TURNS` steps lie within the gyro's record, if nothing turns, or if the best
+    agreement is at the end of the search (± `MAX_LAG_S`), which is not a peak.
     """
     (gyro_ns, rates), (source_ns, wxyz) = _ordered(*gyro), _ordered(*source)
     if len(gyro_ns) < 2 or len(source_ns) < 2:
@@ -95,7 +95,7 @@ def gyro_lag(gyro: tuple[Stamps, Array], source: tuple[Stamps, Array]) -> GyroLa
 
 
 def turns_of(time_s: Array, wxyz: Array) -> Turns:
-    """Steps between orientations at least `LEAST_STEP_S` apart; steps over gaps are left out."""
+    """Return the steps between orientations at least `LEAST_STEP_S` apart, without steps over gaps."""
     stride = max(1, round(LEAST_STEP_S / max(float(np.median(np.diff(time_s))), 1e-6)))
     time_s, wxyz = time_s[::stride], wxyz[::stride]
     step = multiply(wxyz[:-1] * np.array([1.0, -1, -1, -1]), wxyz[1:])
@@ -114,14 +114,14 @@ def _seconds(stamps_ns: Stamps, start_ns: int) -> Array:
 
 
 def _ordered(stamps_ns: Stamps, values: Array) -> tuple[Stamps, Array]:
-    """In time order, the first of equal stamps, without rows of NaN or of what nothing turns at."""
+    """Return values in time order, the first of equal stamps, without rows of NaN or implausible rates."""
     is_possible = (np.abs(values) <= LAST_RATE_RAD_S).all(axis=1)
     unique_ns, first = np.unique(stamps_ns[is_possible], return_index=True)
     return unique_ns, values[is_possible][first]
 
 
 def _inside(turns: Turns, time_s: Array) -> Turns:
-    """The steps that the gyro covers without a gap, at any lag that is searched."""
+    """Return the steps that the gyro covers without a gap, at every searched lag."""
     first = np.searchsorted(time_s, turns.begin_s - MAX_LAG_S, side="right") - 1
     last = np.searchsorted(time_s, turns.end_s + MAX_LAG_S, side="left")
     steps_s = np.diff(time_s)
@@ -133,7 +133,9 @@ def _inside(turns: Turns, time_s: Array) -> Turns:
 
 
 def _integrated(time_s: Array, rates: Array) -> Array:
-    """Trapezoids, of rates without their mean: the integral stays small, and the bias is fitted anyway."""
+    """Integrate by trapezoids, after subtraction of the mean: the integral stays small, and the bias is fitted
+    anyway.
+    """
     centred = rates - rates.mean(axis=0)
     areas = (centred[1:] + centred[:-1]) / 2 * np.diff(time_s)[:, None]
     return np.concatenate([np.zeros((1, 3)), np.cumsum(areas, axis=0)])
@@ -151,7 +153,9 @@ def _best(gyro: _Gyro, turns: Turns) -> GyroLag | None:
 
 
 def peak(height: Callable[[float], float], bounds: tuple[float, float]) -> tuple[float, float]:
-    """Where a function with one maximum between `bounds` is highest, within `FINE_STEP_S`, and how high."""
+    """Return the position, within `FINE_STEP_S`, and height of the maximum of a function with one maximum in
+    `bounds`.
+    """
     low, high = map(float, bounds)
     left, right = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
     of_left, of_right = height(left), height(right)
@@ -168,17 +172,17 @@ def peak(height: Callable[[float], float], bounds: tuple[float, float]) -> tuple
 
 
 def _agreement(gyro: _Gyro, turns: Turns, lag_s: float) -> float:
-    """Correlation of the rates under the rotation that makes it largest (Kabsch, 1976; a mirrored gyro is one, too)."""
+    """Return the correlation of the rates under the best rotation (Kabsch, 1976; including reflections)."""
     told, turned = gyro.rates_between(turns, lag_s), turns.centred()
     energy = float(np.sum(told**2) * np.sum(turned**2))
     return float(np.linalg.svd(told.T @ turned, compute_uv=False).sum()) / np.sqrt(energy) if energy > 0 else 0.0
 
 
 def _sigma_s(gyro: _Gyro, turns: Turns, lag_s: float) -> float | None:
-    """Standard error of the lag; None where the source's rates never change.
+    """Return the standard error of the lag; None if the source's rates never change.
 
-    Only what no small turn of the mount could explain as well tells of the lag. The gyro's slope has its noise in it,
-    which moves with the lag: it counts in the error, never in the signal.
+    Changes that a small turn of the mount explains as well carry no information about the lag. The gyro's slope
+    includes noise that moves with the lag, so it counts only in the error, never in the signal.
     """
     told, turned = gyro.rates_between(turns, lag_s), turns.centred()
     u, _, v = np.linalg.svd(told.T @ turned)
@@ -194,6 +198,6 @@ def _sigma_s(gyro: _Gyro, turns: Turns, lag_s: float) -> float | None:
 
 
 def _energy_beside(slope_per_s: Array, tilts: Array) -> float:
-    """Sum of squares of what is left of the slope when the tilts (3K, 3) are fitted to it."""
+    """Return the sum of squares of the slope after the tilts (3K, 3) are fitted to it."""
     flat = slope_per_s.ravel()
     return float(np.sum((flat - tilts @ np.linalg.lstsq(tilts, flat, rcond=None)[0]) ** 2))

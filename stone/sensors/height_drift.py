@@ -1,17 +1,20 @@
-"""What the poses of a run drift in z against the ground (`stone.sensors.ground_links`), as a record."""
+"""The record of a run's drift in z relative to the ground (`stone.sensors.ground_links`)."""
 
 from dataclasses import dataclass
 
-# Drift of 1 % is 0.12 m within reach. Sound runs, simulated ones of up to 200 m and KITTI's 70 m, have up to 0.055.
+# Drift of 1 % is 0.12 m within reach. Sound runs (simulated ones of up to 200 m, and KITTI's 70 m) have up to 0.055 m.
 TOLERATED_M = 0.08
-MOST_APART_M = 0.6  # 5 % within reach: no drift, whatever it is
+MOST_APART_M = 0.6  # 5 % within reach: more is not drift
 
 
 @dataclass(frozen=True)
 class HeightDrift:
-    """What `looks` at the ground with `links` between them say, metres: how far apart two looks at the same ground lie
-    at most by the poses as given, and those of one visit; how far they still do with the corrections (the 95th
-    centile); how far the corrections span, and how far was driven. `is_followed`: the poses were corrected."""
+    """Drift from `looks` at the ground with `links` between them, in metres.
+
+    The fields are the largest height difference of two looks at the same ground with the original poses, for all looks
+    and for looks of one visit; the 95th percentile of the remaining difference; the range of the corrections; and the
+    driven distance. `is_followed`: the poses were corrected.
+    """
 
     looks: int
     links: int
@@ -24,10 +27,10 @@ class HeightDrift:
 
     @property
     def is_beyond_terrain(self) -> bool:
-        """Whether they lie farther apart than terrain and noise explain."""
+        """Whether the looks differ more than terrain and noise explain."""
         return self.apart_m > TOLERATED_M
 
     @property
     def is_followable(self) -> bool:
-        """Whether it is slow enough to be drift, and gone with the corrections."""
+        """Whether the drift is slow and vanishes with the corrections."""
         return self.visit_apart_m <= MOST_APART_M and self.left_m <= TOLERATED_M

@@ -1,12 +1,12 @@
-"""The offset of a clock at which what sensors measured agrees best with how the robot moved, and its standard error.
+"""The clock offset at which a sensor's measurements agree best with the robot's motion, and its standard error.
 
-    r(t + offset) = measured(t) − predicted(t + offset),   Σ ρ(r / scale) least
+    r(t + offset) = measured(t) − predicted(t + offset),   minimise Σ ρ(r / scale)
 
-**Conventions.** An offset is added to the sensors' times, seconds. It is first searched on a grid, by the profile
-likelihood of residuals of unknown scale, then found by Gauss and Newton, each residual that is far off weighted down.
-The standard error is measured: by what the blocks of `BLOCK_S` say apart from each other (so errors that last are not
-counted as many), not by the size of the residuals. What could be at two times is not told.
-Sources: Huber 1981; Liang and Zeger 1986 (errors by clusters); Vuong 1989 (which of two models is likelier).
+**Conventions.** An offset in seconds is added to the sensors' times. It is first searched on a grid, by the profile
+likelihood of residuals of unknown scale, then refined by Gauss–Newton with smaller weights for outliers. The standard
+error comes from the disagreement of the blocks of `BLOCK_S` (so that lasting errors are not counted repeatedly), not
+from the residuals' size. Ambiguous offsets are not returned. Sources: Huber 1981; Liang and Zeger 1986 (errors by
+clusters); Vuong 1989 (likelihood comparison of two models).
 """
 
 from collections.abc import Sequence
@@ -21,13 +21,13 @@ from stone.sensors.sensor_motion import SensorMotion
 
 COARSE_STEP_S = 0.02
 ROUNDS, SETTLED_S = 12, 1e-6
-# Beyond so many scales a residual is somebody else's motion.
+# Residuals beyond this many scales come from other moving objects.
 FAR_SCALES = 3.0
 HUBER_SCALES = 1.345
-# Of what is predicted at the offset at which most is.
+# Threshold, relative to the best-supported offset.
 LEAST_KNOWN_RATIO = 0.75
 BLOCK_S, FEWEST_BLOCKS = 0.5, 8
-# So many standard errors the best offset is better than the best that is `APART_S` away.
+# The best offset must be this many standard errors better than the best offset at least `APART_S` away.
 LEAST_LEAD, APART_S = 4.0, 0.3
 
 Array = NDArray[np.float64]
@@ -35,9 +35,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class LagResiduals:
-    """N times D residuals at an offset, how they change with it (N, D) per second, and when they were measured (N,).
+    """N times D residuals at an offset, their derivative (N, D) per second, and their measurement times (N,).
 
-    Each column has a scale of its own; a row is NaN where nothing is predicted.
+    Each column has its own scale; rows without a prediction are NaN.
     """
 
     values: Array
@@ -50,20 +50,20 @@ class LagResiduals:
 
 
 class LagEvidence(Protocol):
-    """What one sensor measured."""
+    """The measurements of one sensor."""
 
     def values(self, offset_s: float) -> Array:
-        """Residuals (N, D) at an offset; a row is NaN where nothing is predicted."""
+        """Return the residuals (N, D) at an offset; rows without a prediction are NaN."""
         ...
 
     def residuals(self, offset_s: float) -> LagResiduals:
-        """The same, and how they change."""
+        """Return the residuals and their derivative."""
         ...
 
 
 @dataclass(frozen=True)
 class LagFit:
-    """`lead` is by how many of its standard errors the offset explains more than any that is `APART_S` away."""
+    """`lead` is the advantage over all offsets at least `APART_S` away, in standard errors."""
 
     offset_s: float
     sigma_s: float
@@ -71,7 +71,7 @@ class LagFit:
 
 
 def fitted_lag(evidence: Sequence[LagEvidence], span_s: tuple[float, float]) -> LagFit | None:
-    """Searched between two offsets. None where nothing stands out, or what does is at an end of the search."""
+    """Return the best offset between two limits; None if nothing stands out, or the best offset is at a limit."""
     searched = np.arange(span_s[0], span_s[1] + COARSE_STEP_S / 2, COARSE_STEP_S)
     found = [_cost(evidence, offset_s) for offset_s in searched.tolist()]
     costs, known = (np.array(column) for column in zip(*found, strict=True))
@@ -86,7 +86,7 @@ def fitted_lag(evidence: Sequence[LagEvidence], span_s: tuple[float, float]) -> 
 
 
 def _cost(evidence: Sequence[LagEvidence], offset_s: float) -> tuple[float, int]:
-    """−2 log likelihood, the scale of each sensor's residuals at its best, and of how many rows it is known."""
+    """Return −2 log likelihood with the best scale of each sensor's residuals, and the number of known rows."""
     total, known_rows = 0.0, 0
     for sensor in evidence:
         values = sensor.values(offset_s)
@@ -98,7 +98,7 @@ def _cost(evidence: Sequence[LagEvidence], offset_s: float) -> tuple[float, int]
 
 
 def _lead(evidence: Sequence[LagEvidence], best_s: float, other_s: float) -> float:
-    """How much likelier what was measured is at the one than at the other, in standard errors of that by blocks."""
+    """Return the log-likelihood advantage of the best offset over another, in standard errors by blocks."""
     times, gains = list[Array](), list[Array]()
     for sensor in evidence:
         one, two = sensor.residuals(best_s), sensor.values(other_s)
@@ -114,25 +114,25 @@ def _lead(evidence: Sequence[LagEvidence], best_s: float, other_s: float) -> flo
 
 
 def _costs(values: Array) -> Array:
-    """Of each row (N,), the scale of each column at its best."""
+    """Return the cost of each row (N,), with the best scale of each column."""
     near = np.minimum(np.abs(values), FAR_SCALES * _scales(values)) ** 2
     mean = near.mean(axis=0) + 1e-30
     return np.asarray((near / mean + np.log(mean)).sum(axis=1))
 
 
 def _by_block(times_s: Array, values: Array) -> Array:
-    """Sums over the blocks of time that have any."""
+    """Return the sums over non-empty blocks of time."""
     numbers = np.unique(np.floor(times_s / BLOCK_S), return_inverse=True)[1]
     return np.asarray(np.bincount(numbers, values), np.float64)
 
 
 def _scales(values: Array) -> Array:
-    """Of each column (D,)."""
+    """Return the robust scale of each column (D,)."""
     return np.asarray(MAD_TO_SIGMA * np.median(np.abs(values), axis=0) + 1e-15)
 
 
 def _refined(evidence: Sequence[LagEvidence], offset_s: float) -> tuple[float, float] | None:
-    """(offset, standard error); None where nothing changes with the offset, or too few blocks say so."""
+    """Return (offset, standard error); None if nothing changes with the offset, or too few blocks contribute."""
     start_s = offset_s
     for _ in range(ROUNDS):
         scores, energy = _normal(evidence, offset_s)
@@ -150,7 +150,7 @@ def _refined(evidence: Sequence[LagEvidence], offset_s: float) -> tuple[float, f
 
 
 def _normal(evidence: Sequence[LagEvidence], offset_s: float) -> tuple[Array, float]:
-    """What each block of time asks to change, and how much all know of the offset."""
+    """Return each block's gradient, and the total information about the offset."""
     parts, energy = list[tuple[Array, Array]](), 0.0
     for sensor in evidence:
         found = sensor.residuals(offset_s)
@@ -165,10 +165,9 @@ def _normal(evidence: Sequence[LagEvidence], offset_s: float) -> tuple[Array, fl
     return _by_block(times_s, scores), energy
 
 
-# What tells a clock's offset: the turns that cameras or a gyro measured, and the speeds that radars did.
-#
-# **Conventions.** Times are seconds from the track's first pose, by the clock that is in question. Source of the
-# second: Kellner et al., "Instantaneous ego-motion estimation using Doppler radar", ITSC 2013.
+# Evidence of a clock's offset: turns measured by cameras or a gyro, and speeds measured by radars. Times are seconds
+# from the track's first pose, by the examined clock. Source of the second: Kellner et al., "Instantaneous ego-motion
+# estimation using Doppler radar", ITSC 2013.
 
 
 SLOPE_STEP_S = 0.005
@@ -176,10 +175,9 @@ SLOPE_STEP_S = 0.005
 
 @dataclass(frozen=True, eq=False)
 class TurnEvidence:
-    """K measurements (K, D) between two times each, which the turn, and with `has_way` the way, explain linearly.
+    """K measurements (K, D) between two times each, explained linearly by the turn and, with `has_way`, the way.
 
-    How much of each explains how much of what was measured is fitted: neither the mount, the lens nor the distance of
-    what is seen need be known.
+    The coefficients are fitted, so mount, lens and distance of the scene need not be known.
     """
 
     motion: SensorMotion
@@ -189,18 +187,19 @@ class TurnEvidence:
     has_way: bool
 
     def values(self, offset_s: float) -> Array:
-        """(K, D) what the robot's motion does not explain."""
+        """Return the measurements (K, D) that the robot's motion does not explain."""
         return self._beside(self._explaining(offset_s), None)[0]
 
     def residuals(self, offset_s: float) -> LagResiduals:
-        """As `values`, and how they change. The change of the fit itself is left out (Kaufman 1975): it is of second
-        order where the residuals are small."""
+        """Return `values` and their derivative. The change of the fit itself is neglected (Kaufman 1975): it is of
+        second order for small residuals.
+        """
         later, earlier = self._explaining(offset_s + SLOPE_STEP_S), self._explaining(offset_s - SLOPE_STEP_S)
         found = self._beside(self._explaining(offset_s), (later - earlier) / (2 * SLOPE_STEP_S))
         return LagResiduals(*found, (self.begin_s + self.end_s) / 2)
 
     def _beside(self, explaining: Array, slopes: Array | None) -> tuple[Array, Array]:
-        """Residuals once what explains is fitted, and what the slopes change that no fit explains as well."""
+        """Return the residuals of the fit, and the part of the slopes that the fit does not explain."""
         known = np.isfinite(explaining if slopes is None else explaining + slopes).all(axis=1)
         values, changes = np.full(self.measured.shape, np.nan), np.full(self.measured.shape, np.nan)
         if known.sum() <= 2 * explaining.shape[1]:
@@ -213,7 +212,7 @@ class TurnEvidence:
         return values, changes
 
     def _explaining(self, offset_s: float) -> Array:
-        """Columns (K, P): turn, way if it counts, and one for what is constant."""
+        """Return the explaining columns (K, P): turn, way if used, and a constant."""
         moved = self.motion.between(self.begin_s + offset_s, self.end_s + offset_s)
         elapsed_s = (self.end_s - self.begin_s)[:, None]
         return np.concatenate([moved if self.has_way else moved[:, :3], elapsed_s], axis=1)
@@ -221,7 +220,9 @@ class TurnEvidence:
 
 @dataclass(frozen=True, eq=False)
 class DopplerEvidence:
-    """N detections: when (N,), unit directions (N, 3) in the radar's axes, and rates of range (N,), m/s, growing."""
+    """N detections: times (N,), unit directions (N, 3) in the radar's axes, and range rates (N,) in m/s, positive for
+    growing range.
+    """
 
     motion: SensorMotion
     times_s: Array
@@ -229,12 +230,12 @@ class DopplerEvidence:
     range_rate_m_s: Array
 
     def values(self, offset_s: float) -> Array:
-        """(N, 1) what the robot's own speed does not explain."""
+        """Return the range rates (N, 1) that the robot's speed does not explain."""
         velocity = self.motion.velocity_at(self.times_s + offset_s)
         approach = np.einsum("ij,ij->i", self.towards, velocity)
         return np.asarray(self.range_rate_m_s + approach)[:, None]
 
     def residuals(self, offset_s: float) -> LagResiduals:
-        """As `values`, and how they change."""
+        """Return `values` and their derivative."""
         later, earlier = self.values(offset_s + SLOPE_STEP_S), self.values(offset_s - SLOPE_STEP_S)
         return LagResiduals(self.values(offset_s), (later - earlier) / (2 * SLOPE_STEP_S), self.times_s)

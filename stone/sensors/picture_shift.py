@@ -1,10 +1,10 @@
-"""How a picture moved against the one before it: along its rows and columns, and about its middle.
+"""The motion of an image relative to the previous one: shift along rows and columns, and roll about the centre.
 
     second(x + shift + roll × x) ≈ first(x)
 
-**Conventions.** Pictures are brightness (H, W), float; x is from the middle, right and down. Whole pixels are found by
-correlation, the rest by Gauss and Newton on brightness, each pixel weighted by one over its difference, so that
-what moves by itself counts little. Sources: Kuglin and Hines, 1975; Lucas and Kanade, 1981.
+**Conventions.** Images are brightness (H, W), float; x is from the centre, right and down. Whole pixels are found by
+correlation, the rest by Gauss–Newton on brightness. Each pixel is weighted by one over its difference, so that moving
+objects have little effect. Sources: Kuglin and Hines, 1975; Lucas and Kanade, 1981.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ ROUNDS, SETTLED_PX = 5, 0.02
 LEAST_SIDE_PX = 16
 SMOOTHED_PX = 1.0
 LEAST_KNOWN_RATIO = 0.3
-# A picture without this much contrast shows nothing that could move.
+# Images with less contrast show no motion.
 LEAST_CONTRAST = 1.0
 
 Picture = NDArray[np.float32]
@@ -23,12 +23,14 @@ Array = NDArray[np.float64]
 
 
 def brightness_of(pixels: NDArray[np.uint8]) -> Picture:
-    """(H, W) of pixels (H, W, 3), smoothed by a pixel: slopes of single pixels are noise."""
+    """Return the brightness (H, W) of pixels (H, W, 3), smoothed by a pixel, because single-pixel slopes are noise."""
     return np.asarray(gaussian_filter(pixels.astype(np.float32).mean(axis=2), SMOOTHED_PX), np.float32)
 
 
 def picture_shift(first: Picture, second: Picture) -> Array | None:
-    """(3,) pixels right, pixels down, radians clockwise; None where the pictures are too small, or show nothing."""
+    """Return (3,) pixels right, pixels down, radians clockwise; None if the images are too small or without
+    contrast.
+    """
     is_large = first.shape == second.shape and min(first.shape) >= LEAST_SIDE_PX
     if not is_large or min(float(first.std()), float(second.std())) < LEAST_CONTRAST:
         return None
@@ -66,9 +68,9 @@ def _step(slopes: Array, apart: Array) -> Array | None:
 
 
 def _whole_pixels(first: Picture, second: Picture) -> tuple[int, int]:
-    """Right and down: of none, and of the peaks of the correlation and of that of the phases, what fits best.
+    """Return the best of no shift, the correlation peak and the phase correlation peak, as pixels right and down.
 
-    What moves by itself can have the sharper peak, but covers less.
+    Moving objects can have the sharper peak, but cover less area.
     """
     height, width = first.shape
     window = np.outer(np.hanning(height), np.hanning(width))
@@ -84,7 +86,7 @@ def _whole_pixels(first: Picture, second: Picture) -> tuple[int, int]:
 
 
 def _apart(first: Picture, second: Picture, shift: tuple[int, int]) -> float:
-    """The median difference where both pictures show the same; infinite where they hardly do."""
+    """Return the median difference in the overlap of both images; infinite for little overlap."""
     right, down = shift
     height, width = first.shape
     if abs(right) > width * (1 - LEAST_KNOWN_RATIO) or abs(down) > height * (1 - LEAST_KNOWN_RATIO):

@@ -1,7 +1,7 @@
-"""Quality of a pose: the kind of its solution, its standard deviations, how far apart its neighbours lie.
+"""Quality of a pose: the solution type, its standard deviations, and the interval between its neighbours.
 
-**Conventions.** A status is a rank, better is higher; between two poses the worse of both holds. A standard deviation
-is along east, north and up, metres; NaN where the source says none.
+**Conventions.** A status is a rank, higher is better; between two poses the worse status applies. A standard deviation
+is along east, north and up in metres, NaN if the source has none.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from stone.geometry.trajectory import Trajectory
 
 
 class Rtk(IntEnum):
-    """What kind of solution the position is; UNKNOWN where the source has no such thing (odometry) or does not tell."""
+    """The type of the position solution; UNKNOWN if the source has none (odometry) or does not report it."""
 
     UNKNOWN = 0
     NONE = 1
@@ -30,7 +30,7 @@ class Rtk(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class SolutionQuality:
-    """Of K poses: `rtk` (K,) uint8 of `Rtk` and `stdev_m` (K, 3), east, north, up."""
+    """For K poses: `rtk` (K,) uint8 of `Rtk` and `stdev_m` (K, 3), east, north, up."""
 
     rtk: NDArray[np.uint8]
     stdev_m: NDArray[np.float64]
@@ -38,24 +38,26 @@ class SolutionQuality:
 
 @dataclass(frozen=True, eq=False)
 class PoseQuality:
-    """Of N frames: the worse of the two poses around each stamp, and `gap_ns` (N,) between them, 0 on a pose."""
+    """For N frames: the worse of the two poses around each stamp, and the interval `gap_ns` (N,) between them, 0 at a
+    pose.
+    """
 
     gap_ns: NDArray[np.int64]
     rtk: NDArray[np.uint8]
     stdev_m: NDArray[np.float64]
 
     def rtk_words(self) -> list[str]:
-        """ "fixed", "float", … of each frame."""
+        """Return "fixed", "float", … for each frame."""
         return [Rtk(status).word for status in self.rtk.tolist()]
 
 
 def unknown_quality(count: int) -> SolutionQuality:
-    """Of poses whose source says nothing about them."""
+    """Return the quality of poses whose source reports none."""
     return SolutionQuality(np.full(count, Rtk.UNKNOWN, np.uint8), np.full((count, 3), np.nan))
 
 
 def quality_at(trajectory: Trajectory, solution: SolutionQuality, stamps_ns: NDArray[np.int64]) -> PoseQuality:
-    """The quality at stamps (N,) that lie within the trajectory; `solution` is of its poses."""
+    """Return the quality at stamps (N,) within the trajectory; `solution` belongs to its poses."""
     left, right = trajectory.around(stamps_ns)
     return PoseQuality(
         trajectory.stamps_ns[right] - trajectory.stamps_ns[left],

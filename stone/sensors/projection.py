@@ -6,8 +6,8 @@
     equidistant          θ_d = θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸) (Kannala and Brandt 2006)
 
 **Conventions.** Points are in the optical frame: z forward, x right, y down. Pixel (0, 0) is the centre of the first
-one, so an image reaches from −0.5 to size − 0.5. A polynomial turns back somewhere outside the image it was fitted to
-and would put what is far off the axis back into the picture: points beyond the turn are never in the image.
+pixel, so an image extends from −0.5 to size − 0.5. A distortion polynomial turns back outside its fitted image and
+would project points far off the axis into the image: points beyond the turn are never in the image.
 """
 
 import numpy as np
@@ -19,18 +19,18 @@ from stone.sensors.calibration import CameraIntrinsics
 Array = NDArray[np.float64]
 
 LEAST_DEPTH_M = 1e-3
-# Where the turn of a lens is looked for: tan(84°) off the axis, and just short of straight back for a fisheye.
+# Search limits for a lens's turn: tan(84°) off the axis, and just short of straight back for a fisheye.
 WIDEST_RATIO, WIDEST_RAD = 10.0, 3.1
 STEPS = 4096
-# The inverse: rounds by Newton along the radius and of the tangential terms, and what it may be off at the end.
+# The inverse: Newton rounds along the radius, rounds for the tangential terms, and the accepted error.
 NEWTON_ROUNDS, TANGENTIAL_ROUNDS, OFF_PX = 4, 10, 1e-3
 NEWTON_STEP, LEAST_SLOPE = 1e-6, 1e-9
 
 
 def project(points_camera: Array, intrinsics: CameraIntrinsics) -> tuple[Array, NDArray[np.bool_]]:
-    """Pixels (N, 2) and `is_in_image` (N,) of points (N, 3); a pixel means nothing where the point is not in the image.
+    """Return pixels (N, 2) and `is_in_image` (N,) of points (N, 3); pixels of points outside the image are meaningless.
 
-    A pinhole sees what is at least a millimetre before it; a fisheye also sees sideways. Raises ShapeError.
+    A pinhole sees points at least a millimetre in front of it; a fisheye also sees sideways. Raises ShapeError.
     """
     if points_camera.ndim != 2 or points_camera.shape[1] != 3:
         raise ShapeError("points_camera", points_camera.shape, "(N, 3)")
@@ -44,9 +44,10 @@ def project(points_camera: Array, intrinsics: CameraIntrinsics) -> tuple[Array, 
 
 
 def rays_through(pixels: Array, intrinsics: CameraIntrinsics) -> Array:
-    """Unit vectors (N, 3) of the optical frame that `project` puts at pixels (N, 2), in the image or beside it.
+    """Return the unit vectors (N, 3) of the optical frame that `project` maps to pixels (N, 2), inside or outside the
+    image.
 
-    NaN where the lens puts nothing within `OFF_PX`: beyond its turn. Raises ShapeError.
+    NaN if no direction projects within `OFF_PX`, that is beyond the lens's turn. Raises ShapeError.
     """
     if pixels.ndim != 2 or pixels.shape[1] != 2:
         raise ShapeError("pixels", pixels.shape, "(N, 2)")
@@ -63,7 +64,9 @@ def rays_through(pixels: Array, intrinsics: CameraIntrinsics) -> Array:
 
 
 def field_limit(intrinsics: CameraIntrinsics) -> float:
-    """How far off the axis the lens is one-to-one: r = tan(angle), for a fisheye the angle itself, rad."""
+    """Return the limit off the axis up to which the lens is one-to-one: r = tan(angle), or the angle in rad for a
+    fisheye.
+    """
     is_fisheye = intrinsics.model == "equidistant"
     reach = np.linspace(0.0, WIDEST_RAD if is_fisheye else WIDEST_RATIO, STEPS)
     with np.errstate(all="ignore"):
@@ -73,9 +76,9 @@ def field_limit(intrinsics: CameraIntrinsics) -> float:
 
 
 def corner_reach(intrinsics: CameraIntrinsics) -> float:
-    """The undistorted corner farthest from the principal point, in the measure of `field_limit`.
+    """Return the undistorted corner farthest from the principal point, in the unit of `field_limit`.
 
-    The centre of the first pixel is (0, 0), so the image begins half a pixel before it.
+    The centre of the first pixel is (0, 0), so the image starts half a pixel before it.
     """
     x = max(intrinsics.cx_px + 0.5, intrinsics.width_px - 0.5 - intrinsics.cx_px) / intrinsics.fx_px
     y = max(intrinsics.cy_px + 0.5, intrinsics.height_px - 0.5 - intrinsics.cy_px) / intrinsics.fy_px
@@ -83,7 +86,9 @@ def corner_reach(intrinsics: CameraIntrinsics) -> float:
 
 
 def is_folded(intrinsics: CameraIntrinsics) -> bool:
-    """Whether the lens turns back before it reaches the image's corner: coefficients of another camera or model."""
+    """Return whether the lens turns back before the image's corner, which shows coefficients of another camera or
+    model.
+    """
     limit = field_limit(intrinsics)
     with np.errstate(all="ignore"):
         seen = limit * _radial(np.array([limit * limit]), intrinsics)[0]
@@ -131,7 +136,9 @@ def _perspective_rays(aside: Array, lens: CameraIntrinsics) -> Array:
 
 
 def _unbent(reach: Array, lens: CameraIntrinsics) -> Array:
-    """How far off the axis, in the measure of `field_limit`, is what the lens shows this far off it; NaN beyond."""
+    """Return the undistorted distance off the axis, in the unit of `field_limit`, of this distorted one; NaN beyond the
+    turn.
+    """
     table = np.linspace(0.0, field_limit(lens), STEPS)
     found = np.interp(reach, table * _radial(table * table, lens), table, right=np.nan)
     for _ in range(NEWTON_ROUNDS):
@@ -141,7 +148,9 @@ def _unbent(reach: Array, lens: CameraIntrinsics) -> Array:
 
 
 def _radial(squared: Array, lens: CameraIntrinsics) -> Array:
-    """Distorted over undistorted distance from the axis, of squared distances (of squared angles for a fisheye)."""
+    """Return distorted over undistorted distance from the axis, for squared distances (squared angles for a
+    fisheye).
+    """
     d = lens.distortion
     if lens.model == "equidistant":
         return np.asarray(_series(squared, d))
@@ -152,7 +161,7 @@ def _radial(squared: Array, lens: CameraIntrinsics) -> Array:
 
 
 def _series(squared: Array, coefficients: tuple[float, ...]) -> Array:
-    """1 + c0 s + c1 s² + …"""
+    """Return 1 + c0 s + c1 s² + …"""
     total = np.zeros_like(squared)
     for coefficient in reversed(coefficients):
         total = (total + coefficient) * squared

@@ -1,12 +1,12 @@
-"""Radar detections moved to the frame's stamp, and how fast things move over the ground.
+"""Radar detections moved to the frame's stamp, and the speed of objects over the ground.
 
     stamp_from_radar = map_from_lidar(stamp)⁻¹ @ map_from_lidar(t) @ lidar_from_radar
     ground_rate = range_rate + v_radar · p / |p|
 
-**Conventions.** t is when the radar measured. What stands still lies where it would have been seen at the stamp; what
-moves has moved on by its own speed, which a radar knows along its ray only. A range rate is positive when the distance
-grows; over the ground it is 0 for what stands still. `v_radar` is the sensor's own velocity in its own axes, lever arm
-and turning included. Source: Kellner et al., "Instantaneous ego-motion estimation using Doppler radar", ITSC 2013.
+**Conventions.** t is the radar's measurement time. Static objects are moved to their position as seen at the stamp.
+Moving objects have moved by their own speed, which a radar measures only along its ray. A range rate is positive for
+growing range; over the ground it is 0 for static objects. `v_radar` is the sensor's velocity in its own axes, including
+lever arm and turning. Source: Kellner et al., "Instantaneous ego-motion estimation using Doppler radar", ITSC 2013.
 """
 
 from dataclasses import dataclass
@@ -17,15 +17,16 @@ from numpy.typing import NDArray
 from stone.geometry.se3 import SE3, rotate
 from stone.sensors.deskew import SweepMount
 
-# Half the time over which the sensor's velocity is taken: RTK noise of 1 cm then makes 0.07 m/s.
+# Half the time span of the sensor's velocity: RTK noise of 1 cm then gives 0.07 m/s.
 HALF_SPAN_NS = 100_000_000
 
 
 @dataclass(frozen=True, eq=False)
 class RadarMotion:
-    """`stamp_from_radar`: from the radar when it measured to the LiDAR at the stamp; `velocity_m_s` (3,) its own.
+    """`stamp_from_radar`: from the radar at its measurement to the LiDAR at the stamp; `velocity_m_s` (3,) is the
+    radar's.
 
-    Where a pose is missing, both are NaN.
+    Both are NaN if a pose is missing.
     """
 
     stamp_from_radar: SE3
@@ -41,12 +42,12 @@ class CompensatedRadar:
 
 
 def radar_motion(mount: SweepMount, lidar_from_radar: SE3, stamp_ns: int, taken_ns: int) -> RadarMotion:
-    """How a radar moved from when it measured (`taken_ns`) to the frame's stamp, and how fast."""
+    """Return a radar's motion from its measurement (`taken_ns`) to the frame's stamp, and its velocity."""
     times_ns = np.array([stamp_ns, taken_ns, taken_ns - HALF_SPAN_NS, taken_ns + HALF_SPAN_NS], np.int64)
     found = mount.trajectory.at(times_ns, mount.max_gap_ns)
     map_from_lidar = found.map_from_ego @ mount.ego_from_lidar
     map_from_radar = map_from_lidar[1:] @ lidar_from_radar
-    # What lies beyond a jump of the track is no neighbour, though it has a pose.
+    # A pose beyond a jump of the track is no neighbour.
     is_ok = found.is_ok & (found.segment == found.segment[0])
     stamp_from_radar = map_from_lidar[0].inverse() @ map_from_radar[0]
     if not is_ok[:2].all():
@@ -57,14 +58,14 @@ def radar_motion(mount: SweepMount, lidar_from_radar: SE3, stamp_ns: int, taken_
 def compensated(
     points_radar: NDArray[np.float64], range_rate_m_s: NDArray[np.float64], motion: RadarMotion
 ) -> CompensatedRadar:
-    """From points (N, 3) and range rates (N,) as measured; a point in the radar's own place has no rate (NaN)."""
+    """Return the compensated points (N, 3) and range rates (N,); a point at the radar's origin has no rate (NaN)."""
     distance_m = np.linalg.norm(points_radar, axis=1)
     towards = points_radar / np.where(distance_m > 0, distance_m, np.nan)[:, None]
     return CompensatedRadar(motion.stamp_from_radar @ points_radar, range_rate_m_s + towards @ motion.velocity_m_s)
 
 
 def _velocity(map_from_radar: SE3, times_ns: NDArray[np.int64], is_ok: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """By the widest difference there is of [at, before, after]; NaN where there is only the first."""
+    """Return the velocity from the widest available difference of [at, before, after]; NaN if only the first exists."""
     if not is_ok[1:].any():
         return np.full(3, np.nan)
     first, last = (1 if is_ok[1] else 0), (2 if is_ok[2] else 0)

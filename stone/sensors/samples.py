@@ -1,10 +1,10 @@
-"""Samples of a frame, one per sensor, as exports and previews ask for them.
+"""Samples of a frame, one per sensor, for exports and previews.
 
     map_from_ego(t) = map_from_ego(frame) @ track(stamp)⁻¹ @ track(t)
 
-**Conventions.** `stamp_ns` is when a sensor measured, on the LiDAR's clock. Between frames the robot moved as the
-sequence's track says, from the frame's own pose, so that refined poses of frames refine all others too. Nothing is
-extrapolated.
+**Conventions.** `stamp_ns` is the sensor's measurement time on the LiDAR's clock. Between frames the robot moved along
+the sequence's track, starting at the frame's own pose, so that refined frame poses refine all others too. Poses are
+never extrapolated.
 """
 
 from dataclasses import dataclass
@@ -20,10 +20,10 @@ from stone.sensors.sequence import Sequence
 
 @dataclass(frozen=True, eq=False)
 class LidarSample:
-    """N returns, finite and not (0, 0, 0), moved to the frame's stamp where the cloud carries times.
+    """N returns, finite and not (0, 0, 0), moved to the frame's stamp if the cloud has times.
 
-    `intensity` (N,) is as the driver gives it, 0 where it gives none or nothing finite; `ring` (N,) is the laser, 0
-    where the cloud does not say.
+    `intensity` (N,) is the driver's value, 0 if it is missing or not finite; `ring` (N,) is the laser, 0 if the cloud
+    has none.
     """
 
     points_lidar: NDArray[np.float32]
@@ -33,7 +33,7 @@ class LidarSample:
 
 @dataclass(frozen=True, eq=False)
 class CameraSample:
-    """One picture as a JPEG file: the recorded bytes where it was recorded so, else encoded once."""
+    """One image as a JPEG file: the recorded bytes if they are JPEG, otherwise encoded once."""
 
     stamp_ns: int
     content: bytes
@@ -43,11 +43,11 @@ class CameraSample:
 
 @dataclass(frozen=True, eq=False)
 class RadarSample:
-    """N detections that the radar itself calls valid, in its order.
+    """N detections that the radar marks as valid, in its order.
 
-    `points_radar` (N, 3) are where it saw them, in its own axes at `stamp_ns`; `points_lidar` (N, 3) the same moved to
-    the frame's stamp in the LiDAR's axes. `range_rate_m_s` (N,) was measured, `ground_rate_m_s` (N,) is freed of the
-    robot's motion, 0 for what stands still. `points_lidar` and `ground_rate_m_s` are NaN where the track has no pose.
+    `points_radar` (N, 3) are in the radar's axes at `stamp_ns`; `points_lidar` (N, 3) are moved to the frame's stamp in
+    the LiDAR's axes. `range_rate_m_s` (N,) was measured; `ground_rate_m_s` (N,) is compensated for the robot's motion,
+    0 for static objects. `points_lidar` and `ground_rate_m_s` are NaN if the track has no pose.
     """
 
     stamp_ns: int
@@ -59,27 +59,27 @@ class RadarSample:
 
 
 class SampleSource(Protocol):
-    """Where samples come from. Picklable, so that workers can open it; in the order of frames it is cheap."""
+    """The source of samples. Picklable, so that workers can open it; fast in frame order."""
 
     def lidar(self, index: int) -> LidarSample:
-        """The sweep of frame `index`."""
+        """Return the sweep of frame `index`."""
         ...
 
     def camera(self, channel: str, index: int) -> CameraSample | None:
-        """The picture that frame `index` takes of this camera; None where it takes none."""
+        """Return the image of this camera for frame `index`, or None."""
         ...
 
     def radar(self, channel: str, index: int) -> RadarSample | None:
-        """The scan that frame `index` takes of this radar; None where it takes none."""
+        """Return the scan of this radar for frame `index`, or None."""
         ...
 
 
 def egos_at(
     sequence: Sequence, indices: NDArray[np.int64], stamps_ns: NDArray[np.int64]
 ) -> tuple[SE3, NDArray[np.bool_]]:
-    """`map_from_ego` (N,) at times (N,) near frames `indices` (N,), and which of them there are; the others are NaN.
+    """Return `map_from_ego` (N,) at times (N,) near frames `indices` (N,), and which exist; the others are NaN.
 
-    A sequence without a track moved from frame to frame.
+    A sequence without a track moves from frame to frame.
     """
     frames = sequence.frames
     own_ns, own = frames.stamps_ns[indices], frames.map_from_ego[indices]

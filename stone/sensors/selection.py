@@ -1,7 +1,7 @@
-"""Selection of a sweep's points: those that are returns and not the robot itself, and those that can be labelled.
+"""Selection of a sweep's points: returns from the world, without the robot itself, that can be labelled.
 
-**Conventions.** Input in the LiDAR frame, output in the ego frame, float32. Points of the robot itself are dropped by
-a minimum range *and* boxes: a box alone misses antennas, a range alone misses the tail.
+**Conventions.** Input in the LiDAR frame, output in the ego frame, float32. The robot's own points are removed by a
+minimum range *and* boxes: a box alone misses antennas, a range alone misses the tail.
 """
 
 from dataclasses import dataclass
@@ -14,15 +14,15 @@ from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Box
 from stone.sensors.reach import is_in_reach
 
-AT_ONCE = 512  # points: what is computed of them stays in the cache
+AT_ONCE = 512  # points whose intermediate results stay in the cache
 DROPPED, OWN, WORLD = range(3)
 
 
 @dataclass(frozen=True)
 class SelectionParameters:
-    """Minimum range from the LiDAR, and how far beyond the label grid points are still kept for the surface.
+    """Minimum range from the LiDAR, and the margin beyond the label grid within which points are kept for the surface.
 
-    A point outside the grid of its own frame may lie in that of another, but is then also seen from there, and nearer.
+    A point outside its frame's grid may lie in another frame's grid, but that frame then sees it too, from nearer.
     """
 
     min_range_m: float = 1.0
@@ -31,22 +31,23 @@ class SelectionParameters:
 
 @dataclass(frozen=True, eq=False)
 class SelectedPoints:
-    """Points (M, 3) of a sweep in the ego frame that are in reach: first the `worlds` of the world, in the order they
-    came in, then the robot's own."""
+    """Points (M, 3) of a sweep in the ego frame within reach: first the `worlds` points of the world in their order,
+    then the robot's own.
+    """
 
     points_ego: NDArray[np.float32]
     worlds: int
 
     @property
     def world_ego(self) -> NDArray[np.float32]:
-        """Those that are neither nearer than the minimum range nor inside a box."""
+        """Return the points that are neither nearer than the minimum range nor inside a box."""
         return self.points_ego[: self.worlds]
 
 
 def selected(
     points_lidar: NDArray[np.float32], ego_from_lidar: SE3, boxes_ego: tuple[Box, ...], min_range_m: float
 ) -> SelectedPoints:
-    """The points in reach, divided by `min_range_m` and the boxes."""
+    """Return the points within reach, divided by `min_range_m` and the boxes."""
     boxes = np.array([[box.min_m, box.max_m] for box in boxes_ego], np.float64).reshape(-1, 6)
     points_ego, own = np.empty((2, len(points_lidar), 3), np.float32)
     work = (np.zeros(3 * AT_ONCE, np.float32), np.empty(3 * AT_ONCE), np.empty(AT_ONCE, np.int64))
@@ -59,13 +60,13 @@ def selected(
 def world_points(
     points_lidar: NDArray[np.float32], ego_from_lidar: SE3, boxes_ego: tuple[Box, ...], min_range_m: float
 ) -> NDArray[np.float32]:
-    """The points (M, 3) in the ego frame that are in reach, and neither nearer than `min_range_m` nor inside a box."""
+    """Return the points (M, 3) in the ego frame within reach, neither nearer than `min_range_m` nor inside a box."""
     return selected(points_lidar, ego_from_lidar, boxes_ego, min_range_m).world_ego
 
 
 @njit(cache=True, nogil=True)
 def _select(points, view, out, work):  # type: ignore[no-untyped-def]
-    """Write the world's points and the robot's own; how many they are."""
+    """Write the world's points and the robot's own; return their numbers."""
     pose, boxes, min_range_m2 = view
     (world, own), (apart, turned, kinds) = out, work
     worlds, owns = 0, 0
@@ -88,14 +89,16 @@ def _select(points, view, out, work):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _take_apart(block, apart):  # type: ignore[no-untyped-def]
-    """The coordinates axis by axis: only of numbers that lie in a row the compiler makes vector code."""
+    """Copy the coordinates axis by axis, because the compiler vectorises only contiguous numbers."""
     for p in range(block.shape[0]):
         apart[p], apart[AT_ONCE + p], apart[2 * AT_ONCE + p] = block[p, 0], block[p, 1], block[p, 2]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _turn(apart, pose, min_range_m2, out):  # type: ignore[no-untyped-def]
-    """Points in the ego frame, axis by axis, and what their distance says of them; of old ones behind the last."""
+    """Write points in the ego frame, axis by axis, and their classification by range; rows beyond the last point are
+    stale.
+    """
     turned, kinds = out
     m00, m01, m02, m03 = pose[0, 0], pose[0, 1], pose[0, 2], pose[0, 3]
     m10, m11, m12, m13 = pose[1, 0], pose[1, 1], pose[1, 2], pose[1, 3]
@@ -111,7 +114,7 @@ def _turn(apart, pose, min_range_m2, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _take_out(box, turned, kinds):  # type: ignore[no-untyped-def]
-    """What is inside the half-open box is the robot's own."""
+    """Mark points inside the half-open box as the robot's own."""
     low0, low1, low2, high0, high1, high2 = box[0], box[1], box[2], box[3], box[4], box[5]
     for p in range(AT_ONCE):
         x, y, z = turned[p], turned[AT_ONCE + p], turned[2 * AT_ONCE + p]

@@ -1,7 +1,7 @@
-"""How a mounted sensor moved, in its own axes, at any time of a track: its speed, its turn and its way between times.
+"""The motion of a mounted sensor in its own axes at any time of a track: speed, turn, and way between times.
 
-**Conventions.** Times are seconds from the track's first pose. Rates are those between `HALF_SPAN_NS` before and after,
-so that the noise of poses is smoothed alike on both sides and no time is favoured; NaN where poses are missing.
+**Conventions.** Times are seconds from the track's first pose. Rates use `HALF_SPAN_NS` before and after, so that pose
+noise is smoothed symmetrically; NaN if poses are missing.
 """
 
 from dataclasses import dataclass
@@ -19,8 +19,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SensorMotion:
-    """`rates` (M, 6): turning about and moving along the sensor's axes, rad/s and m/s, every `STEP_NS` from
-    `begin_s`; `sums` (M, 6) their integrals; `unknown` (M,) counts the steps so far that have no rate."""
+    """`rates` (M, 6): rotation and velocity along the sensor's axes, rad/s and m/s, every `STEP_NS` from `begin_s`;
+    `sums` (M, 6) are their integrals; `unknown` (M,) counts the previous steps without a rate.
+    """
 
     begin_s: float
     rates: Array
@@ -28,13 +29,13 @@ class SensorMotion:
     unknown: Array
 
     def velocity_at(self, times_s: Array) -> Array:
-        """(N, 3) metres a second; NaN where it is not known."""
+        """Return the velocity (N, 3) in m/s; NaN if unknown."""
         place = (times_s - self.begin_s) / (STEP_NS * 1e-9)
         found = np.stack([_linear(place, axis) for axis in self.rates[:, 3:].T], axis=1)
         return np.where(self._is_known(place, place)[:, None], found, np.nan)
 
     def between(self, begin_s: Array, end_s: Array) -> Array:
-        """(N, 6): turn in radians and way in metres from one time to the other; NaN where they are not known."""
+        """Return the turn in radians and the way in metres (N, 6) between two times; NaN if unknown."""
         first, last = ((times_s - self.begin_s) / (STEP_NS * 1e-9) for times_s in (begin_s, end_s))
         found = np.stack([_linear(last, axis) - _linear(first, axis) for axis in self.sums.T], axis=1)
         return np.where(self._is_known(first, last)[:, None], found, np.nan)
@@ -48,7 +49,7 @@ class SensorMotion:
 
 
 def sensor_motion(track: Trajectory, ego_from_sensor: SE3, max_gap_ns: int) -> SensorMotion | None:
-    """None for a track that is too short for a rate."""
+    """Return the motion, or None for a track that is too short for a rate."""
     times_ns = np.arange(track.stamps_ns[0] + HALF_SPAN_NS, track.stamps_ns[-1] - HALF_SPAN_NS, STEP_NS)
     if len(times_ns) < 2:
         return None
@@ -57,7 +58,7 @@ def sensor_motion(track: Trajectory, ego_from_sensor: SE3, max_gap_ns: int) -> S
     first, last = (found.map_from_ego @ ego_from_sensor for found in (before, after))
     way_sensor = rotate(first.inverse().wxyz, last.translation_m - first.translation_m)
     turn_sensor = rotation_vectors((first.inverse() @ last).wxyz)
-    # Half way the sensor has turned by half: its velocity is told in the axes that it has then.
+    # Halfway, the sensor has turned by half: its velocity is expressed in these axes.
     half = np.cross(turn_sensor / 2, way_sensor)
     rates = np.concatenate([turn_sensor, way_sensor - half], axis=1) / (2 * HALF_SPAN_NS * 1e-9)
     rates = np.where(is_known[:, None], rates, 0.0)

@@ -35,8 +35,8 @@ def bad_sequence_name(name: str) -> Refused:
 class Sweep:
     """One LiDAR revolution, deskewed to its stamp: finite, non-zero points (N, 3) float32 in the LiDAR frame.
 
-    `beyond` counts the points of its message that were left out because no LiDAR sees as far (`stone.sensors.reach`),
-    `mistimed` those that had no time of the sweep; a sweep that is not `is_timed` has no times and is not deskewed.
+    `beyond` counts its message's points outside the reach of any LiDAR (`stone.sensors.reach`), `mistimed` its points
+    without a valid time. A sweep that is not `is_timed` has no times and is not deskewed.
     """
 
     stamp_ns: int
@@ -48,9 +48,9 @@ class Sweep:
 
 @dataclass(frozen=True, eq=False)
 class Association:
-    """Which message of one sensor each frame takes: index −1 and dt 0 where none is near enough; dt is signed.
+    """The message of one sensor for each frame: index −1 and dt 0 if none is near enough; dt is signed.
 
-    `phase_ns` is how long after the frame's stamp a triggered camera fires, learnt from the recording; else None.
+    `phase_ns` is the delay of a triggered camera after the frame's stamp, estimated from the recording; otherwise None.
     """
 
     topic: str
@@ -61,10 +61,10 @@ class Association:
 
 @dataclass(frozen=True, eq=False)
 class Slices:
-    """The samples of a fast sensor between frames: `start` (N + 1,), those of frame i are start[i] to start[i + 1].
+    """The samples of a fast sensor between frames: `start` (N + 1,); frame i has samples start[i] to start[i + 1].
 
-    They are counted in stamp order, repeats left out; from the frame's stamp (included) to the next frame's, those of
-    the last frame for one period of the LiDAR.
+    Samples are counted in stamp order without repeats, from the frame's stamp (included) to the next frame's; the last
+    frame's samples cover one LiDAR period.
     """
 
     topic: str
@@ -73,7 +73,7 @@ class Slices:
 
 @dataclass(frozen=True)
 class ExcludedFrame:
-    """A LiDAR stamp that gives no frame, and why (`code` for programs, `reason` for people)."""
+    """A LiDAR stamp without a frame, and the reason (`code` for programs, `reason` for people)."""
 
     stamp_ns: int
     code: str
@@ -84,7 +84,7 @@ class ExcludedFrame:
 class Frames:
     """The frame table: N usable frames in time order; `sweeps` are the LiDAR's messages, `slices` by channel.
 
-    `quality` and `sweeps` are None where frames were not made from a recording.
+    `quality` and `sweeps` are None for frames without a recording.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -101,8 +101,10 @@ class Frames:
 
 @dataclass(frozen=True)
 class RecordingClock:
-    """One of several recordings that a sequence was made of, and what was added to its times to be on the clock of the
-    first; `sigma_ns` is its standard error, None where nobody measured it, and `known_by` is how it is known."""
+    """One of a sequence's recordings, and the offset added to its times to convert them to the first recording's clock.
+
+    `sigma_ns` is the offset's standard error, None if it was not measured; `known_by` is its source.
+    """
 
     name: str
     offset_ns: int
@@ -112,13 +114,13 @@ class RecordingClock:
 
 @dataclass(frozen=True, eq=False)
 class Sequence:
-    """One continuous run of the robot, synchronised; `inputs` names what it was made from (name → sha256).
+    """One continuous run of the robot, synchronised; `inputs` identifies its sources (name → sha256).
 
-    `track` is where the robot was between the frames, as its poses say before any refinement of the frames' own; poses
-    farther apart than `max_pose_gap_ns` are a gap in it. None where frames were not made from a recording.
-    `map_of_segment` is the map that each segment of the track lies in, () where each has its own. `ground` is where the
-    sweeps show the ground in the ego frame, and `height_drift` by how much the poses drift in z against it; None where
-    that was not measured. `recordings` are those that were joined, () for one alone.
+    `track` is the robot's path between the frames by the original poses, before any refinement of the frames' poses;
+    intervals longer than `max_pose_gap_ns` are gaps. None for frames without a recording. `map_of_segment` is the map
+    of each track segment, () if each has its own. `ground` is the position of the ground in the ego frame, and
+    `height_drift` the poses' drift in z relative to it; None if not measured. `recordings` are the joined recordings,
+    () for a single one.
     """
 
     name: str
@@ -142,13 +144,13 @@ class Sequence:
 
 
 class SweepSource(Protocol):
-    """Where sweeps come from: a recording on disk, or arrays in memory. Picklable, so that workers can open it."""
+    """The source of sweeps: a recording on disk, or arrays in memory. Picklable, so that workers can open it."""
 
     def sweep(self, index: int) -> Sweep:
-        """The sweep of frame `index`."""
+        """Return the sweep of frame `index`."""
         ...
 
 
 def frame_token(sequence_name: str, stamp_ns: int) -> str:
-    """First 32 hex digits of sha256("<sequence name>:<stamp_ns>") (design §3)."""
+    """Return the first 32 hex digits of sha256("<sequence name>:<stamp_ns>") (design §3)."""
     return sha256(f"{sequence_name}:{stamp_ns}".encode()).hexdigest()[:32]

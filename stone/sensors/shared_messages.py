@@ -1,8 +1,8 @@
-"""Messages of one topic that two recordings hold, found by their content, and what they tell of the two clocks.
+"""Messages of one topic that two recordings contain, found by content, and the offset of the two clocks.
 
-**Conventions.** A digest is of a message's bytes without its stamp. Only content that comes once in each recording
-counts: what repeats itself (a camera's intrinsics) would match at any time. Offsets are added to times of the second
-recording, to be on the clock of the first. Stamps of zero are none.
+**Conventions.** A digest covers a message's bytes without its stamp. Only content that occurs once in each recording is
+used, because repeated content (a camera's intrinsics) would match at any time. Offsets are added to times of the second
+recording to convert them to the first's clock. Zero stamps count as missing.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ Times = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class TopicMessages:
-    """N messages of one topic in one recording, in log-time order: when logged, stamps (0: none), digests (N,)."""
+    """N messages of one topic in one recording, in log-time order: log times, stamps (0: none), digests (N,)."""
 
     log_times_ns: Times
     stamps_ns: Times
@@ -31,8 +31,9 @@ class TopicMessages:
 
 @dataclass(frozen=True)
 class SharedMessages:
-    """`stamp_offset_ns` is None where the stamps are not apart by one constant; the log times' scatter by `spread_ns`
-    (1.4826 times the median absolute deviation)."""
+    """`stamp_offset_ns` is None if the stamps have no constant offset; `spread_ns` is the log times' scatter (1.4826
+    times the median absolute deviation).
+    """
 
     count: int
     stamp_offset_ns: int | None
@@ -41,7 +42,7 @@ class SharedMessages:
 
 
 def shared_messages(first: TopicMessages, second: TopicMessages) -> SharedMessages | None:
-    """None for fewer than `FEWEST_SHARED`."""
+    """Return the offsets, or None for fewer than `FEWEST_SHARED` messages."""
     rows, others = _once_in_both(first.digests, second.digests)
     if len(rows) < FEWEST_SHARED:
         return None
@@ -54,8 +55,10 @@ def shared_messages(first: TopicMessages, second: TopicMessages) -> SharedMessag
 
 
 def repeated_rows(first: TopicMessages, second: TopicMessages, tolerance_ns: int) -> NDArray[np.int64]:
-    """Rows of `second` that are messages of `first`, both on one clock: of the same content and stamp, or without a
-    stamp logged within `tolerance_ns` of each other."""
+    """Return the rows of `second` that repeat messages of `first`, with both on one clock.
+
+    They have the same content and the same stamp, or without a stamp, log times within `tolerance_ns`.
+    """
     one, two = _keys(first.digests, first.stamps_ns), _keys(second.digests, second.stamps_ns)
     is_same = np.isin(two, one[first.stamps_ns != 0]) & (second.stamps_ns != 0)
     rows, others = (np.flatnonzero(messages.stamps_ns == 0) for messages in (first, second))
@@ -68,7 +71,7 @@ def repeated_rows(first: TopicMessages, second: TopicMessages, tolerance_ns: int
 
 
 def runs_of(rows: NDArray[np.int64]) -> tuple[tuple[int, int], ...]:
-    """Ascending rows as half-open runs."""
+    """Return ascending rows as half-open runs."""
     if not len(rows):
         return ()
     ends = np.flatnonzero(np.diff(rows) > 1)
@@ -80,7 +83,9 @@ def runs_of(rows: NDArray[np.int64]) -> tuple[tuple[int, int], ...]:
 def _is_logged_near(
     first: tuple[NDArray[np.uint64], Times], second: tuple[NDArray[np.uint64], Times], tolerance_ns: int
 ) -> NDArray[np.bool_]:
-    """Which messages (K,) of the second were logged within `tolerance_ns` of one of the first with their digest."""
+    """Return which messages (K,) of the second were logged within `tolerance_ns` of a message of the first with their
+    digest.
+    """
     digests, times_ns = (np.concatenate(columns) for columns in zip(first, second, strict=True))
     order = np.lexsort((times_ns, digests))
     digests, times_ns, is_first = digests[order], times_ns[order], order < len(first[0])
@@ -116,6 +121,6 @@ def _constant(apart_ns: Times) -> int | None:
 
 
 def _keys(digests: NDArray[np.uint64], stamps_ns: Times) -> NDArray[np.uint64]:
-    """One number for content and stamp."""
+    """Return one number for content and stamp."""
     with np.errstate(over="ignore"):
         return np.asarray(digests ^ (stamps_ns.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15)), np.uint64)

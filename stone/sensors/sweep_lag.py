@@ -1,13 +1,13 @@
 """The lag of the poses behind the LiDAR's sweeps, from the turns between sweeps that registration measured.
 
-    turn of the sweeps(t₁, t₂) ≈ b + turn of the poses(t₁ + lag, t₂ + lag), the lag at which the two agree best
+    turn of the sweeps(t₁, t₂) ≈ b + turn of the poses(t₁ + lag, t₂ + lag), with the lag of the best agreement
 
-**Conventions.** A turn is a rotation from the ego frame at its end into that at its beginning, `wxyz`. All three axes
-count: rough ground rolls and pitches a robot faster than it ever yaws. What is wrong by the same at any time (`b`, the
-mount's share) is taken out by a median. A positive lag means that the poses' stamps are late, a negative one that the
-sweeps' are. Least squares by Gauss and Newton, each turn weighted by one over its distance, so that a wrong one counts
-little; the standard error is that of least squares, and does not know what a late pose did to the sweeps themselves,
-which were deskewed by it: on simulated drives a lag of 0.2 s is found up to 20 % too small.
+**Conventions.** A turn is a rotation from the ego frame at its end to the ego frame at its start, `wxyz`. All three
+axes are used, because rough ground rolls and pitches a robot faster than it yaws. A constant error (`b`, from the
+mount) is removed by a median. A positive lag means that the poses' stamps are late, a negative lag that the sweeps'
+are. Least squares by Gauss–Newton; each turn is weighted by one over its distance, so that wrong turns have little
+effect. The standard error is that of least squares. It does not include the effect of late poses on the sweeps, which
+were deskewed with them: on simulated drives, a lag of 0.2 s is underestimated by up to 20 %.
 """
 
 from dataclasses import dataclass
@@ -41,8 +41,9 @@ class SweepTurns:
 
 @dataclass(frozen=True)
 class SweepLag:
-    """By how much the poses are late, its standard error, and how far a typical turn of the sweeps is from that of the
-    poses at that lag, and without one."""
+    """The lag of the poses, its standard error, and the typical difference of the sweeps' and the poses' turns with and
+    without the lag.
+    """
 
     turns: int
     lag_ns: int
@@ -52,8 +53,9 @@ class SweepLag:
 
 
 def sweep_lag(turns: SweepTurns, track: Trajectory, max_gap_ns: int) -> SweepLag | None:
-    """None for fewer than `FEWEST_TURNS` within the track, where nothing turns in a way that time would change, and
-    where the best agreement is at the end of the search (± `MAX_LAG_S`), which is none."""
+    """Return the lag; None for fewer than `FEWEST_TURNS` within the track, for turns that do not depend on time, and if
+    the best agreement is at the end of the search (± `MAX_LAG_S`).
+    """
     residual = _Residuals(turns, track, max_gap_ns)
     searched = np.arange(-MAX_LAG_S, MAX_LAG_S + COARSE_STEP_S / 2, COARSE_STEP_S)
     typical = np.array([_typical(residual.at(float(lag_s))) for lag_s in searched])
@@ -77,7 +79,9 @@ class _Residuals:
     max_gap_ns: int
 
     def at(self, lag_s: float) -> Array:
-        """The rotation vectors (K, 3) from the turns of the sweeps to those of the poses so much later; NaN outside."""
+        """Return the rotation vectors (K, 3) from the sweeps' turns to the poses' turns at this lag; NaN outside the
+        track.
+        """
         shift_ns = round(lag_s * 1e9)
         begin = self.track.at(self.turns.begin_ns + shift_ns, self.max_gap_ns)
         end = self.track.at(self.turns.end_ns + shift_ns, self.max_gap_ns)
@@ -88,19 +92,19 @@ class _Residuals:
 
 
 def _beside_median(vectors: Array) -> Array:
-    """The rows that are known (N, 3), without what they share."""
+    """Return the known rows (N, 3) without their common part."""
     known = vectors[np.isfinite(vectors).all(axis=1)]
     return np.asarray(known - np.median(known, axis=0)) if len(known) else known
 
 
 def _typical(vectors: Array) -> float:
-    """The median length of what the rows do not share; NaN for fewer than `FEWEST_TURNS` known ones."""
+    """Return the median length of the rows without their common part; NaN for fewer than `FEWEST_TURNS` known ones."""
     own = _beside_median(vectors)
     return float(np.median(np.linalg.norm(own, axis=1))) if len(own) >= FEWEST_TURNS else float("nan")
 
 
 def _refined(residual: _Residuals, lag_s: float) -> tuple[float, float] | None:
-    """(lag, standard error), s; None where fewer than `FEWEST_TURNS` lie within the track or no turn changes."""
+    """Return (lag, standard error) in s; None if fewer than `FEWEST_TURNS` lie within the track or no turn changes."""
     error_s = np.inf
     for _ in range(ROUNDS):
         here, later, earlier = (residual.at(lag_s + step_s) for step_s in (0.0, SLOPE_STEP_S, -SLOPE_STEP_S))

@@ -1,11 +1,11 @@
-"""The tilt of the sweeps in the map, by looks at the same ground from two places, so that terrain cancels.
+"""The tilt of the sweeps in the map, from looks at the same ground from two positions, so that terrain cancels.
 
     height of a link = slope_x · (x₂ − x₁) + slope_y · (y₂ − y₁)
 
-**Conventions.** x₁, y₁ and x₂, y₂ are where the ego frames of the first and the second look have the ground that both
-saw (`stone.sensors.ground_links`). Slopes are of the ground in the ego frame, less that of the way that the poses
-drive: a LiDAR entered tilted and poses that are tilted look alike, and poses that climb against their own attitude do.
-A straight way shows no slope across it.
+**Conventions.** x₁, y₁ and x₂, y₂ are the positions of the common ground in the ego frames of the first and the second
+look (`stone.sensors.ground_links`). Slopes are the ground's slopes in the ego frame minus the way's: a tilted LiDAR
+mount and tilted poses look alike, and so do poses that climb against their own attitude. A straight way reveals no
+slope across it.
 """
 
 from dataclasses import dataclass
@@ -33,8 +33,7 @@ class SweepTilt:
 
 
 def sweep_tilt(links: Links, way: Way, map_from_ego: SE3) -> SweepTilt | None:
-    """Return the tilt by the links of one visit each, of looks from these poses (K,); None for fewer than
-    `FEWEST_LINKS`."""
+    """Return the tilt from the links of consecutive looks at these poses (K,); None for fewer than `FEWEST_LINKS`."""
     is_near = of_one_visit(links, way)
     if is_near.sum() < FEWEST_LINKS:
         return None
@@ -49,12 +48,14 @@ def sweep_tilt(links: Links, way: Way, map_from_ego: SE3) -> SweepTilt | None:
         slopes = np.linalg.solve(normal, design.T @ (weight * height_m))
         off_m = np.abs(height_m - design @ slopes)
         weight = ROBUST_M / np.maximum(off_m, ROBUST_M)
-    # Links of a look share its errors: as many are independent as there are looks.
+    # Links of a look share its errors, so the number of independent links is the number of looks.
     spread = MAD_TO_SIGMA * float(np.median(off_m)) * np.sqrt(len(design) / len(np.unique(links.pairs)))
     errors = spread * np.sqrt(np.diag(np.linalg.inv(normal)))
     return SweepTilt(float(slopes[0]), float(errors[0]), float(slopes[1]), float(errors[1]))
 
 
 def _seen_at(middle_m: Array, places_m: Array, axes: Array) -> Array:
-    """Return where (L, 2) the ego frames at places (L, 2) with axes (L, 2, 2) in plan have the middles (L, 2)."""
+    """Return the positions (L, 2) of the centres (L, 2) in ego frames at positions (L, 2) with axes (L, 2, 2) in
+    plan.
+    """
     return np.asarray(np.einsum("nij,ni->nj", axes, middle_m - places_m))

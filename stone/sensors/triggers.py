@@ -1,9 +1,9 @@
-"""Cameras that fire when a spinning LiDAR looks their way: where it looks, and whether they do.
+"""Cameras that are triggered by a spinning LiDAR: the LiDAR's direction over time, and whether cameras follow it.
 
-**Conventions.** Azimuth is atan2(y, x) in the LiDAR's frame, radians; times are ns after the sweep's stamp, and times
-of one revolution apart are the same: differences are taken on the circle of the period, into [−period/2, period/2). A
-camera should fire when the LiDAR looks along its optical axis. What all cameras share (an exposure's delay, a LiDAR
-that stamps late) is told apart from what one of them does.
+**Conventions.** Azimuth is atan2(y, x) in the LiDAR's frame, radians. Times are ns after the sweep's stamp, and times
+one revolution apart are equal: differences are computed on the circle of the period, in [−period/2, period/2). A camera
+should fire when the LiDAR scans along its optical axis. Delays common to all cameras (an exposure's delay, late LiDAR
+stamps) are separated from the delay of single cameras.
 """
 
 from dataclasses import dataclass
@@ -14,35 +14,36 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FULL_TURN_RAD = 2 * np.pi
-# Of a LiDAR that turns evenly every point lies where its time puts it; one that does not turn has no such direction.
+# For an evenly turning LiDAR, every point's azimuth follows from its time; other LiDARs have no such direction.
 LEAST_AGREEMENT = 0.9
 LEAST_RANGE_M = 0.5
 ON_TIME_NS = 2_000_000  # design §3
-# Cameras that run freely agree with the LiDAR's look by chance: half of six in 0.6 % of rigs. On some delay or other
-# half agree in 10 %, two thirds in 1 %.
+# Free-running cameras agree with the LiDAR's direction by chance: half of six in 0.6 % of rigs. With an arbitrary
+# delay, half agree in 10 %, two thirds in 1 %.
 AGREEING_RATIO, AGREEING_LATE_RATIO = 1 / 2, 2 / 3
 LEAST_AGREEING_LATE = 2
 
 
 @dataclass(frozen=True)
 class LidarRotation:
-    """A LiDAR that turns by one revolution a period: `direction` +1 with the azimuth, −1 against it."""
+    """A LiDAR with one revolution per period: `direction` +1 with the azimuth, −1 against it."""
 
     direction: int
     start_rad: float
     period_ns: int
 
     def time_ns(self, azimuth_rad: float) -> int:
-        """When after the stamp it looks there, in [0, period)."""
+        """Return the time after the stamp at which it scans this azimuth, in [0, period)."""
         turned_rad = (self.direction * (azimuth_rad - self.start_rad)) % FULL_TURN_RAD
         return round(turned_rad / FULL_TURN_RAD * self.period_ns) % self.period_ns
 
 
 @dataclass(frozen=True, eq=False)
 class Triggers:
-    """Of C cameras: `shared_ns` is how late all of them are, `late_ns` (C,) how much later each is than that.
+    """For C cameras: `shared_ns` is their common delay, `late_ns` (C,) each camera's additional delay.
 
-    `looks_as` (C,) is the camera whose axis the LiDAR looks along when this one fires; itself where it is not swapped.
+    `looks_as` (C,) is the camera whose axis the LiDAR scans when this one fires; the camera itself if it is not
+    swapped.
     """
 
     shared_ns: int
@@ -51,16 +52,16 @@ class Triggers:
 
 
 def wrapped_ns(difference_ns: NDArray[np.int64], period_ns: int) -> NDArray[np.int64]:
-    """Differences on the circle of a period, in [−period/2, period/2)."""
+    """Return differences on the circle of a period, in [−period/2, period/2)."""
     half_ns = period_ns // 2
     return np.asarray((difference_ns + half_ns) % period_ns - half_ns, np.int64)
 
 
 def look_of(points_lidar: NDArray[np.floating], offset_ns: NDArray[np.int64], period_ns: int) -> LidarRotation | None:
-    """From points (N, 3) and their times (N,) in one or more sweeps; None where it does not turn evenly.
+    """Return the rotation from points (N, 3) and their times (N,) in one or more sweeps; None if it is not even.
 
-    Points of one packet share a time, that of its beginning: half of what they spread is taken off, at most half of
-    the step between packets. Points nearer than `LEAST_RANGE_M` in plan have no bearing.
+    Points of one packet share the time of its start, so half of their spread is subtracted, at most half the step
+    between packets. Points nearer than `LEAST_RANGE_M` in plan have no bearing.
     """
     x, y = points_lidar[:, 0].astype(np.float64), points_lidar[:, 1].astype(np.float64)
     is_far = np.hypot(x, y) > LEAST_RANGE_M
@@ -79,7 +80,7 @@ def look_of(points_lidar: NDArray[np.floating], offset_ns: NDArray[np.int64], pe
 
 
 def _half_packet_rad(rest: Array, times_ns: NDArray[np.int64], period_ns: int) -> float:
-    """Half the angle that a packet turns through while its points keep one time."""
+    """Return half the angle that a packet covers while its points have one time."""
     order = np.argsort(times_ns, kind="stable")
     begins = np.flatnonzero(np.diff(times_ns[order], prepend=times_ns[order[0]] - 1))
     if len(begins) < 2:
@@ -90,10 +91,11 @@ def _half_packet_rad(rest: Array, times_ns: NDArray[np.int64], period_ns: int) -
 
 
 def triggers_of(fired_ns: NDArray[np.int64], looks_ns: NDArray[np.int64], period_ns: int) -> Triggers | None:
-    """From when each of C cameras fires and when the LiDAR looks its way (C,); None where they do not follow it.
+    """Return the triggers from the firing times and scan times (C,) of C cameras; None if the cameras do not follow the
+    LiDAR.
 
-    They follow it when half of them fire as the LiDAR looks, or two thirds with one delay, cameras that are swapped
-    among themselves included.
+    They follow it if half of them fire when the LiDAR scans their direction, or two thirds with a common delay,
+    including cameras that are swapped among themselves.
     """
     if len(fired_ns) < 2:
         return None
@@ -108,7 +110,7 @@ def triggers_of(fired_ns: NDArray[np.int64], looks_ns: NDArray[np.int64], period
 
 
 def _with_delay(away_ns: NDArray[np.int64], delay_ns: int, period_ns: int) -> tuple[Triggers, NDArray[np.bool_]]:
-    """What the cameras do if all are late by `delay_ns`, and which of them that explains (C,)."""
+    """Return the triggers for a common delay of `delay_ns`, and the cameras (C,) that it explains."""
     cameras = np.arange(len(away_ns))
     late_ns = wrapped_ns(np.diag(away_ns) - delay_ns, period_ns)
     fits = np.abs(late_ns) <= ON_TIME_NS
@@ -123,7 +125,9 @@ def _with_delay(away_ns: NDArray[np.int64], delay_ns: int, period_ns: int) -> tu
 
 
 def _is_exchanged(nearest: NDArray[np.int64], is_candidate: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Cameras (C,) on a cycle of `nearest` among the candidates: each in the place of one whose place is taken, too."""
+    """Return the cameras (C,) on a cycle of `nearest` among the candidates: each is at the position of another swapped
+    camera.
+    """
     on_cycle = np.zeros(len(nearest), np.bool_)
     for camera in np.flatnonzero(is_candidate).tolist():
         place, steps = int(nearest[camera]), 1
