@@ -1,1 +1,1 @@
-"""Splits: what a dataset is made of, how it is divided, and the rules for that."""
+"""Splits: the composition of a dataset, its division, and the rules for it."""

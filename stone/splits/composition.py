@@ -1,8 +1,8 @@
 """The composition of a dataset: its catalogue of sequences, and sums over them by their attributes.
 
-**Conventions.** Voxels are (T, P, N) of all frames, None where they are not known or not to be told; they add only
-where they are known, so shares of classes are of those sequences. Regions are compared without regard to
-case, blanks, dashes and underscores (`Lake 1`, `lake-1` and `Lake_1` are one) and shown as one of them is spelled.
+**Conventions.** Voxels are (T, P, N) of all frames, None if unknown or hidden; sums use known voxels only, so shares of
+classes refer to these sequences. Regions are compared without case, spaces, dashes and underscores (`Lake 1`, `lake-1`
+and `Lake_1` are equal) and shown in one of their spellings.
 """
 
 import re
@@ -20,14 +20,14 @@ Voxels = tuple[int, int, int]
 
 
 def path_length_m(positions_map: NDArray[np.float64]) -> float:
-    """How far the robot went: the length of the line through its positions (N, 3); 0 for fewer than two."""
+    """Return the length in metres of the line through positions (N, 3); 0 for fewer than two."""
     steps = np.diff(np.asarray(positions_map, np.float64).reshape(-1, 3), axis=0)
     return float(np.sqrt((steps**2).sum(axis=1)).sum())
 
 
 def duration_ns(stamps_ns: NDArray[np.int64]) -> int:
-    """How long a sequence lasts: from its first stamp to its last (rising, (N,)), and one mean period, as each frame
-    stands for the time until the next; 0 for fewer than two.
+    """Return a sequence's duration: from first to last stamp (increasing, (N,)) plus one mean period, because each
+    frame represents the time until the next; 0 for fewer than two.
     """
     if len(stamps_ns) < 2:
         return 0
@@ -37,11 +37,11 @@ def duration_ns(stamps_ns: NDArray[np.int64]) -> int:
 
 @dataclass(frozen=True)
 class CatalogueEntry:
-    """A labelled sequence as the dataset sees it; two that share a recording (its sha256) are one sequence twice.
+    """A labelled sequence in the catalogue; two sequences that share a recording (its sha256) are duplicates.
 
-    `voxels` is None, and `distance_m` is, where the labels were made before these were kept. `exposure` says why
-    anybody may have its labels, '' where nobody may. `drive` names the drive of which the sequence is one of several,
-    '' if it is a drive by itself, and `drive_s` is how long those last together; `track` is None if it is unknown.
+    `voxels` and `distance_m` are None for labels of earlier versions without these values. `exposure` is the reason why
+    the labels may be known, '' if they are not. `drive` names the drive that the sequence shares with others, '' if it
+    is its own drive, and `drive_s` is the drive's total duration. `track` is None if unknown.
     """
 
     id: str
@@ -62,7 +62,7 @@ class CatalogueEntry:
 
     @property
     def half(self) -> str:
-        """day, night, or '' where it is not said."""
+        """Return day, night, or '' if unspecified."""
         return DAYLIGHT.get(self.illumination, UNSAID)
 
     @property
@@ -71,16 +71,16 @@ class CatalogueEntry:
 
     @property
     def drive_key(self) -> tuple[str, str]:
-        """Equal for the sequences of one drive."""
+        """The key of the drive, equal for all its sequences."""
         return (self.drive, "") if self.drive else ("", self.id)
 
 
 @dataclass(frozen=True)
 class CompositionSums:
-    """Sums over some sequences, which are so many `drives`.
+    """Sums over sequences that belong to `drives` drives.
 
-    `counted` of them have voxels, `measured` a distance, `judged` a held-out track. `quality` is the recall of all
-    judged metres together, and the gravest finding of any.
+    `counted` of them have voxels, `measured` a distance, `judged` a held-out track. `quality` is the recall over all
+    judged metres, and the most harmful finding.
     """
 
     sequences: int = 0
@@ -95,13 +95,13 @@ class CompositionSums:
     quality: LabelQuality = UNKNOWN
 
     def class_shares(self) -> tuple[float, float, float] | None:
-        """T, P and N of the occupied voxels; None where there are none."""
+        """The shares of T, P and N among occupied voxels; None without occupied voxels."""
         total = sum(self.voxels)
         return (self.voxels[0] / total, self.voxels[1] / total, self.voxels[2] / total) if total else None
 
 
 def sums_of(entries: Iterable[CatalogueEntry]) -> CompositionSums:
-    """The sums; exact for what is counted, and for seconds and metres the same whatever the order."""
+    """Return the sums: exact counts, and seconds and metres independent of the order."""
     rows = sorted(entries, key=lambda entry: entry.id)
     voxels = [entry.voxels for entry in rows if entry.voxels is not None]
     distances = [entry.distance_m for entry in rows if entry.distance_m is not None]
@@ -121,7 +121,7 @@ def sums_of(entries: Iterable[CatalogueEntry]) -> CompositionSums:
 
 @dataclass(frozen=True)
 class Composition:
-    """The dataset by each way of looking at it; keys that no sequence has are left out, '' is what was not said."""
+    """The dataset by each attribute; keys without a sequence are left out, '' is unspecified."""
 
     total: CompositionSums
     environments: Mapping[str, CompositionSums]
@@ -129,11 +129,11 @@ class Composition:
     halves: Mapping[str, CompositionSums]
     regions: Mapping[str, CompositionSums]
     cells: Mapping[tuple[str, str], CompositionSums]
-    """By (environment, illumination)."""
+    """Sums by (environment, illumination)."""
 
 
 def composition_of(entries: Iterable[CatalogueEntry]) -> Composition:
-    """The dataset by environment, illumination, day or night, region, and environment × illumination."""
+    """Return the dataset by environment, illumination, day or night, region, and environment × illumination."""
     rows = tuple(entries)
     return Composition(
         total=sums_of(rows),
@@ -146,7 +146,7 @@ def composition_of(entries: Iterable[CatalogueEntry]) -> Composition:
 
 
 def region_names(entries: Iterable[CatalogueEntry]) -> dict[str, str]:
-    """Return the region of each sequence by its id, in the first spelling (by the alphabet) that the region has."""
+    """Return the region of each sequence by its id, in the region's alphabetically first spelling."""
     rows = sorted(entries, key=lambda entry: entry.region, reverse=True)
     spelled = {entry.region_key: entry.region for entry in rows}
     return {entry.id: spelled[entry.region_key] for entry in rows}
@@ -155,7 +155,7 @@ def region_names(entries: Iterable[CatalogueEntry]) -> dict[str, str]:
 def _by(
     key_of: Mapping[str, str], rows: tuple[CatalogueEntry, ...], order: tuple[str, ...]
 ) -> dict[str, CompositionSums]:
-    """In the order of the words; then what is no word of ours by name; what was not said last."""
+    """Return the sums in the given order of words, then other words alphabetically, then unspecified."""
     keys = set(key_of.values())
     others = sorted(keys - {*order, UNSAID})
     ordered = [key for key in (*order, *others, UNSAID) if key in keys]

@@ -1,13 +1,13 @@
-"""Drives: sequences that continue each other, and how far apart in time and place the tracks of two parts are.
+"""Drives (sequences that continue each other), and the distance in time and space between the tracks of two parts.
 
-A sequence continues an earlier one if nothing stated contradicts it (log, vehicle), it begins at most `LONGEST_GAP_S`
-after the earlier one ends, and its first pose lies where the earlier track leads: within `SLACK_M`, and
-`STRETCH` times as far as the robot drives in the gap. Sequences that are linked so, in any number of steps, are one
-drive. Their labels overlap at the joints, and one stretch of ground, one weather and one light is in all of them.
+A sequence continues an earlier one if log and vehicle do not contradict, it starts at most `LONGEST_GAP_S` after the
+earlier one ends, and its first pose is where the earlier track leads: within `SLACK_M` plus `STRETCH` times the
+distance driven in the gap. Sequences that are linked in any number of steps are one drive. Their labels overlap at the
+joints, and they share ground, weather and light.
 
-**Conventions.** Places are (s, x, y, z): seconds after the first stamp, metres in `map`. Tracks of one `map` can be
-compared; '' is a map that belongs to its sequence alone, such as the frame of its own odometry. Two sequences that
-begin at one stamp are never linked: neither continues the other.
+**Conventions.** Places are (s, x, y, z): seconds after the first stamp, metres in `map`. Tracks with the same `map` are
+comparable; '' is a map of that sequence only, such as its own odometry frame. Two sequences with the same first stamp
+are never linked, because neither continues the other.
 """
 
 from collections.abc import Iterator, Mapping
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-LONGEST_GAP_S = 10.0  # a robot of the dataset (2 m/s) is then still inside the ground that its last frame labelled
+LONGEST_GAP_S = 10.0  # a robot of the dataset (2 m/s) is then still on the ground labelled by its last frame
 CLOSE_PERIODS = 2.5
 SLACK_M = 1.0
 STRETCH = 1.5
@@ -29,10 +29,10 @@ Places = tuple[tuple[float, float, float, float], ...]
 
 @dataclass(frozen=True)
 class DrivenTrack:
-    """The times and places that a sequence was driven at: `period_ns` is the median of its frames, `speed_m_s` rarely
+    """The times and places of a sequence's track: `period_ns` is the median frame period, `speed_m_s` is rarely
     exceeded.
 
-    `places` has one place or more, the first and the last frame's among them. `log` and `vehicle` are '' if unstated.
+    `places` has at least one place and includes the first and the last frame's. `log` and `vehicle` are '' if unstated.
     """
 
     log: str
@@ -47,7 +47,7 @@ class DrivenTrack:
 
 @dataclass(frozen=True)
 class TrackOrigin:
-    """The origin of the poses of a sequence: its log and its vehicle, and the map they lie in, '' if unstated."""
+    """The origin of a sequence's poses: log, vehicle and map, '' if unstated."""
 
     log: str = ""
     vehicle: str = ""
@@ -57,7 +57,7 @@ class TrackOrigin:
 def driven_track(
     stamps_ns: NDArray[np.int64], positions_map: NDArray[np.float64], origin: TrackOrigin
 ) -> DrivenTrack | None:
-    """Return the track of frames at rising stamps (N,) and positions (N, 3), thinned; None without frames."""
+    """Return the thinned track of frames at increasing stamps (N,) and positions (N, 3); None without frames."""
     if not len(stamps_ns):
         return None
     since_s = (stamps_ns - stamps_ns[0]) / 1e9
@@ -80,7 +80,7 @@ def driven_track(
 
 
 def continues(earlier: DrivenTrack, later: DrivenTrack) -> bool:
-    """Return whether `later` continues `earlier`, or began while it was driven, of the same drive."""
+    """Return whether `later` continues `earlier` or overlaps it in time, in the same drive."""
     gap_s = (later.first_ns - earlier.last_ns) / 1e9
     if earlier.first_ns >= later.first_ns or gap_s > LONGEST_GAP_S or earlier.map != later.map:
         return False
@@ -88,13 +88,13 @@ def continues(earlier: DrivenTrack, later: DrivenTrack) -> bool:
         return False
     if earlier.map:
         return _joins(earlier, later, gap_s)
-    # Odometry begins anew with each run of its driver, so poses that do not join contradict nothing.
+    # Odometry restarts with each run of its driver, so poses that do not join contradict nothing.
     is_close = 0 < gap_s * 1e9 <= CLOSE_PERIODS * max(earlier.period_ns, later.period_ns)
     return bool(later.vehicle and earlier.vehicle) and gap_s > 0 and (is_close or _joins(earlier, later, gap_s))
 
 
 def drives_of(tracks: Mapping[str, DrivenTrack]) -> dict[str, tuple[str, ...]]:
-    """Return the drive of each sequence by its id: the ids of its sequences in the order of their first stamps."""
+    """Return each sequence's drive by its id: the ids of the drive's sequences in the order of their first stamps."""
     order = sorted(tracks, key=lambda one: (tracks[one].first_ns, one))
     drive_of = {one: [one] for one in order}
     open_until_ns = int(LONGEST_GAP_S * 1e9)
@@ -115,7 +115,7 @@ def _contradict(one: str, other: str) -> bool:
 
 
 def _joins(earlier: DrivenTrack, later: DrivenTrack, gap_s: float) -> bool:
-    """Whether the earlier track leads to where the later one begins, and where both are driven they are one."""
+    """Return whether the earlier track leads to the later track's start, and the tracks agree if they overlap."""
     speed_m_s = max(earlier.speed_m_s, later.speed_m_s)
     if gap_s > 0:
         return _apart_m(earlier, later, later.first_ns) <= SLACK_M + STRETCH * speed_m_s * gap_s
@@ -128,17 +128,18 @@ def _apart_m(one: DrivenTrack, other: DrivenTrack, at_ns: int) -> float:
 
 
 def _place_at(track: DrivenTrack, at_ns: int) -> NDArray[np.float64]:
-    """Return the pose at a time; outside the track that of its nearer end."""
+    """Return the pose at a time; outside the track the nearer end's."""
     rows = np.array(track.places)
     return np.array([np.interp((at_ns - track.first_ns) / 1e9, rows[:, 0], rows[:, axis]) for axis in (1, 2, 3)])
 
 
 @dataclass(frozen=True)
 class TrackGap:
-    """How far two groups of sequences are apart: the least distance of their tracks, the least time between them.
+    """The distance between two groups of sequences: the minimum distance of their tracks and the minimum time between
+    them.
 
-    `nearest` and `soonest` are the ids of the two sequences that are so near. None if no two can be compared: of one
-    map for the distance, with tracks for the time. `unknown` sequences have no track.
+    `nearest` and `soonest` are the ids of the two closest sequences. None if no two sequences are comparable (same map
+    for distance, tracks for time). `unknown` sequences have no track.
     """
 
     distance_m: float | None = None
@@ -160,11 +161,11 @@ def gap_between(first: Mapping[str, DrivenTrack | None], second: Mapping[str, Dr
 def _distances(
     first: Mapping[str, DrivenTrack], second: Mapping[str, DrivenTrack]
 ) -> Iterator[tuple[float, tuple[str, str]]]:
-    """Return for each map in which both were driven the least distance, and the sequences it is between."""
+    """Yield, for each map with tracks of both groups, the minimum distance and its two sequences."""
     maps = {track.map for track in first.values()} & {track.map for track in second.values()} - {""}
     if not maps:
         return
-    from scipy.spatial import cKDTree  # a third of a second, which no process pays at its start
+    from scipy.spatial import cKDTree  # a lazy import: it takes a third of a second
 
     for name in sorted(maps):
         (ids, points), (other_ids, other_points) = (_points(of, name) for of in (first, second))
@@ -174,7 +175,7 @@ def _distances(
 
 
 def _points(tracks: Mapping[str, DrivenTrack], name: str) -> tuple[list[str], NDArray[np.float64]]:
-    """Points along the tracks in this map, `MEASURED_M` apart, and of which sequence each is."""
+    """Return points along the tracks in this map, `MEASURED_M` apart, and the sequence of each."""
     ids, points = list[str](), list[NDArray[np.float64]]()
     for one, track in tracks.items():
         if track.map != name:
@@ -190,7 +191,7 @@ def _points(tracks: Mapping[str, DrivenTrack], name: str) -> tuple[list[str], ND
 def _least_time(
     first: Mapping[str, DrivenTrack], second: Mapping[str, DrivenTrack]
 ) -> tuple[float | None, tuple[str, str] | None]:
-    """In seconds; 0 if two were driven at one time."""
+    """Return the minimum time in seconds (0 if two overlap in time), and its two sequences."""
     if not (first and second):
         return None, None
     begin, end = (np.array([getattr(one, name) for one in first.values()]) for name in ("first_ns", "last_ns"))

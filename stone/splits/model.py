@@ -1,7 +1,7 @@
 """The mixed-integer programme of a proposal: rules as soft constraints, similarity of the parts as the objective.
 
-**Conventions.** Columns are added one after another and named by their number; a row is its coefficients by column and
-its bounds. Entries come in a fixed order, so equal catalogues give equal programmes.
+**Conventions.** Columns are numbered in order of creation; a row is its coefficients by column and its bounds. Entries
+have a fixed order, so equal catalogues give equal programmes.
 """
 
 from collections.abc import Iterable, Mapping
@@ -27,17 +27,18 @@ from stone.splits.splits import (
     twins_of,
 )
 
-# What bending a rule costs: a sequence more or fewer than asked; one that is too short, or there twice; a region in
-# both train and test; a condition missing from a part. Sizes are what was asked, so they give way last.
+# The cost of violating a rule: per sequence more or fewer than requested; per sequence that is too short or duplicated;
+# per region in both train and test; per condition missing from a part. Sizes were requested by the user, so they are
+# violated last.
 COSTS: Mapping[str, int] = {SIZES: 1000, LENGTH: 300, WHOLE: 300, REGIONS: 100, LIGHT: 10, SEPARATED_PLACES: 10}
 TRAIN, TEST = PARTS.index("train"), PARTS.index("test")
 
 
 @dataclass(frozen=True)
 class SolverLimits:
-    """Branch-and-bound nodes spent on proving what the rules allow, and on likeness (to within a relative gap).
+    """Branch-and-bound nodes for proving which rules are feasible, and for similarity (up to a relative gap).
 
-    `time_s` of one solve is a net only: a proposal that stops there depends on the machine.
+    `time_s` of one solve is only a safety net: a proposal that reaches it depends on the machine.
     """
 
     rule_nodes: int = 5000
@@ -48,7 +49,7 @@ class SolverLimits:
 
 @dataclass(frozen=True)
 class SplitTask:
-    """What is to be divided, and into what."""
+    """The sequences to divide, and the requested parts."""
 
     entries: tuple[CatalogueEntry, ...]
     sizes: tuple[int, int, int]
@@ -56,7 +57,7 @@ class SplitTask:
 
 @dataclass(frozen=True)
 class Rule:
-    """A rule that may be left out: its code, and for a condition its word and the sequences that have it."""
+    """A rule that may be dropped: its code, and for a condition its word and the matching sequences."""
 
     code: str
     word: str = ""
@@ -64,7 +65,7 @@ class Rule:
 
 
 def rules_of(sought: SplitTask) -> tuple[Rule, ...]:
-    """The rules these data allow, those that are dropped first from a clash first."""
+    """Return the rules that these data allow, in the order in which they are dropped from a conflict."""
     parts = tuple(part for part, size in zip(PARTS, sought.sizes, strict=True) if size)
     conditions = [c for c in conditions_of(sought.entries) if not c.obstacle(parts)]
     whole = [Rule(code) for code in (WHOLE, DRIVES, LENGTH)]
@@ -73,7 +74,9 @@ def rules_of(sought: SplitTask) -> tuple[Rule, ...]:
 
 @dataclass(frozen=True)
 class SplitSolution:
-    """Of each entry the part (−1: none), what was bent at which cost, and whether it is proven to be the best."""
+    """The part of each entry (−1: none), the violated rules and their cost, and whether the solution is proven
+    optimal.
+    """
 
     parts: tuple[int, ...]
     cost: int
@@ -82,7 +85,7 @@ class SplitSolution:
 
 @dataclass
 class Programme:
-    """Columns and rows under construction; `bends` is the cost of each column that bends a rule."""
+    """Columns and rows under construction; `bends` is the cost of each column that violates a rule."""
 
     upper: list[float] = field(default_factory=list)
     whole: list[int] = field(default_factory=list)
@@ -91,7 +94,7 @@ class Programme:
     objective: dict[int, float] = field(default_factory=dict)
 
     def column(self, upper: float, *, is_whole: bool = True) -> int:
-        """A column from 0 to `upper`."""
+        """Add a column from 0 to `upper`."""
         self.upper.append(upper)
         self.whole.append(1 if is_whole else 0)
         return len(self.upper) - 1
@@ -100,7 +103,7 @@ class Programme:
         self.rows.append((coefficients, low, high))
 
     def bend(self, code: str, upper: float, *, is_rigid: bool) -> dict[int, float]:
-        """A column by which a rule of this code may be bent, as a term of a row; none where it may not be."""
+        """Return a term for violations of this rule, or no term if the rule is rigid."""
         if is_rigid:
             return {}
         column = self.column(upper)
@@ -108,7 +111,7 @@ class Programme:
         return {column: 1.0}
 
     def solved(self, nodes: int, gap_ratio: float, time_s: float) -> OptimizeResult:
-        """Minimise the objective; `gap_ratio` 0 asks for proof."""
+        """Minimise the objective; `gap_ratio` 0 requires a proof of optimality."""
         shape = (len(self.rows), len(self.upper))
         terms = [(i, j, value) for i, (row, _, _) in enumerate(self.rows) for j, value in sorted(row.items())]
         i, j, values = (np.array(column) for column in zip(*terms, strict=True))
@@ -126,24 +129,26 @@ class Programme:
 
 @dataclass(frozen=True)
 class Model:
-    """The three questions that are asked of a catalogue."""
+    """Three optimisation problems of a catalogue."""
 
     sought: SplitTask
     limits: SolverLimits
 
     def least_bent(self) -> SplitSolution:
-        """The assignment that bends the rules at the least cost."""
+        """Return the assignment that violates the rules at the lowest cost."""
         programme = self._programme(rules_of(self.sought), is_rigid=False)
         programme.objective = dict(programme.bends)
         return self._read(programme, self._proven(programme))
 
     def can_be_kept(self, rules: Iterable[Rule]) -> bool:
-        """Whether all of these rules can be kept at once; true too where the solver could not tell."""
+        """Return whether all of these rules are jointly feasible; also True if the solver cannot decide."""
         result = self._proven(self._programme(tuple(rules), is_rigid=True))
         return bool(result.status != INFEASIBLE)
 
     def most_alike(self, bent: SplitSolution) -> SplitSolution:
-        """The assignment, bent at no higher cost, whose parts are most alike; `bent` where none was found in time."""
+        """Return the assignment of equal or lower cost with the most similar parts, or `bent` if none is found in
+        time.
+        """
         programme = self._programme(rules_of(self.sought), is_rigid=bent.cost == 0)
         if programme.bends:
             programme.row(programme.bends, 0.0, float(bent.cost))
@@ -155,7 +160,7 @@ class Model:
         return programme.solved(self.limits.rule_nodes, 0.0, self.limits.time_s)
 
     def _read(self, programme: Programme, result: OptimizeResult) -> SplitSolution:
-        if result.x is None:  # nothing was found within the limits: nothing is assigned, at the cost of all sizes
+        if result.x is None:  # no solution within the limits: nothing is assigned, at the cost of all sizes
             cost = COSTS[SIZES] * sum(self.sought.sizes)
             return SplitSolution((-1,) * len(self.sought.entries), cost, False)
         chosen = np.round(result.x[: 3 * len(self.sought.entries)]).astype(int).reshape(-1, 3)
@@ -164,7 +169,7 @@ class Model:
         return SplitSolution(parts, int(bent), result.status == OPTIMAL)
 
     def _programme(self, rules: tuple[Rule, ...], *, is_rigid: bool) -> Programme:
-        """x[s, p] is column 3 s + p."""
+        """Build the programme; x[s, p] is column 3 s + p."""
         programme, entries = Programme(), self.sought.entries
         for _ in range(3 * len(entries)):
             programme.column(1.0)
@@ -202,7 +207,7 @@ def _add_whole(programme: Programme, sought: SplitTask, _rule: Rule, is_rigid: b
 
 
 def _add_drives(programme: Programme, sought: SplitTask, _rule: Rule, _is_rigid: bool) -> None:
-    """A drive is in one part at most, whatever else has to give way: no size is worth a torn drive."""
+    """Require each drive in at most one part; this rule is never violated, whatever the sizes."""
     number = {entry.id: s for s, entry in enumerate(sought.entries)}
     for _, members in drives_in(sought.entries):
         of_drive = [programme.column(1.0) for _ in PARTS]
@@ -245,7 +250,7 @@ ADDERS = {
 
 
 def _add_likeness(programme: Programme, sought: SplitTask) -> None:
-    """A deviation for the duration and each class of each part, to be made small."""
+    """Add deviations of duration and class shares of each part, to be minimised."""
     whole = sums_of(sought.entries)
     shares, occupied, count = whole.class_shares(), sum(whole.voxels), max(len(sought.entries), 1)
     for p, size in enumerate(sought.sizes):

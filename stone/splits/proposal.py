@@ -1,11 +1,11 @@
-"""Split proposals by a solver: the rules hold and the parts are alike, or the conflicting rules are named.
+"""Split proposals by a solver: a split that keeps the rules with similar parts, or a set of conflicting rules.
 
-**Conventions.** Binary x[s, p]: sequence s is in part p; y[r]: region r is test's. First the cheapest way to bend the
-rules is found (`COSTS`, nothing where all can be kept); then, bending no more than that, the parts are made alike: for
-each part the duration, and T, P and N among its occupied voxels, as near to those of the whole as can be (sum of
-absolute deviations, each relative to what the part would hold if all sequences were alike). A clash is irreducible:
-rules are left out one by one for as long as the rest still clash. Solved by HiGHS through `scipy.optimize.milp`, on one
-thread, bounded by nodes and not by seconds: equal catalogues give equal proposals, in whatever order they are listed.
+**Conventions.** Binary x[s, p]: sequence s is in part p; y[r]: region r belongs to test. First, the cheapest violation
+of the rules is computed (`COSTS`; zero if all can be kept). Then, at no higher cost, the parts are made similar: each
+part's duration and its T, P and N voxels should match the whole (sum of absolute deviations, each relative to the
+part's expected value). A conflict is irreducible: rules are dropped one by one as long as the rest still conflict.
+HiGHS solves the problem through `scipy.optimize.milp` in one thread, limited by nodes instead of seconds: equal
+catalogues give equal proposals, in any order.
 """
 
 from collections import Counter
@@ -38,7 +38,7 @@ NAMED = 8
 
 @dataclass(frozen=True)
 class PartShares:
-    """What a part holds: ratio of all assigned seconds; T, P, N of its occupied voxels (None: no voxels are known)."""
+    """Shares of a part: ratio of all assigned seconds; T, P, N of its occupied voxels (None: voxels unknown)."""
 
     sequences: int
     duration_ratio: float
@@ -47,12 +47,12 @@ class PartShares:
 
 @dataclass(frozen=True)
 class Proposal:
-    """A split, and how it stands to the rules.
+    """A split, and whether it keeps the rules.
 
-    `is_feasible`: every rule is kept as far as the data allow. Else `conflict` is a set of rules that cannot all be
-    kept, and any of which could be kept without the others, each with the numbers that make it so. `findings` are what
-    the checks say of the split itself. `is_best`: proven that no split bends the rules less and is more alike by more
-    than the solver's gap; false where it stopped at its limits.
+    `is_feasible`: every rule is kept as far as the data allow. Otherwise `conflict` is a minimal set of rules that
+    cannot all be kept, each with the figures that cause it. `findings` are the checks' findings about the split.
+    `is_best`: proven that no split violates the rules less or is more similar by more than the solver's gap; False if
+    the solver stopped at its limits.
     """
 
     split: Split
@@ -70,7 +70,8 @@ class Proposal:
 def propose(
     catalogue: Iterable[CatalogueEntry], sizes: tuple[int, int, int], limits: SolverLimits | None = None
 ) -> Proposal:
-    """The best split of `catalogue` into parts of these sizes (train, val, test); what is left over is in none.
+    """Return the best split of `catalogue` into parts of these sizes (train, val, test); other sequences are in no
+    part.
 
     Raises `bad_split_sizes`, `empty_catalogue`, `catalogue_too_large`.
     """
@@ -104,7 +105,7 @@ def propose(
 
 
 def _clash(model: Model) -> tuple[Rule, ...]:
-    """The deletion filter (Chinneck 2008, §6.1): what cannot be left out without the clash going away."""
+    """Return a minimal conflict by the deletion filter (Chinneck 2008, §6.1)."""
     kept = list(rules_of(model.sought))
     for rule in tuple(kept):
         others = [other for other in kept if other != rule]
@@ -114,7 +115,7 @@ def _clash(model: Model) -> tuple[Rule, ...]:
 
 
 def _split(entries: tuple[CatalogueEntry, ...], parts: tuple[int, ...]) -> Split:
-    """`parts`: of each entry the number of its part, −1 for none."""
+    """Return the split; `parts` is the part number of each entry, −1 for none."""
     train, val, test = (
         tuple(entry.id for entry, of in zip(entries, parts, strict=True) if of == part) for part in range(len(PARTS))
     )
@@ -134,7 +135,7 @@ def _shares(entries: tuple[CatalogueEntry, ...], split: Split, parts: tuple[int,
 
 
 def _reason(rule: Rule, sought: SplitTask) -> RuleFinding:
-    """The numbers for which this rule is one of those that clash."""
+    """Return the figures that put this rule into the conflict."""
     concerned, message = _facts(rule, sought)
     return RuleFinding(rule.code, "error", message, tuple(sorted(entry.id for entry in concerned)))
 

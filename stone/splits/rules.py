@@ -1,7 +1,7 @@
-"""The paper's rules for a split, each a check of its own that returns findings.
+"""The paper's rules for a split, each a separate check that returns findings.
 
-**Conventions.** Those of `stone/splits/splits.py`. A check looks at the split alone and knows no solver, so that it can
-judge what a solver proposes. `catalogue` is what the data are: sequences in no split count for what the data allow.
+**Conventions.** As in `stone/splits/splits.py`. Checks are independent of the solver, so that they can judge its
+proposals. `catalogue` is all data: sequences in no split count for what the data allow.
 """
 
 from collections import Counter
@@ -33,7 +33,7 @@ NAMED = 3
 
 
 def check_whole(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleFinding, ...]:
-    """Whole sequences only: each is known, in one part, once, and under one name."""
+    """Check that every sequence is known, in one part, once, and without a duplicate."""
     known = {entry.id: entry for entry in catalogue}
     times = Counter(one for ids in split.parts.values() for one in ids)
     unknown = tuple(sorted(one for one in times if one not in known))
@@ -52,7 +52,7 @@ def check_whole(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[Rule
 
 
 def check_drives(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleFinding, ...]:
-    """No drive is in two splits: its sequences show one stretch of ground in one light, and overlap at their joints."""
+    """Check that no drive is in two splits: its sequences share ground and light, and overlap at their joints."""
     assigned = _assigned(split, catalogue)
     part_of = {entry.id: part for part, entry in assigned}
     findings = []
@@ -71,7 +71,7 @@ def check_drives(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[Rul
 
 
 def check_length(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleFinding, ...]:
-    """Every sequence lasts 20 s at least, or the drive that it is part of."""
+    """Check that every sequence, or its drive, lasts at least 20 s."""
     short = [entry for _, entry in _assigned(split, catalogue) if not is_long_enough(entry)]
     return tuple(
         _error(LENGTH, f"{entry.name} lasts {entry.duration_s:.1f} s; the minimum is {SHORTEST_S:g} s", (entry.id,))
@@ -80,7 +80,7 @@ def check_length(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[Rul
 
 
 def check_regions(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleFinding, ...]:
-    """No region of test is one of train. A region that was not said is one that both may lie in."""
+    """Check that no region of test is a region of train; an unspecified region counts as a region of its own."""
     assigned = _assigned(split, catalogue)
     train = [entry for part, entry in assigned if part == "train"]
     test = [entry for part, entry in assigned if part == "test"]
@@ -97,17 +97,17 @@ def check_regions(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[Ru
 
 
 def check_light(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleFinding, ...]:
-    """Day and night in each split, where the data allow."""
+    """Check for day and night in each split, if the data allow."""
     return tuple(_check_conditions(LIGHT, split, tuple(catalogue)))
 
 
 def check_places(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleFinding, ...]:
-    """Every environment in each split, where the data allow."""
+    """Check for every environment in each split, if the data allow."""
     return tuple(_check_conditions(SEPARATED_PLACES, split, tuple(catalogue)))
 
 
 def check_sizes(split: Split, sizes: tuple[int, int, int]) -> tuple[RuleFinding, ...]:
-    """The splits have as many sequences as asked for."""
+    """Check that the splits have the requested numbers of sequences."""
     return tuple(
         _error(SIZES, f"{part} has {counted(len(ids), 'sequence')}; expected {size}")
         for (part, ids), size in zip(split.parts.items(), sizes, strict=True)
@@ -116,7 +116,7 @@ def check_sizes(split: Split, sizes: tuple[int, int, int]) -> tuple[RuleFinding,
 
 
 def check_said(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleFinding, ...]:
-    """A warning for each fact that rules need and sequences do not say."""
+    """Return a warning for each attribute that rules require and sequences lack."""
     entries = [entry for _, entry in _assigned(split, catalogue)]
     silent = {
         "environment": [entry for entry in entries if not entry.environment],
@@ -131,7 +131,7 @@ def check_said(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleF
 
 
 def check_exposed(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleFinding, ...]:
-    """A warning for each sequence of test whose labels anybody may have: whoever has them wins the benchmark."""
+    """Return a warning for each test sequence whose labels may be known: known labels win the benchmark."""
     exposed = [entry for part, entry in _assigned(split, catalogue) if part == "test" and entry.exposure]
     told = "is in test, and its labels may be known"
     return tuple(
@@ -142,7 +142,7 @@ def check_exposed(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[Ru
 def check_split(
     split: Split, catalogue: Iterable[CatalogueEntry], sizes: tuple[int, int, int] | None = None
 ) -> tuple[RuleFinding, ...]:
-    """All rules, in their order; errors and warnings of each. Sizes only where they were asked for."""
+    """Return errors and warnings of all rules in order; sizes are checked only if they are given."""
     entries = tuple(catalogue)
     checks = (
         check_whole,
@@ -175,7 +175,7 @@ def _check_conditions(rule: str, split: Split, catalogue: tuple[CatalogueEntry, 
 
 
 def _assigned(split: Split, catalogue: Iterable[CatalogueEntry]) -> list[tuple[Part, CatalogueEntry]]:
-    """(part, entry) of what is in the split and known, in the order of the split."""
+    """Return (part, entry) of the split's known sequences, in the split's order."""
     known = {entry.id: entry for entry in catalogue}
     return [(part, known[one]) for part, ids in split.parts.items() for one in ids if one in known]
 
@@ -185,7 +185,7 @@ def _many(ids: tuple[str, ...]) -> str:
 
 
 def _some(names: list[str]) -> str:
-    """Return the first names, and how many more there are."""
+    """Return the first names, and the number of further ones."""
     more = len(names) - NAMED
     return ", ".join(names[:NAMED]) + (f" and {more} more" if more > 0 else "")
 

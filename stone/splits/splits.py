@@ -1,15 +1,15 @@
 """Splits of a dataset into train, val and test, and the findings about them.
 
-**Conventions.** A rule gives findings: its code, one sentence, the ids of the sequences it is about. `error`: the rule
-is broken. `warning`: the data do not allow what the rule asks for, or do not say what it needs. What "the data allow"
-is judged by the whole catalogue that is handed over, one condition at a time: it can be in every split that is not
-empty if enough drives (≥ 20 s each) have it, in two regions at least where there are both train and test.
+**Conventions.** A finding has a rule's code, one sentence, and the ids of the affected sequences. `error`: the rule is
+violated. `warning`: the data do not allow the rule, or lack an attribute that it requires. What the data allow is
+judged from the whole given catalogue, one condition at a time: a condition can be in every non-empty split if enough
+drives (≥ 20 s each) have it, in at least two regions if there are both train and test.
 
-A drive is sequences that continue each other (`stone/splits/drives.py`), or one that continues none: it is the paper's
-sequence, and a dataset that comes in chunks is judged by its drives.
+A drive is a set of sequences that continue each other (`stone/splits/drives.py`), or a single sequence. It corresponds
+to the paper's sequence: a dataset in chunks is judged by its drives.
 
 Rules: Park et al., STONE Dataset, ICRA 2026: 43 sequences as 31 train, 7 val, 5 test, by whole sequences; day and night
-and every environment in each split; test regions disjoint from train; each sequence 20 s at least.
+and every environment in each split; test regions disjoint from train; each sequence at least 20 s.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -40,7 +40,7 @@ EXPOSED = "test_is_public"
 
 @dataclass(frozen=True)
 class Split:
-    """The ids of the sequences of each part."""
+    """The sequence ids of each part."""
 
     train: tuple[str, ...] = ()
     val: tuple[str, ...] = ()
@@ -62,7 +62,7 @@ class Split:
 
 @dataclass(frozen=True)
 class RuleFinding:
-    """What a rule says: broken (`error`), or not to be kept with these data (`warning`)."""
+    """A rule's finding: violated (`error`), or infeasible with these data (`warning`)."""
 
     code: str
     severity: Severity
@@ -72,14 +72,14 @@ class RuleFinding:
 
 @dataclass(frozen=True)
 class Condition:
-    """A word that is to occur in every split, the rule that asks for it, and the usable sequences that have it."""
+    """A word that must occur in every split, the rule that requires it, and the usable sequences that have it."""
 
     rule: str
     word: str
     entries: tuple[CatalogueEntry, ...]
 
     def obstacle(self, parts: tuple[Part, ...]) -> str:
-        """Why the data do not let it be in all of `parts`; '' where they do."""
+        """Return why the data do not allow the condition in all of `parts`; '' if they do."""
         regions = {entry.region_key for entry in self.entries}
         drives = len({entry.drive_key for entry in self.entries})
         if drives < len(parts):
@@ -92,12 +92,12 @@ class Condition:
 
 
 def is_long_enough(entry: CatalogueEntry) -> bool:
-    """Whether the sequence, or the drive that it is part of, lasts as long as a sequence has to."""
+    """Return whether the sequence, or its drive, has the minimum duration."""
     return max(entry.duration_s, entry.drive_s) >= SHORTEST_S
 
 
 def conditions_of(catalogue: Iterable[CatalogueEntry]) -> tuple[Condition, ...]:
-    """Day and night, then each environment, with the sequences that have it and are long enough."""
+    """Return day and night, then each environment, with the sufficiently long sequences that have it."""
     usable = tuple(entry for entry in catalogue if is_long_enough(entry))
     light = [Condition(LIGHT, half, tuple(e for e in usable if e.half == half)) for half in HALVES]
     others = sorted({entry.environment for entry in usable if entry.environment} - {*ENVIRONMENTS})
@@ -107,7 +107,7 @@ def conditions_of(catalogue: Iterable[CatalogueEntry]) -> tuple[Condition, ...]:
 
 
 def drives_in(entries: Iterable[CatalogueEntry]) -> Iterator[tuple[str, tuple[CatalogueEntry, ...]]]:
-    """The drives of several sequences among these, by name."""
+    """Yield the drives with several of these sequences, by name."""
     drives = dict[str, list[CatalogueEntry]]()
     for entry in entries:
         if entry.drive:
@@ -116,7 +116,7 @@ def drives_in(entries: Iterable[CatalogueEntry]) -> Iterator[tuple[str, tuple[Ca
 
 
 def twins_of(entries: Iterable[CatalogueEntry]) -> Iterator[tuple[str, tuple[CatalogueEntry, ...]]]:
-    """Sequences of which a dataset may hold one only, with what they share: a name, or a recording."""
+    """Yield groups of duplicate sequences with their common property: a name, or a recording."""
     rows = sorted(entries, key=lambda entry: entry.id)
     names, recordings = dict[str, list[CatalogueEntry]](), dict[str, list[CatalogueEntry]]()
     for entry in rows:

@@ -1,8 +1,8 @@
-"""The words for where and when a sequence was driven: environments, illuminations, regions.
+"""The words for the surroundings of a sequence: environments, illuminations, regions.
 
-**Conventions.** The words are here and nowhere else. '' means that nothing was said. An environment is one of the
-paper's four, another that is offered, or any plain word. Each illumination is day or night: between sunrise and sunset,
-and in the light of dawn and dusk, cameras see by daylight. A region is a free plain name.
+**Conventions.** These words are defined only here. '' means unspecified. An environment is one of the paper's four,
+another offered word, or any plain word. Each illumination is day or night: cameras see daylight from sunrise to sunset,
+and also at dawn and dusk. A region is a free plain name.
 """
 
 import re
@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from stone.errors import Refused
 
 ENVIRONMENTS = ("farmland", "mountain", "lake", "construction")
-"""The paper's."""
+"""The paper's environments."""
 OFFERED = (*ENVIRONMENTS, "beach", "desert", "forest", "meadow", "mine", "orchard", "quarry", "road", "snow", "urban")
 ENVIRONMENT = re.compile(r"[a-z][a-z0-9-]{0,31}")
 DAYLIGHT: Mapping[str, str] = {
@@ -31,7 +31,7 @@ UNSAID = ""
 
 
 def checked_environment(word: str) -> str:
-    """The word. Raises `unknown_environment`."""
+    """Return the word. Raises `unknown_environment`."""
     if word != UNSAID and not ENVIRONMENT.fullmatch(word):
         raise Refused(
             "unknown_environment",
@@ -42,7 +42,7 @@ def checked_environment(word: str) -> str:
 
 
 def checked_illumination(word: str) -> str:
-    """The word. Raises `unknown_illumination`."""
+    """Return the word. Raises `unknown_illumination`."""
     if word not in (UNSAID, *ILLUMINATIONS):
         raise Refused(
             "unknown_illumination",
@@ -52,7 +52,7 @@ def checked_illumination(word: str) -> str:
 
 
 def checked_region(name: str) -> str:
-    """The name. Raises `bad_region`."""
+    """Return the name. Raises `bad_region`."""
     if name != UNSAID and not REGION.fullmatch(name):
         raise Refused(
             "bad_region",

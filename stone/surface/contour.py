@@ -1,9 +1,9 @@
-"""The surface where a field on the lattice is zero, as triangles: marching cubes (Lorensen & Cline, 1987).
+"""The zero surface of a field on the lattice, as triangles: marching cubes (Lorensen & Cline, 1987).
 
-**Conventions.** A corner counts as outside where its value is positive. A vertex lies on the lattice edge that the
-surface crosses, where the linear course between the edge's ends is zero: on a line between voxel centres, never on a
-voxel border. On a face with two pairs of opposite corners the inside ones are joined, on both sides of the face alike,
-so the surface is closed. Triangles are counter-clockwise seen from outside. Cells with a corner off the band are none.
+**Conventions.** A corner with a positive value is outside. A vertex lies on a crossed lattice edge, at the zero of the
+linear interpolation between the edge's ends: on a line between voxel centres, never on a voxel border. On a face with
+two pairs of opposite corners, the inside corners are joined, identically from both sides, so the surface is closed.
+Triangles are counter-clockwise seen from outside. Cells with a corner outside the band have no triangles.
 """
 
 from collections.abc import Iterator
@@ -16,23 +16,22 @@ from numpy.typing import NDArray
 from stone.geometry.lattice import BIAS, MASK, Keys, VoxelTable, find, indices_of, table_of
 from stone.surface.mesh import Mesh
 
-# The lattice near the data: the corners of cells on which the surface's field is solved.
-#
-# **Conventions.** Cells of `width_m` have their corners on the centres of voxels of that size: corner (i, j, k) stands
-# at (i + ½, j + ½, k + ½) · width, on one lattice of the whole map, and a cell bears the key of its least corner. The
-# band holds the 4 × 4 × 4 corners around every cell that holds data, so every point within `width_m` of the data lies
-# in a cell whose corners are all there. Keys are sorted: corners above each other follow each other.
+# The lattice near the data: the corners of cells on which the surface's field is solved. Cells of `width_m` have their
+# corners on the centres of voxels of that size: corner (i, j, k) is at (i + ½, j + ½, k + ½) · width, on one lattice
+# for the whole map; a cell has the key of its lowest corner. The band contains the 4 × 4 × 4 corners around every data
+# cell, so every point within `width_m` of the data is in a complete cell. Keys are sorted, so corners of a column are
+# consecutive.
 
 
 STEPS = (1 << 42, 1 << 21, 1)  # of a key, along x, y, z
-BELOW, ABOVE = 1, 2  # corners before and behind a cell's least one
+BELOW, ABOVE = 1, 2  # corners before and after a cell's lowest corner
 
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """Corners (N,): `keys` sorted, `table` key → row, `onward` (N, 3) int32 the next row along x, y, z; −1 where none.
+    """Corners (N,): `keys` sorted, `table` key → row, `onward` (N, 3) int32 the next row along x, y, z, or −1.
 
-    `corners` (C, 8) int32 are the rows of each data cell's corners, the last axis running fastest.
+    `corners` (C, 8) int32 are the rows of each data cell's corners; the last axis runs fastest.
     """
 
     width_m: float
@@ -45,12 +44,12 @@ class Band:
         return len(self.keys)
 
     def places_map(self) -> NDArray[np.float64]:
-        """Where the corners stand (N, 3), metres."""
+        """The positions (N, 3) of the corners, metres."""
         return np.asarray((indices_of(self.keys) + 0.5) * self.width_m)
 
 
 def band_of(cells: Keys, width_m: float) -> Band:
-    """The band around data cells (C,), at least one."""
+    """Return the band around data cells (C,), at least one."""
     keys = cells
     for step in reversed(STEPS):
         keys = _distinct(np.concatenate([keys + shift * step for shift in range(-BELOW, ABOVE + 1)]))
@@ -62,7 +61,7 @@ def band_of(cells: Keys, width_m: float) -> Band:
 
 
 def _distinct(keys: Keys) -> Keys:
-    """Sorted, each once. A stable sort merges the sorted runs it is given here: a tenth of the time of the default."""
+    """Return the sorted unique keys. A stable sort merges the sorted input runs in a tenth of the default's time."""
     keys = np.sort(keys, kind="stable")
     return np.asarray(keys[np.append(True, keys[1:] != keys[:-1])])
 
@@ -82,12 +81,12 @@ def _corners(cells, table, corners):  # type: ignore[no-untyped-def]
             corners[c, 2 * pair], corners[c, 2 * pair + 1] = row, row + 1
 
 
-CORNERS = 8  # of a cell; bit 2 of a corner's number is its place along x, bit 1 along y, bit 0 along z
+CORNERS = 8  # of a cell; bit 2 of a corner's number is its position along x, bit 1 along y, bit 0 along z
 EDGES = tuple((base, axis) for axis in range(3) for base in range(CORNERS) if not base & 4 >> axis)
 
 
 def zero_surface(band: Band, field: NDArray[np.float64]) -> Mesh:
-    """The mesh of field (N,) = 0 over the whole cells of the band."""
+    """Return the mesh of field (N,) = 0 over the complete cells of the band."""
     cases = np.zeros(len(band), np.uint8)
     _classify(band.onward, field, cases)
     triangles = np.empty((int((TRIANGLES >= 0).sum(axis=(1, 2))[cases].sum()) // 3, 3), np.int32)
@@ -97,7 +96,7 @@ def zero_surface(band: Band, field: NDArray[np.float64]) -> Mesh:
 
 
 def _faces() -> Iterator[list[int]]:
-    """The corners of each face of a cell, counter-clockwise seen from outside."""
+    """Yield the corners of each face of a cell, counter-clockwise seen from outside."""
     for axis in range(3):
         bit, u, v = (4 >> (axis + turn) % 3 for turn in range(3))
         for side in (0, bit):
@@ -106,7 +105,7 @@ def _faces() -> Iterator[list[int]]:
 
 
 def _loops(case: int) -> Iterator[list[int]]:
-    """The closed polygons of crossed edges in a cell whose outside corners are the bits of `case`."""
+    """Yield the closed polygons of crossed edges in a cell whose outside corners are the bits of `case`."""
     number = {edge: at for at, edge in enumerate(EDGES)}
     onward: dict[int, int] = {}
     for face in _faces():
@@ -127,7 +126,7 @@ def _loops(case: int) -> Iterator[list[int]]:
 
 
 def _table() -> NDArray[np.int8]:
-    """Per case (256, most, 3) the edges of its triangles, −1 after the last; polygons are cut into fans."""
+    """Return the edges of each case's triangles (256, most, 3), −1 after the last; polygons are split into fans."""
     cases = [
         [(loop[0], loop[at], loop[at + 1]) for loop in _loops(case) for at in range(1, len(loop) - 1)]
         for case in range(1 << CORNERS)
@@ -144,7 +143,7 @@ EDGE_BASE, EDGE_AXIS = (np.array(column, np.int8) for column in zip(*EDGES, stri
 
 @njit(inline="always")
 def _gather(onward, row, corners):  # type: ignore[no-untyped-def]
-    """Fill the rows of the corners of the cell whose least is `row`; whether all are there."""
+    """Fill the rows of the corners of the cell with lowest corner `row`; return whether all exist."""
     corners[0] = row
     for corner in range(1, CORNERS):
         if corner & 4:
@@ -160,7 +159,7 @@ def _gather(onward, row, corners):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _classify(onward, field, cases):  # type: ignore[no-untyped-def]
-    """The outside corners of the cell at each corner of the band, as bits; 0 where the cell is not whole."""
+    """Write the outside corners of the cell at each corner of the band, as bits; 0 for an incomplete cell."""
     corners = np.empty(CORNERS, np.int64)
     for row in range(field.size):
         if not _gather(onward, row, corners):
@@ -172,7 +171,7 @@ def _classify(onward, field, cases):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _triangulate(lattice, field, cases, out):  # type: ignore[no-untyped-def]
-    """Fill vertices and triangles; how many vertices there are."""
+    """Fill vertices and triangles; return the number of vertices."""
     keys, onward, width_m = lattice
     vertices, triangles = out
     vertex_of = np.full((keys.size, 3), -1, np.int32)

@@ -1,9 +1,9 @@
 """Moving objects: map voxels that later (or earlier) sweeps looked straight through.
 
-**Conventions.** A map point is held against range images in the order of time. It is *missed* when all nine pixels
-around it saw something clearly farther, and *hit* when its own pixel saw it. It moved when it was missed more than
-`MISSES_PER_HIT` times as often as hit, and at least so many times as `fewest_misses` says. Of what came and went, which
-is all misses before its first hit and after its last and none between, more misses than hits suffice.
+**Conventions.** A map point is compared with range images in time order. It is *missed* if all nine pixels around it
+saw something clearly farther, and *hit* if its own pixel saw it. It moved if it was missed more than `MISSES_PER_HIT`
+times as often as hit, and at least `fewest_misses` times. For temporary objects (all misses before the first hit or
+after the last), more misses than hits suffice.
 """
 
 import math
@@ -28,25 +28,25 @@ from stone.surface.range_image import (
 
 MISSES_PER_HIT = 2
 FEWEST_MISSES, FEWEST_IF_RARE, FEWEST_OF_A_STAY = 2, 1, 3
-RARE_S = 0.25  # from image to image: by the next one a vehicle is somewhere else
+RARE_S = 0.25  # from image to image: by the next image, a vehicle has moved on
 HITS, MISSES, MISSES_BEFORE, MISSES_SINCE = range(4)
 FEW_FRAMES, FEW_HITS, TOUCH_M, TOUCHES = 6, 2, 0.2, 2
 
-PLACE_M = 4.0  # points of one cube are looked at together, so that those out of reach are passed over
-SLACK_M = 0.01  # beyond the rounding of any distance
+PLACE_M = 4.0  # points of one cube are processed together, so that cubes out of reach are skipped
+SLACK_M = 0.01  # more than the rounding of any distance
 
 
 class MotionVotes:
-    """What image after image, in the order of time, says of points (N, 3); `counts` are the votes so far.
+    """The votes of range images, in time order, on points (N, 3); `counts` are the votes so far.
 
-    Points lie in blocks of `AT_ONCE`, those of a block near each other: axis by axis, so that many are looked at at
-    once, and with the box around them, so that a block out of an image's reach is not looked at.
+    Points are stored in blocks of `AT_ONCE` neighbouring points: axis by axis, for vector code, and with their bounding
+    box, so that blocks out of an image's reach are skipped.
     """
 
     def __init__(self, points_map: NDArray[np.float64], parameters: DynamicParameters) -> None:
         self._parameters = parameters
         self._order = np.argsort(keys_of(points_map, PLACE_M), kind="stable")
-        padded = np.append(self._order, np.repeat(self._order[-1:], -len(self._order) % AT_ONCE))  # whole blocks
+        padded = np.append(self._order, np.repeat(self._order[-1:], -len(self._order) % AT_ONCE))  # complete blocks
         by_block = np.ascontiguousarray(points_map[padded].reshape(-1, AT_ONCE, 3).transpose(0, 2, 1))
         self._boxes = by_block.min(axis=2), by_block.max(axis=2)
         self._is_near = np.zeros(len(by_block), np.bool_)
@@ -55,7 +55,7 @@ class MotionVotes:
         self._work = workspace()
 
     def add(self, images: Sequence[RangeImage]) -> None:
-        """Add the verdicts of these images, at least one, on every point."""
+        """Add the votes of these images, at least one, on every point."""
         p = self._parameters
         views = SE3(np.stack([image.map_from_view.wxyz_xyz for image in images]))
         matrices, limits = views.inverse().as_matrix(), (p.min_range_m**2, p.max_range_m**2, p.margin_m)
@@ -68,7 +68,7 @@ class MotionVotes:
             _vote(self._points, self._is_near, view, limits, (self._votes, *self._work))
 
     def counts(self) -> NDArray[np.int32]:
-        """(N, 4): hits, misses, misses before the first hit and since the last one."""
+        """Return (N, 4): hits, misses, misses before the first hit and since the last one."""
         by_point = self._votes.reshape(-1, 4, AT_ONCE).transpose(0, 2, 1).reshape(-1, 4)
         counts = np.empty((len(self._order), 4), np.int32)
         counts[self._order] = by_point[: len(self._order)]
@@ -76,12 +76,12 @@ class MotionVotes:
 
 
 def fewest_misses(image_period_s: float) -> int:
-    """Without which nothing moved, for the time from one range image to the next."""
+    """Return the minimum number of misses of a moving point, for the time between range images."""
     return FEWEST_IF_RARE if image_period_s > RARE_S else FEWEST_MISSES
 
 
 def is_moving(votes: NDArray[np.int32], fewest: int = FEWEST_MISSES) -> NDArray[np.bool_]:
-    """Which points (N,) moved, by their votes (N, 4)."""
+    """Return which points (N,) moved, from their votes (N, 4)."""
     hits, misses, before, since = votes.T
     came_and_went = (before > 0) & (since > 0) & (before + since == misses) & (misses > hits)
     is_often_missed = (misses >= fewest) & (misses > MISSES_PER_HIT * hits)
@@ -91,10 +91,11 @@ def is_moving(votes: NDArray[np.int32], fewest: int = FEWEST_MISSES) -> NDArray[
 def carried_along(
     points_map: NDArray[np.float64], frames_seen: NDArray[np.int64], votes: NDArray[np.int32], moving: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """`moving` (N,), and what was hardly ever seen and touches it: a walker's head before the sky, which no ray passes.
+    """Return `moving` (N,) plus rarely seen points that touch it, such as a walker's head before the sky, which no ray
+    passes.
 
-    Such a point was met in at most `FEW_FRAMES` frames and `FEW_HITS` votes, and lies within `TOUCH_M` of what moved,
-    or of what touches it. Ground and walls beside a walker's way are seen often, so they stay.
+    Such a point was hit in at most `FEW_FRAMES` frames and `FEW_HITS` votes, and lies within `TOUCH_M` of a moving
+    point, or of a point that touches one. Ground and walls beside a walker's path are seen often, so they stay.
     """
     moved = moving.copy()
     for _ in range(TOUCHES):
@@ -105,7 +106,7 @@ def carried_along(
 
 @njit(cache=True, nogil=True)
 def _mark_near(boxes, place, reach_squared, near):  # type: ignore[no-untyped-def]
-    """Which blocks have a box within reach of a place (3,); whether any has."""
+    """Mark the blocks with a box within reach of a position (3,); return whether there is any."""
     (low, high), is_any_near = boxes, False
     for b in range(near.size):
         square = 0.0
@@ -119,14 +120,14 @@ def _mark_near(boxes, place, reach_squared, near):  # type: ignore[no-untyped-de
 
 @njit(cache=True, nogil=True)
 def _pair_up(ranges, pixels):  # type: ignore[no-untyped-def]
-    """The range of every pixel, and beside it the least of the nine around: 0 where no ray went to any of them."""
+    """Write the range of every pixel, and the minimum of the nine around it; 0 without a ray in any of them."""
     rows, columns = ranges.shape
     least = np.empty(columns + 2, np.float32)
     for row in range(rows):
         here, above, below = ranges[row], ranges[max(row - 1, 0)], ranges[min(row + 1, rows - 1)]
         for column in range(columns):
             least[column + 1] = min(here[column], min(above[column], below[column]))
-        least[0], least[columns + 1] = least[columns], least[1]  # the columns close into a ring
+        least[0], least[columns + 1] = least[columns], least[1]  # the columns form a ring
         out = pixels[2 * row * columns : 2 * (row + 1) * columns]
         for column in range(columns):
             out[2 * column] = here[column]
@@ -135,7 +136,7 @@ def _pair_up(ranges, pixels):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _vote(points, near, view, limits, out):  # type: ignore[no-untyped-def]
-    """A block at a time of those near: turned, aimed at, looked up, judged. Arrays are flat, as those of `aim` are."""
+    """Vote on the near blocks one by one: transform, aim, look up, judge. Arrays are flat, like those of `aim`."""
     m, pixels, shape, lens = view
     votes, block, seen, at = out
     for b in range(near.size):
@@ -150,7 +151,7 @@ def _vote(points, near, view, limits, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _turn(points, m, block):  # type: ignore[no-untyped-def]
-    """The points of a block as the view has them."""
+    """Transform the points of a block to the view."""
     m00, m01, m02, m03 = m[0, 0], m[0, 1], m[0, 2], m[0, 3]
     m10, m11, m12, m13 = m[1, 0], m[1, 1], m[1, 2], m[1, 3]
     m20, m21, m22, m23 = m[2, 0], m[2, 1], m[2, 2], m[2, 3]
@@ -163,7 +164,7 @@ def _turn(points, m, block):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _find_pixels(seen, shape, limits, at):  # type: ignore[no-untyped-def]
-    """The pixel of every point of a block, and its range in place of the square: NaN where it is not judged."""
+    """Write the pixel of every point of a block, and its range instead of the square; NaN if it is not judged."""
     rows, columns = shape
     for p in range(AT_ONCE):
         square, row, column = seen[p], seen[AT_ONCE + p], seen[2 * AT_ONCE + p]
@@ -174,7 +175,7 @@ def _find_pixels(seen, shape, limits, at):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _look_up(pixels, at, seen):  # type: ignore[no-untyped-def]
-    """What was seen in each point's pixel, and at the least around it."""
+    """Write the range in each point's pixel, and the minimum around it."""
     for p in range(AT_ONCE):
         seen[AT_ONCE + p], seen[2 * AT_ONCE + p] = pixels[2 * at[p]], pixels[2 * at[p] + 1]
 

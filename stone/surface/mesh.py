@@ -11,8 +11,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 DEGENERATE_M2 = 1e-12
-"""Twice the area below which a face has no direction: corners a kilometre from the origin are rounded to 1e-13 m, and a
-plane that passes through the corners of its lattice is cut into as many slivers as triangles."""
+"""Twice the area below which a face has no direction: corners 1 km from the origin are rounded to 1e-13 m, and a plane
+through its lattice's corners is cut into as many slivers as triangles.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,16 +24,16 @@ class Mesh:
     triangles: NDArray[np.int32]
 
     def where(self, keep: NDArray[np.bool_]) -> "Mesh":
-        """The mesh of the kept vertices (V,) and of the triangles that lose none."""
+        """Return the mesh of the kept vertices (V,) and of the triangles with three kept vertices."""
         renumbered = np.cumsum(keep, dtype=np.int32) - 1
         a, b, c = self.triangles.T
         whole = keep[a] & keep[b] & keep[c]
-        kept = np.compress(keep, self.vertices_map, axis=0)  # with a mask as an index it takes five times as long
+        kept = np.compress(keep, self.vertices_map, axis=0)  # five times faster than indexing with a mask
         return Mesh(kept, renumbered[np.compress(whole, self.triangles, axis=0)].reshape(-1, 3))
 
 
 def vertex_normals(mesh: Mesh) -> NDArray[np.float64]:
-    """n of Eq. 2: the normalised mean of the unit normals of the incident faces (V, 3); zero where there is no face."""
+    """Return n of Eq. 2: the normalised mean of the incident faces' unit normals (V, 3); zero without a face."""
     normals = np.zeros(mesh.vertices_map.shape)
     _accumulate(mesh.vertices_map, mesh.triangles, normals)
     length = np.linalg.norm(normals, axis=1, keepdims=True)

@@ -1,8 +1,8 @@
-"""The k nearest neighbours of every point, as the plane that fits them best.
+"""The k nearest neighbours of every point, as their best-fitting plane.
 
-**Conventions.** Points are sorted into cubic cells, and the search is exact: it widens ring by ring until the k-th
-neighbour is nearer than the border of what was searched, up to the second ring (so at least 2 cell sizes away). A point
-counts as its own neighbour, at distance 0. Ties are broken by the order of the sorted points.
+**Conventions.** Points are sorted into cubic cells, and the search is exact: it expands by rings until the k-th
+neighbour is nearer than the border of the searched cells, up to the second ring (at least 2 cell sizes away). A point
+is its own neighbour at distance 0. Ties are resolved by the order of the sorted points.
 """
 
 import math
@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from stone.geometry.lattice import BIAS, MASK, VoxelTable, check_reach, find, keys_of, pack, table_of
 
-AROUND = 27  # a cell and those around it
+AROUND = 27  # a cell and its neighbours
 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Points sorted by cell: `points[start[c]:start[c+1]]` lie in cell `keys[c]`; `order` leads back to the input."""
+    """Points sorted by cell: `points[start[c]:start[c+1]]` are in cell `keys[c]`; `order` maps back to the input."""
 
     size_m: float
     points: NDArray[np.float64]
@@ -38,7 +38,7 @@ class PlaneFits:
 
 
 def cells_of(points: NDArray[np.float64], size_m: float) -> Cells:
-    """Sort points (N, 3) into cells; raises `off_lattice` as `keys_of` does."""
+    """Sort points (N, 3) into cells. Raises `off_lattice` like `keys_of`."""
     keys = keys_of(points, size_m)
     order = np.argsort(keys, kind="stable")
     ordered = keys[order]
@@ -48,10 +48,10 @@ def cells_of(points: NDArray[np.float64], size_m: float) -> Cells:
 
 
 def plane_fits(cells: Cells, k: int) -> PlaneFits:
-    """Planes through the k nearest neighbours of every point, in the order of the points given to `cells_of`.
+    """Return planes through the k nearest neighbours of every point, in the order of the points given to `cells_of`.
 
-    The plane is the total least-squares one: the mean square is the smallest eigenvalue of the neighbours'
-    covariance, the normal (sign arbitrary, zero where there is no plane) its eigenvector.
+    It is the total least squares plane: the mean square is the smallest eigenvalue of the neighbours' covariance, the
+    normal (arbitrary sign, zero without a plane) its eigenvector.
     """
     fits = _fits(cells, (cells.points, cells.start), k)
     back = np.empty(len(cells.order), np.int64)
@@ -60,12 +60,12 @@ def plane_fits(cells: Cells, k: int) -> PlaneFits:
 
 
 def plane_fits_at(cells: Cells, places: NDArray[np.float64], k: int) -> PlaneFits:
-    """The same around one place in each cell (C, 3) instead of around every point."""
+    """Return the planes around one position in each cell (C, 3) instead of around every point."""
     return _fits(cells, (np.ascontiguousarray(places), np.arange(len(cells.keys) + 1)), k)
 
 
 def _fits(cells: Cells, asked: tuple[NDArray[np.float64], NDArray[np.int64]], k: int) -> PlaneFits:
-    """Around the places asked (Q, 3), those of cell c being asked[1][c] to asked[1][c + 1]."""
+    """Return the planes around the requested positions (Q, 3); cell c has asked[1][c] to asked[1][c + 1]."""
     mean_square = np.empty(len(asked[0]))
     normals = np.zeros((len(asked[0]), 3))
     crowd = int(np.diff(cells.start).max(initial=0))
@@ -75,7 +75,7 @@ def _fits(cells: Cells, asked: tuple[NDArray[np.float64], NDArray[np.int64]], k:
 
 
 def is_near(queries: NDArray[np.float64], points: NDArray[np.float64], radius_m: float) -> NDArray[np.bool_]:
-    """Which queries (Q, 3) have one of the points (N, 3) within `radius_m` (inclusive)."""
+    """Return which queries (Q, 3) have one of the points (N, 3) within `radius_m` (inclusive)."""
     near = np.zeros(len(queries), np.bool_)
     if len(points) and len(queries):
         cells = cells_of(points, radius_m)
@@ -93,7 +93,7 @@ def is_near(queries: NDArray[np.float64], points: NDArray[np.float64], radius_m:
 
 @njit(cache=True, nogil=True)
 def _collect(cell, ring, start, table, spans, filled):  # type: ignore[no-untyped-def]
-    """Append the point ranges of the cells exactly `ring` cells away; the new number of spans."""
+    """Append the point ranges of the cells exactly `ring` cells away; return the new number of ranges."""
     ci, cj, ck = cell
     for di in range(-ring, ring + 1):
         for dj in range(-ring, ring + 1):
@@ -109,7 +109,7 @@ def _collect(cell, ring, start, table, spans, filled):  # type: ignore[no-untype
 
 @njit(inline="always")
 def _has_near(points, spans, filled, at, square):  # type: ignore[no-untyped-def]
-    """Whether a point of these ranges is within the root of `square` of a place."""
+    """Return whether a point of these ranges is within the root of `square` of a position."""
     for s in range(filled):
         for b in range(spans[s, 0], spans[s, 1]):
             if (points[b, 0] - at[0]) ** 2 + (points[b, 1] - at[1]) ** 2 + (points[b, 2] - at[2]) ** 2 <= square:
@@ -119,7 +119,7 @@ def _has_near(points, spans, filled, at, square):  # type: ignore[no-untyped-def
 
 @njit(cache=True, nogil=True)
 def _near(queries, points, start, table, radius_m, near):  # type: ignore[no-untyped-def]
-    """The query's own cell is looked at first: most that are near are so there already."""
+    """Mark near queries; the query's own cell is searched first, because most are near in it."""
     spans = np.empty((AROUND, 2), np.int64)
     square = radius_m * radius_m
     for q in range(queries.shape[0]):
@@ -130,23 +130,21 @@ def _near(queries, points, start, table, radius_m, near):  # type: ignore[no-unt
             near[q] = _has_near(points, spans, _collect(cell, 1, start, table, spans, 0), at, square)
 
 
-# The search for the k nearest points around places, cell by cell, and the plane through them.
-#
-# **Conventions.** Cells come in the order of their keys; points of a cell follow each other. What is found is sorted
-# by distance, of equals the first in the order of the search: the nine columns of cells around, then those two cells
-# away. All that is near is gathered and put into bins by its squared distance, so that only what is in the bins of the
-# k nearest is sorted.
+# The search for the k nearest points around positions, cell by cell, and the plane through them. Cells come in key
+# order, and a cell's points are consecutive. Results are sorted by distance; ties keep the search order: the nine
+# columns of surrounding cells, then cells two away. Candidates are collected in bins by squared distance, so that only
+# the bins of the k nearest are sorted.
 
 
-FEWEST = 4  # three points always lie on a plane and say nothing
-BINS, WIDEST_CELLS = 64, 2.0  # bins of equal squared distance up to so many cells; the last holds all beyond
-SLACK = 1.0 + 1e-6  # beyond the rounding of a squared distance
+FEWEST = 4  # three points always lie on a plane and give no information
+BINS, WIDEST_CELLS = 64, 2.0  # bins of equal squared distance up to this number of cells; the last contains the rest
+SLACK = 1.0 + 1e-6  # more than the rounding of a squared distance
 SEARCHED = 125  # cells up to two away
 
 
 @njit(inline="always")
 def smallest_eigenvalue(a00, a01, a02, a11, a12, a22):  # type: ignore[no-untyped-def]
-    """Of a symmetric 3 × 3 matrix, in closed form (Smith, 1961)."""
+    """Return the smallest eigenvalue of a symmetric 3 × 3 matrix in closed form (Smith, 1961)."""
     off = a01 * a01 + a02 * a02 + a12 * a12
     q = (a00 + a11 + a22) / 3.0
     p = math.sqrt(((a00 - q) ** 2 + (a11 - q) ** 2 + (a22 - q) ** 2 + 2.0 * off) / 6.0)
@@ -161,7 +159,7 @@ def smallest_eigenvalue(a00, a01, a02, a11, a12, a22):  # type: ignore[no-untype
 
 @njit(inline="always")
 def eigenvector(a00, a01, a02, a11, a12, a22, value):  # type: ignore[no-untyped-def]
-    """Unit eigenvector of a symmetric 3 × 3 matrix: the longest cross product of two rows of A − λ."""
+    """Return the unit eigenvector of a symmetric 3 × 3 matrix: the longest cross product of two rows of A − λ."""
     x, y, z = a00 - value, a11 - value, a22 - value
     u0, u1, u2 = a01 * a12 - a02 * y, a02 * a01 - x * a12, x * y - a01 * a01
     v0, v1, v2 = a01 * z - a02 * a12, a02 * a02 - x * z, x * a12 - a01 * a02
@@ -177,7 +175,7 @@ def eigenvector(a00, a01, a02, a11, a12, a22, value):  # type: ignore[no-untyped
 
 @njit(cache=True, nogil=True)
 def _plane(points, at, best, count):  # type: ignore[no-untyped-def]
-    """(mean square distance, normal) of the first `count` neighbours."""
+    """Return (mean square distance, normal) of the first `count` neighbours."""
     s0 = s1 = s2 = c00 = c01 = c02 = c11 = c12 = c22 = 0.0
     for t in range(count):
         b = best[1][t]
@@ -196,7 +194,7 @@ def _plane(points, at, best, count):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def _advance(keys, target, row):  # type: ignore[no-untyped-def]
-    """The first row from `row` on whose key is not below `target`."""
+    """Return the first row, from `row`, whose key is not below `target`."""
     while row < keys.size and keys[row] < target:
         row += 1
     return row
@@ -204,9 +202,9 @@ def _advance(keys, target, row):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _open_columns(keys, key, reach, columns):  # type: ignore[no-untyped-def]
-    """Move the row ranges of the square of columns around a cell, each `reach` cells up and down, on to this cell.
+    """Advance the row ranges of the square of columns around a cell, each `reach` cells up and down, to this cell.
 
-    Cells come in the order of their keys and neighbours are a fixed step away, so every range only ever moves forward.
+    Cells come in key order and neighbours are a fixed step away, so every range only moves forward.
     """
     at = 0
     for di in range(-reach, reach + 1):
@@ -219,7 +217,7 @@ def _open_columns(keys, key, reach, columns):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _gather(points, rows, at, found, count):  # type: ignore[no-untyped-def]
-    """Append the points of a range with their squared distances; the new number."""
+    """Append the points of a range with their squared distances; return the new number."""
     distances, numbers = found
     for b in range(rows[0], rows[1]):
         distances[count] = (points[b, 0] - at[0]) ** 2 + (points[b, 1] - at[1]) ** 2 + (points[b, 2] - at[2]) ** 2
@@ -230,7 +228,7 @@ def _gather(points, rows, at, found, count):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _gather_nearer(points, rows, at, found, count, limit):  # type: ignore[no-untyped-def]
-    """The same, but only what is nearer than `limit` (squared)."""
+    """Append only the points nearer than `limit` (squared); return the new number."""
     distances, numbers = found
     for b in range(rows[0], rows[1]):
         d = (points[b, 0] - at[0]) ** 2 + (points[b, 1] - at[1]) ** 2 + (points[b, 2] - at[2]) ** 2
@@ -241,8 +239,9 @@ def _gather_nearer(points, rows, at, found, count, limit):  # type: ignore[no-un
 
 @njit(cache=True, nogil=True)
 def _gather_ring(points, start, columns, place, found, count, limit):  # type: ignore[no-untyped-def]
-    """Append what lies two cells away and nearer than `limit`: of the outer columns all, of those that were searched
-    before the ends. A column whose side is farther than that holds nothing."""
+    """Append points two cells away and nearer than `limit`: all of the outer columns, and the ends of the columns
+    searched before. Columns whose side is farther than the limit are skipped.
+    """
     (near, wide), (at, sides) = columns, place
     for column in range(25):
         i, j = column // 5 - 1, column % 5 - 1
@@ -261,7 +260,7 @@ def _gather_ring(points, start, columns, place, found, count, limit):  # type: i
 
 @njit(cache=True, nogil=True)
 def _keep_nearest(found, count, k, size_m, best):  # type: ignore[no-untyped-def]
-    """The nearest k of what was found, sorted; how many they are."""
+    """Write the nearest k candidates, sorted; return their number."""
     (distances, numbers), (kept, rows, bins) = found, best
     scale = BINS / (WIDEST_CELLS * size_m) ** 2
     for b in range(BINS):
@@ -290,7 +289,7 @@ def _keep_nearest(found, count, k, size_m, best):  # type: ignore[no-untyped-def
 
 @njit(cache=True, nogil=True)
 def _sides(key, size_m, at):  # type: ignore[no-untyped-def]
-    """How far the cells two away begin, below and above along x and y; and the nearest of all, along z too."""
+    """Return the distance to the cells two away, below and above along x and y; and the smallest, including z."""
     x_m = at[0] - ((key >> 42) - BIAS) * size_m
     y_m = at[1] - (((key >> 21) & MASK) - BIAS) * size_m
     z_m = at[2] - ((key & MASK) - BIAS) * size_m
@@ -302,8 +301,9 @@ def _sides(key, size_m, at):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def fit(asked, cells, k, room, out):  # type: ignore[no-untyped-def]
-    """Fill mean squares and normals of the planes through the k points nearest to each place that is asked for; there
-    is `room` for so many points as any search can find, and k more."""
+    """Fill mean squares and normals of the planes through the k points nearest to each requested position; `room` fits
+    all candidates of any search, plus k.
+    """
     points, places, first = asked
     keys, start, size_m = cells
     mean_square, normals = out

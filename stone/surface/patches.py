@@ -1,12 +1,12 @@
-"""Patches: what the points of one cell say about the surface there, as a mean point and a normal.
+"""Patches: the surface in one cell as a mean point and a normal.
 
-**Conventions.** Cells are those of `stone.surface.contour`: their corners are voxel centres. A patch's plane is that of
-the k points nearest to its mean point, whichever cells they lie in; its normal is on the side it was seen from. Patches
-are sorted by cell. Points without enough neighbours for a plane make no patch.
+**Conventions.** Cells are those of `stone.surface.contour`: their corners are voxel centres. A patch's plane is fitted
+to the k points nearest to its mean point, in any cells; its normal points to the side it was seen from. Patches are
+sorted by cell. Points without enough neighbours for a plane form no patch.
 
-Ground is seen at 2° and less, and a plane through sparse, noisy points leans by more than that, so which side was seen
-is not told by such a plane. It is told by the sensor's height: what is nearly flat and was seen from above is ground.
-What was seen from below at such an angle is ground that rises, unless something lies below it: then it is an underside.
+Ground is seen at 2° or less, and a plane through sparse, noisy points tilts by more than that, so the plane does not
+determine the seen side. The sensor's height does: nearly flat surfaces seen from above are ground. Surfaces seen from
+below at such an angle are rising ground, unless there is something below them: then they are undersides.
 """
 
 from dataclasses import dataclass
@@ -18,13 +18,15 @@ from stone.geometry.lattice import MASK, Keys, keys_of
 from stone.surface.neighbours import cells_of, plane_fits_at
 
 FLAT_COSINE = 0.8  # 37°
-GRAZING_SINE = 0.35  # 20°: what planes through sparse rings lean by
+GRAZING_SINE = 0.35  # 20°: the tilt of planes through sparse rings
 BELOW_CELLS = 3
 
 
 @dataclass(frozen=True, eq=False)
 class Patches:
-    """C cells: `cells` (C,) sorted keys, mean points (C, 3), unit `normals` (C, 3), and how many points each holds."""
+    """C cells: `cells` (C,) sorted keys, mean points (C, 3), unit `normals` (C, 3), and the number of points of
+    each.
+    """
 
     width_m: float
     cells: Keys
@@ -43,9 +45,9 @@ class Patches:
 def patches_of(
     points_map: NDArray[np.float64], views_map: NDArray[np.float64], width_m: float, neighbours: int
 ) -> tuple[Patches, NDArray[np.bool_]]:
-    """The patches of points (N, 3) seen from `views_map` (N, 3), and which points (N,) they are made of.
+    """Return the patches of points (N, 3) seen from `views_map` (N, 3), and which points (N,) they contain.
 
-    Points too few for a plane are in none, and neither is what ground only mirrors (mirror returns, below).
+    Patches exclude points that are too few for a plane, and mirror returns (below).
     """
     shift_m = 0.5 * width_m
     cells = cells_of(points_map - shift_m, width_m)
@@ -63,7 +65,7 @@ def patches_of(
 
 
 def _seen_side(normals: NDArray[np.float64], views: NDArray[np.float64], cells: Keys) -> NDArray[np.float64]:
-    """The normals (C, 3) of either sign on the side that was seen from the directions `views` (C, 3)."""
+    """Return the normals (C, 3), of either sign, on the side that was seen from the directions `views` (C, 3)."""
     towards = np.einsum("ci,ci->c", normals, views)
     facing = np.where(towards[:, None] < 0, -normals, normals)
     is_flat = np.abs(facing[:, 2]) >= FLAT_COSINE
@@ -76,7 +78,9 @@ def _seen_side(normals: NDArray[np.float64], views: NDArray[np.float64], cells: 
 
 
 def _has_below(cells: Keys) -> NDArray[np.bool_]:
-    """Which of the cells (C,), sorted, have another of their column some cells below; z is the lowest in a key."""
+    """Return which of the sorted cells (C,) have another cell of their column some cells below; z is the lowest part of
+    a key.
+    """
     height = cells & MASK
     is_lowest = np.append(True, np.diff(cells - height) != 0)[: len(cells)]
     first = np.maximum.accumulate(np.where(is_lowest, np.arange(len(cells)), 0))
@@ -84,24 +88,23 @@ def _has_below(cells: Keys) -> NDArray[np.bool_]:
 
 
 def _sums(rows: NDArray[np.float64], start: NDArray[np.int64]) -> NDArray[np.float64]:
-    """The sum of the rows (N, 3) of each cell (C, 3); none is empty."""
+    """Return the sum of the rows (N, 3) of each non-empty cell (C, 3)."""
     if len(start) == 1:
         return np.zeros((0, 3))
     return np.asarray(np.add.reduceat(rows, start[:-1], axis=0))
 
 
-# Mirror returns: what wet or polished ground throws back, and a LiDAR therefore places below it.
-#
-# **Conventions.** A sheet is a patch that is flat, smooth and seen from above, as ground is that mirrors. What lies
-# below a sheet and was seen through one was never there: rays do not go through ground. Ground under a table, a car or
-# a bridge lies below a sheet too, but is seen past its edge: the outermost patches of a sheet do not count, and
-# neither does what was seen from many sides, for a ray is followed to where the patch was seen from on average.
+# Mirror returns: reflections on wet or polished ground, which a LiDAR places below it. A sheet is a patch that is flat,
+# smooth and seen from above, like reflecting ground. Points that were seen through a sheet below it do not exist,
+# because rays do not pass through ground. Ground under a table, a car or a bridge is also below a sheet, but is seen
+# past its edge. Therefore the outermost patches of a sheet do not count, and neither do patches seen from many sides,
+# because rays are traced to the mean viewing direction.
 
 
 MIRROR_FLAT_COSINE = 0.9  # 26°
 SMOOTH_M = 0.05
 ONE_SIDE = 0.95  # length of the mean of unit directions: within about 18°
-NEAREST_M, FARTHEST_M = 0.3, 3.0  # below the sheet: nearer is its own roughness
+NEAREST_M, FARTHEST_M = 0.3, 3.0  # below the sheet: smaller distances are its own roughness
 RISE_M = 0.05
 COLUMN = ~MASK
 
@@ -111,11 +114,10 @@ Array = NDArray[np.float64]
 def mirror_returns(
     cells: Keys, width_m: float, means_map: Array, normals: Array, views: Array, mean_square_m2: Array
 ) -> NDArray[np.bool_]:
-    """Which patches (C,) lie below ground through which they were seen.
+    """Return which patches (C,) are below ground through which they were seen.
 
-    `cells` (C,) are sorted keys of `width_m`, each with its mean point (C, 3), normal (C, 3) on the side that was seen,
-    mean of the unit directions (C, 3) it was seen from, and mean squared distance (C,) of its points to their plane,
-    NaN without one.
+    `cells` (C,) are sorted keys of `width_m`. Each has its mean point (C, 3), normal (C, 3) on the seen side, mean unit
+    viewing direction (C, 3), and mean squared distance (C,) of its points to their plane, NaN without a plane.
     """
     is_sheet = (normals[:, 2] >= MIRROR_FLAT_COSINE) & (views[:, 2] > 0) & (mean_square_m2 <= SMOOTH_M**2)
     is_seen_from_above = (views[:, 2] > 0) & (np.linalg.norm(views, axis=1) >= ONE_SIDE)
@@ -130,16 +132,16 @@ def mirror_returns(
 
 
 def _is_within(sheets: Keys) -> NDArray[np.bool_]:
-    """Which of the sorted cells (S,) have another beside them on all four sides, at most one higher or lower."""
+    """Return which of the sorted cells (S,) have neighbours on all four sides, at most one cell higher or lower."""
     within, padded = np.ones(len(sheets), np.bool_), np.append(sheets, np.iinfo(np.int64).max)
     for aside in (1 << 42, -(1 << 42), 1 << 21, -(1 << 21)):
-        lowest = np.searchsorted(sheets, sheets + (aside - 1))  # heights follow each other in a key
+        lowest = np.searchsorted(sheets, sheets + (aside - 1))  # heights are consecutive in a key
         within &= padded[lowest] <= sheets + (aside + 1)
     return within
 
 
 def _has_above(cells: Keys, is_sheet: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which cells (C,) have a sheet in their column that is not below them."""
+    """Return which cells (C,) have a sheet in their column at or above them."""
     columns, sheets = cells & COLUMN, cells[is_sheet]
     following = np.searchsorted(sheets, cells)
     padded = np.append(sheets, -1)
@@ -147,8 +149,9 @@ def _has_above(cells: Keys, is_sheet: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _meets(sheets: tuple[Keys, Array], width_m: float, points_map: Array, directions: Array) -> NDArray[np.bool_]:
-    """Which rays from the points (R, 3) go up through a sheet, given as sorted cells and heights (S,); directions
-    (R, 3) point upwards."""
+    """Return which rays from the points (R, 3) pass upwards through a sheet, given as sorted cells and heights (S,);
+    directions (R, 3) point upwards.
+    """
     keys, heights_m = sheets
     met = np.zeros(len(points_map), np.bool_)
     if not len(keys) or not len(points_map):

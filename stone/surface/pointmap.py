@@ -1,7 +1,7 @@
-"""The point map: all sweeps of a run, kept as the moments of what fell into each voxel.
+"""The point map: all sweeps of a run, stored as moments of the points in each voxel.
 
 **Conventions.** Points are in the `map` frame. Sums are integers in units of `QUANTUM_M` (about a micrometre), so
-adding sweeps in any order, in any grouping, on any number of workers gives the same bits. Rows are sorted by key.
+adding sweeps in any order, any grouping and on any number of workers gives identical bits. Rows are sorted by key.
 """
 
 import math
@@ -36,32 +36,32 @@ class PointMap:
         return len(self.keys)
 
     def counts(self) -> NDArray[np.int64]:
-        """Points that fell into each voxel (M,)."""
+        """The number of points in each voxel (M,)."""
         return self.moments[:, COUNT]
 
     def frames_seen(self) -> NDArray[np.int64]:
-        """Frames in which each voxel was hit (M,)."""
+        """The number of frames that hit each voxel (M,)."""
         return self.moments[:, FRAMES]
 
     def centroids_map(self) -> NDArray[np.float64]:
-        """Mean point of each voxel (M, 3), metres."""
+        """The mean point of each voxel (M, 3), metres."""
         return centres_of(self.keys, self.voxel_m) + self.moments[:, OFFSET] * QUANTUM_M / self.moments[:, :1]
 
     def views_map(self) -> NDArray[np.float64]:
-        """Mean unit direction from each voxel to the sensors that saw it (M, 3), length ≤ 1."""
+        """The mean unit direction from each voxel to the sensors that saw it (M, 3), length ≤ 1."""
         return np.asarray(self.moments[:, VIEW] * QUANTUM_M / self.moments[:, :1])
 
     def where(self, keep: NDArray[np.bool_]) -> "PointMap":
-        # with a mask as an index it takes five times as long
+        # five times faster than indexing with a mask
         return PointMap(self.voxel_m, np.compress(keep, self.keys), np.compress(keep, self.moments, axis=0))
 
     def where_seen(self, min_frames: int) -> "PointMap":
-        """The voxels that were hit in at least so many frames."""
+        """Return the voxels that were hit in at least `min_frames` frames."""
         return self.where(np.asarray(self.frames_seen() >= min_frames))
 
 
 def merge(maps: Sequence[PointMap]) -> PointMap:
-    """The map of all points of all maps; the maps hold disjoint frames. Exact, so the order does not matter."""
+    """Return the map of all points of all maps, which contain disjoint frames. Exact, so the order does not matter."""
     keys = np.concatenate([part.keys for part in maps])
     moments = np.concatenate([part.moments for part in maps])
     order = np.argsort(keys, kind="stable")
@@ -74,7 +74,7 @@ def merge(maps: Sequence[PointMap]) -> PointMap:
 
 @njit(cache=True, nogil=True)
 def _add_up(moments, order, is_first, sums):  # type: ignore[no-untyped-def]
-    """Add the moments of each voxel, whose rows follow each other in this order, the first of each being marked."""
+    """Add the moments of each voxel, whose rows are consecutive in this order with the first one marked."""
     voxel = -1
     for at in range(order.size):
         voxel += is_first[at]
@@ -83,10 +83,9 @@ def _add_up(moments, order, is_first, sums):  # type: ignore[no-untyped-def]
 
 
 class PointMapBuilder:
-    """An incremental voxel hash: `insert` sweep after sweep, then `finish`.
+    """An incremental voxel hash: call `insert` for each sweep, then `finish`.
 
-    The first table is made for a minute of a full rig's map, so that it rarely has to grow; its pages cost nothing
-    until they are used.
+    The first table fits a minute of a full rig's map, so that it rarely grows; unused pages cost nothing.
     """
 
     def __init__(self, voxel_m: float, slots: int = 1 << 20) -> None:
@@ -112,7 +111,7 @@ class PointMapBuilder:
         sensor_map = map_from_ego @ sensor_ego
         check_reach(
             np.abs(sensor_map) + FARTHEST_POINT_M, self._voxel_m
-        )  # a broken rotation shows in the sensor's place
+        )  # a broken rotation shows in the sensor's position
         if self._frames >= MOST_FRAMES or self._points + len(points_ego) > MOST_POINTS:
             self._begin_another()
         box = np.array([reach.min_m, reach.max_m], np.float64)
@@ -140,7 +139,7 @@ class PointMapBuilder:
         self._rows = larger
 
     def _begin_another(self) -> None:
-        """The table's counters are nearly full: what it holds is set aside."""
+        """Set the table's content aside, because its counters are nearly full."""
         self._full.append(self._finished())
         self._rows = free_rows(len(self._rows))
         self._used = self._frames = self._points = 0
@@ -155,17 +154,15 @@ class PointMapBuilder:
         return PointMap(self._voxel_m, keys[order], moments)
 
     def finish(self) -> PointMap:
-        """What was inserted so far, as a frozen value."""
+        """Return the inserted points as an immutable map."""
         return merge([*self._full, self._finished()]) if self._full else self._finished()
 
 
-# The hot loops of the point map: points of a sweep into the rows of an open-addressing table.
-#
-# **Conventions.** A row is one cache line of eight int64: the voxel's key (0: the row is free, no voxel on the lattice
-# has it), a counter, Σ offset from the centre and Σ unit view, in units of `QUANTUM_M`. The counter packs, lowest bit
-# first: points (32 bits), frames (16), and 1 + the frame that was counted last (16). Points go through in blocks: what
-# the compiler makes vector code of comes first, then their rows are asked for, and while these are on their way the
-# block before is added to its own.
+# The hot loops of the point map: they add a sweep's points to the rows of an open-addressing table. A row is one cache
+# line of eight int64: the voxel's key (0 for a free row, which no voxel has), a counter, Σ offset from the centre and Σ
+# unit view, in units of `QUANTUM_M`. The counter packs, lowest bit first: points (32 bits), frames (16), and 1 + the
+# last counted frame (16). Points are processed in blocks: vectorised arithmetic first, then their rows are prefetched,
+# and meanwhile the previous block is added to its rows.
 
 
 QUANTUM_M = 2.0**-20
@@ -173,7 +170,7 @@ BLOCK = 256
 ROW_BYTES, ROW_WORDS, AHEAD_ROWS = 64, 8, 24
 FREE = 0
 POINT_BITS, FRAME_BITS = 32, 16
-# What the counter can hold; whoever fills a table begins another one before.
+# limits of the counter; the caller starts another table before
 MOST_POINTS, MOST_FRAMES = 2**31, 2**16 - 1
 LAST_AT = POINT_BITS + FRAME_BITS
 
@@ -181,14 +178,16 @@ Rows = NDArray[np.int64]
 
 
 def free_rows(slots: int) -> Rows:
-    """A table (slots, 8) of free rows, each a cache line of its own; `slots` is a power of two."""
+    """Return a table (slots, 8) of free rows, each in its own cache line; `slots` is a power of two."""
     raw = np.zeros(slots * 8 + 8, np.int64)
     first = (-raw.ctypes.data % ROW_BYTES) // 8
     return raw[first : first + slots * 8].reshape(slots, 8)
 
 
 def workspace() -> tuple[Any, ...]:
-    """Of one block: coordinates and what is inside; of two in turn: keys, slots, and six sums a point."""
+    """Return buffers for one block (coordinates, inside flags) and for two alternating blocks (keys, slots, six sums
+    per point).
+    """
     return (
         (np.zeros((3, BLOCK), np.float32), np.zeros(BLOCK, np.int64)),
         (np.zeros((2, BLOCK), np.int64), np.zeros((2, BLOCK), np.int64), np.zeros((2, 6, BLOCK), np.int64)),
@@ -197,15 +196,15 @@ def workspace() -> tuple[Any, ...]:
 
 @njit(cache=True, nogil=True)
 def add_points(points, view, rows, state, work):  # type: ignore[no-untyped-def]
-    """Add points (N, 3) from `state[0]` on, until all are in or the table could get fuller than `state[3]`.
+    """Add points (N, 3) from `state[0]` until all are added or the table could exceed `state[3]` rows.
 
     `view` is (box (2, 3), pose (4, 4), sensor (3,), voxel_m, frame); `state` counts points done, rows used, points
-    inside the box, and holds the limit of rows.
+    inside the box, and contains the limit of rows.
     """
     box, pose, sensor, voxel_m, frame = view
     (xyz, inside), (keys, slots, sums) = work
     mark = np.int64(frame + 1) << LAST_AT
-    waiting, turn = 0, 0  # points of the block before, and which of the two it is not
+    waiting, turn = 0, 0  # points of the previous block, and the buffer it does not use
     while state[0] < points.shape[0] and state[1] + 2 * BLOCK <= state[3]:
         block = points[state[0] : state[0] + BLOCK]
         state[2] += _sift(block, box, xyz, inside)
@@ -219,7 +218,7 @@ def add_points(points, view, rows, state, work):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _sift(block, box, xyz, inside):  # type: ignore[no-untyped-def]
-    """Take the coordinates apart; 1 for each point inside of the box, else 0, and how many are."""
+    """Split the coordinates; write 1 for each point inside the box, otherwise 0; return the number inside."""
     low0, low1, low2 = box[0]
     high0, high1, high2 = box[1]
     count = 0
@@ -234,9 +233,9 @@ def _sift(block, box, xyz, inside):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _prepare(xyz, inside, view, keys, sums):  # type: ignore[no-untyped-def]
-    """Key (`FREE` outside of the box) and rounded sums of each point.
+    """Write key (`FREE` outside the box) and rounded sums of each point.
 
-    Everything is read into names before the loop: for all the compiler knows, an output may lie over an input.
+    Values are copied to local names before the loop, because the compiler cannot exclude that outputs overlap inputs.
     """
     pose, sensor, voxel_m = view
     m00, m01, m02, m03 = pose[0]
@@ -263,7 +262,7 @@ def _prepare(xyz, inside, view, keys, sums):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _locate(keys, count, rows, slots):  # type: ignore[no-untyped-def]
-    """Where each key would stand first; those rows are asked for, many at a time."""
+    """Write each key's first probe slot, and prefetch these rows in batches."""
     mask = np.uint64(rows.shape[0] - 1)
     for p in range(count):
         slots[p] = np.int64(scatter(keys[p]) & mask)
@@ -273,7 +272,7 @@ def _locate(keys, count, rows, slots):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _accumulate(keys, slots, sums, rows, mark):  # type: ignore[no-untyped-def]
-    """Add the prepared points to their rows; how many rows were free before."""
+    """Add the prepared points to their rows; return the number of rows that were free before."""
     claimed = 0
     for p in range(keys.shape[0]):
         key = keys[p]
@@ -298,7 +297,7 @@ def _accumulate(keys, slots, sums, rows, mark):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def _slot_from(rows, slot, key):  # type: ignore[no-untyped-def]
-    """The key's row, or the free one where it would stand; probing begins at `slot`."""
+    """Return the key's row, or the free row for it; probing starts at `slot`."""
     while rows[slot, 0] != key and rows[slot, 0] != FREE:
         slot = (slot + 1) & (rows.shape[0] - 1)
     return slot
@@ -306,7 +305,7 @@ def _slot_from(rows, slot, key):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def move_rows(old, new):  # type: ignore[no-untyped-def]
-    """Put every used row into a larger table."""
+    """Copy every used row into a larger table."""
     mask = np.uint64(new.shape[0] - 1)
     for at in range(old.shape[0]):
         if old[at, 0] != FREE:

@@ -1,8 +1,8 @@
-"""Range images: what a sweep saw in each direction, and how far free sight went.
+"""Range images: the nearest return in each direction of a sweep, and the free range.
 
-**Conventions.** An image holds, for each direction from the sensor in the ego frame, the nearest return (m); the
-sweep's farthest where rays went and none came back, as from the sky: the sensor may not see farther; and 0 where none
-went. Its rows go down from the highest elevation, its columns clockwise from behind.
+**Conventions.** An image contains, for each direction from the sensor in the ego frame, the nearest return (m).
+Directions with rays but no return (sky) have the sweep's farthest range, because the sensor may not see farther;
+directions without rays have 0. Rows go down from the highest elevation, columns clockwise from behind.
 """
 
 import math
@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 
 from stone.geometry.se3 import SE3
 
-# A spinning LiDAR covers about 360° × 27°: so many pixels of 0.4° hold its rays.
+# A spinning LiDAR covers about 360° × 27°: this number of 0.4° pixels fits its rays.
 FIELD_PX, RAYS_PER_PIXEL, MAX_SPREAD_PX = 60_000, 2.0, 3
-# Few rings leave wide gaps between them however many rays each has: sixteen over 40° leave 2.7°.
+# Few rings leave wide gaps at any ray count: sixteen over 40° leave 2.7°.
 MAX_RING_GAP_PX = 7
 MARGIN_PX = MAX_RING_GAP_PX - 1
 
-AT_ONCE = 512  # points: what is computed of them stays in the cache
+AT_ONCE = 512  # points whose intermediate results stay in the cache
 
-FEWEST_RAYS = math.ceil(RAYS_PER_PIXEL * FIELD_PX / (2 * MAX_SPREAD_PX + 1) ** 2)  # fewer leave holes between them
+FEWEST_RAYS = math.ceil(RAYS_PER_PIXEL * FIELD_PX / (2 * MAX_SPREAD_PX + 1) ** 2)  # fewer rays leave holes
 
 
 @dataclass(frozen=True)
@@ -40,14 +40,14 @@ class DynamicParameters:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(rows, columns) of the image."""
+        """The (rows, columns) of the image."""
         rows = math.ceil((self.max_elevation_deg - self.min_elevation_deg) / self.row_deg)
         return rows, round(360.0 / self.column_deg)
 
 
 @dataclass(frozen=True, eq=False)
 class RangeImage:
-    """`ranges_m` (rows, columns) float32 seen from `map_from_view`: the sensor's place, the ego's axes."""
+    """`ranges_m` (rows, columns) float32 seen from `map_from_view`: the sensor's position with the ego frame's axes."""
 
     map_from_view: SE3
     ranges_m: NDArray[np.float32]
@@ -56,9 +56,10 @@ class RangeImage:
 def range_image(
     points_ego: NDArray[np.float32], map_from_ego: SE3, sensor_ego: NDArray[np.float64], parameters: DynamicParameters
 ) -> RangeImage:
-    """The nearest return in each direction from `sensor_ego` (3,) of the points (N, 3), the robot's own among them.
+    """Return the nearest return in each direction from `sensor_ego` (3,) of the points (N, 3), including the robot's
+    own.
 
-    Without those, what the robot's body hides would look like open sky.
+    Without the robot's own points, directions that its body hides would look like open sky.
     """
     rows, columns = parameters.shape
     nearest_m = np.full((rows + 2 * MARGIN_PX, columns), np.inf, np.float32)
@@ -72,24 +73,26 @@ def range_image(
 
 
 def view_of(map_from_ego: SE3, sensor_ego: NDArray[np.float64]) -> SE3:
-    """`map_from_view`: the place of the sensor at `sensor_ego` (3,), the axes of the ego."""
+    """Return `map_from_view`: the position of the sensor at `sensor_ego` (3,) with the ego frame's axes."""
     return SE3.from_parts(map_from_ego.wxyz, map_from_ego @ sensor_ego)
 
 
 def spread_px(rays: int) -> int:
-    """How many pixels around its own a return fills, so that a sparse sweep leaves no holes between its rays.
+    """Return the number of pixels around its own that a return fills, so that a sparse sweep leaves no holes.
 
-    Aims at `RAYS_PER_PIXEL` in the square it fills; the nearest return wins, so spreading only makes votes rarer.
+    The target is `RAYS_PER_PIXEL` in the filled square; the nearest return wins, so spreading only makes votes rarer.
     """
     width_px = math.sqrt(RAYS_PER_PIXEL * FIELD_PX / max(rays, 1))
     return min(MAX_SPREAD_PX, max(0, math.ceil((width_px - 1.0) / 2.0)))
 
 
 def ring_spread_px(nearest_m: NDArray[np.float32]) -> int:
-    """How many rows up and down returns (rows, columns; inf = none) must fill, given the median gap between rings.
+    """Return the number of rows up and down that returns (rows, columns; inf = none) must fill, from the median ring
+    gap.
 
-    Just so many that each pixel and its neighbours hold a ray above and a ray below: where only the one above is seen,
-    it strikes the ground farther out, and the ground itself is voted out. Gaps too wide to be between rings fill none.
+    It is the smallest number for which each pixel and its neighbours have a ray above and a ray below: with only the
+    ray above, which hits the ground farther out, the ground itself would be voted out. Gaps too wide to be ring gaps
+    are not filled.
     """
     counts = _gap_counts(nearest_m, MAX_RING_GAP_PX + 1)
     median_px = int(np.argmax(2 * np.cumsum(counts) >= counts.sum()))
@@ -97,7 +100,7 @@ def ring_spread_px(nearest_m: NDArray[np.float32]) -> int:
 
 
 def spread(nearest_m: NDArray[np.float32], up_px: int, sideways_px: int) -> NDArray[np.float32]:
-    """The least of the pixels (rows, columns) around each; columns close into a ring, beyond the rows is nothing."""
+    """Return the minimum of the pixels (rows, columns) around each; columns form a ring, and rows end at the border."""
     wide, tall = np.empty_like(nearest_m), np.empty_like(nearest_m)
     _least_beside(nearest_m, sideways_px, wide)
     _least_above_and_below(wide, up_px, tall)
@@ -105,18 +108,18 @@ def spread(nearest_m: NDArray[np.float32], up_px: int, sideways_px: int) -> NDAr
 
 
 def lens_of(p: DynamicParameters) -> tuple[float, float, float]:
-    """(top elevation rad, rad per row, rad per column)."""
+    """Return (top elevation rad, rad per row, rad per column)."""
     return math.radians(p.max_elevation_deg), math.radians(p.row_deg), math.radians(p.column_deg)
 
 
 def workspace() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
-    """Of one block: three coordinates, what `aim` makes of them, and pixels; flat, a block of each after the other."""
+    """Return flat buffers for one block: three coordinates, the results of `aim`, and pixels."""
     return np.zeros(3 * AT_ONCE), np.zeros(3 * AT_ONCE), np.zeros(AT_ONCE, np.int64)
 
 
 @njit(inline="always")
 def arctangent(y, x):  # type: ignore[no-untyped-def]
-    """atan2 to 3e-8 rad, without a branch, so that many are computed at once (Abramowitz & Stegun, 1964, 4.4.49)."""
+    """Return atan2 to 3e-8 rad without a branch, for vector code (Abramowitz & Stegun, 1964, 4.4.49)."""
     u, v = abs(x), abs(y)
     t = min(u, v) / (max(u, v) + 1e-300)
     q = t * t
@@ -135,10 +138,10 @@ def arctangent(y, x):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def aim(block, lens, seen):  # type: ignore[no-untyped-def]
-    """Squared range, row and column, not rounded, of the points of a block; columns run clockwise from behind.
+    """Write squared range, row and column (not rounded) of a block's points; columns run clockwise from behind.
 
-    Coordinates stand `AT_ONCE` apart in one array, and so do the results: the compiler then knows which overlap, and
-    makes vector code.
+    Coordinates are `AT_ONCE` apart in one array, and so are the results: the compiler then knows the overlaps, and
+    vectorises.
     """
     top, per_row, per_column = lens
     for p in range(AT_ONCE):
@@ -151,7 +154,7 @@ def aim(block, lens, seen):  # type: ignore[no-untyped-def]
 
 @njit(inline="always")
 def pixel(row, column, columns):  # type: ignore[no-untyped-def]
-    """The flat pixel of a row and a column as `aim` gives them: a whole turn leads back to the first column."""
+    """Return the flat pixel of a row and a column from `aim`; a full turn wraps to the first column."""
     i, j = np.int64(math.floor(row)), np.int64(math.floor(column))
     return i * columns + (j if j < columns else j - columns)
 
@@ -184,7 +187,7 @@ def _least_above_and_below(image, reach, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _project(points, sensor, lens, nearest, work):  # type: ignore[no-untyped-def]
-    """Fill `nearest`, whose rows begin `MARGIN_PX` above the field: what lies just outside may spread into it."""
+    """Fill `nearest`, whose rows start `MARGIN_PX` above the field, because points just outside may spread into it."""
     columns, block, seen, at = work
     rows = nearest.size // columns
     for begin in range(0, points.shape[0], AT_ONCE):
@@ -206,9 +209,11 @@ def _project(points, sensor, lens, nearest, work):  # type: ignore[no-untyped-de
 
 @njit(cache=True, nogil=True)
 def _open_up(ranges, farthest):  # type: ignore[no-untyped-def]
-    """Put the farthest for 0 where rays went and none came back: in rows between the highest and the lowest return, in
-    columns that have one (a sensor that looks to one side knows nothing of the other), and where more rows are empty
-    than any two rings leave between them."""
+    """Replace 0 by the farthest range in directions with rays but no return.
+
+    These are rows between the highest and the lowest return, in columns with a return (a sensor may look to one side
+    only), in gaps of more rows than any two rings leave.
+    """
     rows, columns = ranges.shape
     top, bottom = rows, 0
     for row in range(rows):
@@ -228,7 +233,9 @@ def _open_up(ranges, farthest):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _gap_counts(nearest, widest):  # type: ignore[no-untyped-def]
-    """How many returns lie so many rows below the next above them in their column; `widest` counts all from there."""
+    """Count the returns by the number of rows below the next return above in their column; `widest` counts all larger
+    gaps.
+    """
     counts = np.zeros(widest + 1, np.int64)
     above = np.full(nearest.shape[1], -1, np.int64)
     for row in range(nearest.shape[0]):

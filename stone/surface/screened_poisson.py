@@ -5,13 +5,13 @@ The field φ minimises, with ∇φ for the difference along each edge of the lat
     Σ_edges (∇φ − N)² · w²  +  α Σ_patches c · φ(p)²
 
 where N is the mean of the patches' normals around the edge, p a patch's point, φ(p) trilinear between the cell's
-corners and c its points, up to `FULL_POINTS`, over `FULL_POINTS`. The surface is φ = 0. Two things differ from the
-octree solvers. N has unit length all through the band, so φ is a distance and not an indicator, and sparse data need
-no coarser cells. And the domain ends a cell beyond the data, with the natural boundary (the rest would be trimmed
-anyway), so φ follows from the data nearby: a cube more or less far away changes nothing.
+corners, and c its number of points, up to `FULL_POINTS`, over `FULL_POINTS`. The surface is φ = 0. Two things differ
+from the octree solvers. N has unit length throughout the band, so φ is a distance instead of an indicator, and sparse
+data need no coarser cells. The domain ends a cell beyond the data, with the natural boundary (the rest would be trimmed
+anyway), so φ depends only on nearby data, not on distant cells.
 
-**Conventions.** φ in metres, positive on the side the data were seen from, one value per corner of the band. Sums run
-in the order of the patches: equal patches give equal bits.
+**Conventions.** φ in metres, positive on the side from which the data were seen, one value per corner of the band. Sums
+run in patch order, so equal patches give equal bits.
 """
 
 import math
@@ -25,7 +25,7 @@ from stone.geometry.lattice import BIAS, MASK, find, pack
 from stone.surface.contour import ABOVE, BELOW, Band
 from stone.surface.patches import Patches
 
-FULL_POINTS = 4  # a cell through which a sheet runs holds about so many of the map's 0.1 m voxels
+FULL_POINTS = 4  # a cell on a surface contains about this number of the map's 0.1 m voxels
 MOST_ROUNDS = 2000
 NORMAL, DISTANCE = slice(0, 3), 3
 
@@ -34,7 +34,7 @@ NORMAL, DISTANCE = slice(0, 3), 3
 class PoissonParameters:
     """`screening` is α; normals are averaged by a Gaussian of `blur_ratio` cells.
 
-    Rounds end when the residual (preconditioned, root mean square) is below `tolerance_ratio` cells.
+    Iterations end if the residual (preconditioned, root mean square) is below `tolerance_ratio` cells.
     """
 
     screening: float = 8.0
@@ -44,9 +44,9 @@ class PoissonParameters:
 
 @dataclass(frozen=True)
 class Descent:
-    """How the solver ended: after so many rounds, `MOST_ROUNDS` at most, with this residual, in cells.
+    """The end of the solver: number of iterations (at most `MOST_ROUNDS`) and residual in cells.
 
-    It is calculated anew from the field: the one that the rounds carry along shrinks on where the field stays.
+    The residual is recomputed from the field, because the recursive residual shrinks even if the field stagnates.
     """
 
     rounds: int = 0
@@ -58,16 +58,16 @@ NOT_SOLVED = Descent()
 
 @dataclass(frozen=True, eq=False)
 class SolvedField:
-    """φ (N,) at the corners of the band, and how well it was solved for."""
+    """φ (N,) at the corners of the band, and the solver's convergence."""
 
     values: NDArray[np.float64]
     descent: Descent
 
 
 def solve_field(patches: Patches, band: Band, parameters: PoissonParameters) -> SolvedField:
-    """φ at the corners of the band around these patches, at least one.
+    """Return φ at the corners of the band around these patches, at least one.
 
-    It may end unconverged, which the caller has to look at: `descent.residual_ratio` is above the tolerance then.
+    The result may not have converged, which the caller must check: `descent.residual_ratio` then exceeds the tolerance.
     """
     blurred = blurred_planes(patches, band, parameters.blur_ratio * band.width_m)
     weights = corner_weights(patches, band)
@@ -82,9 +82,10 @@ def solve_field(patches: Patches, band: Band, parameters: PoissonParameters) -> 
 
 
 def blurred_planes(patches: Patches, band: Band, sigma_m: float) -> NDArray[np.float64]:
-    """(N, 4): the mean of the patches' normals around each corner, and of its distances to their planes.
+    """Return (N, 4): the mean of the patches' normals around each corner, and of its distances to their planes.
 
-    Weighted by the patches' points and a Gaussian; those count whose cell is next to the corner, or one on.
+    Weights are the patches' points and a Gaussian; patches count if their cell is adjacent to the corner, or one cell
+    farther.
     """
     sums = np.zeros((len(band), 5))
     planes = (patches.cells, patches.points_map, patches.normals, patches.counts)
@@ -93,7 +94,7 @@ def blurred_planes(patches: Patches, band: Band, sigma_m: float) -> NDArray[np.f
 
 
 def corner_weights(patches: Patches, band: Band) -> NDArray[np.float64]:
-    """(C, 8) trilinear weights of each patch's point on the corners of its cell."""
+    """Return the trilinear weights (C, 8) of each patch's point on the corners of its cell."""
     least = band.places_map()[band.corners[:, 0]]
     far = (patches.points_map - least) / band.width_m
     near = 1.0 - far
@@ -130,7 +131,7 @@ def _blur(planes, width_m, sigma_m, table, sums):  # type: ignore[no-untyped-def
 
 @njit(cache=True, nogil=True)
 def _constrain(onward, rise, right, diagonal):  # type: ignore[no-untyped-def]
-    """The edges' part of the right side and of the diagonal; `rise` (N, 3) is N · w."""
+    """Add the edges' part of the right side and of the diagonal; `rise` (N, 3) is N · w."""
     for a in range(onward.shape[0]):
         for axis in range(3):
             b = onward[a, axis]
@@ -145,7 +146,7 @@ def _constrain(onward, rise, right, diagonal):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _apply(system, x, y):  # type: ignore[no-untyped-def]
-    """y = A x: the graph Laplacian of the band's edges, and the pull of the patches."""
+    """Compute y = A x: the graph Laplacian of the band's edges plus the patches' term."""
     onward, corners, weights, pull = system
     y[:] = 0.0
     for a in range(onward.shape[0]):
@@ -168,9 +169,9 @@ def _apply(system, x, y):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _descend(system, right, inverse, enough, x):  # type: ignore[no-untyped-def]
-    """Conjugate gradients from `x` on, preconditioned by the diagonal, until rᵀD⁻¹r ≤ `enough` or for `MOST_ROUNDS`.
+    """Run conjugate gradients from `x`, preconditioned by the diagonal, until rᵀD⁻¹r ≤ `enough` or for `MOST_ROUNDS`.
 
-    Gives how many rounds it took and what rᵀD⁻¹r is then, of r = b − A x.
+    Return the number of iterations and the final rᵀD⁻¹r, with r = b − A x.
     """
     y = np.empty(x.size)
     _apply(system, x, y)
@@ -182,7 +183,7 @@ def _descend(system, right, inverse, enough, x):  # type: ignore[no-untyped-def]
         rounds += 1
         _apply(system, p, y)
         bent = (p * y).sum()
-        if not bent > 0.0:  # nothing is left to go along, or something is no number
+        if not bent > 0.0:  # no direction left, or NaN
             break
         step = size / bent
         before, size = size, 0.0

@@ -1,7 +1,7 @@
-"""Sharpness of a map: poses that disagree smear one surface over more voxels, and make it thick.
+"""Sharpness of a map: inconsistent poses smear a surface over more voxels and make it thick.
 
-**Conventions.** Measured over windows of consecutive frames, each mapped apart, so that memory holds one window. Two
-sets of poses are compared over the same points of the same windows, never over different ones.
+**Conventions.** Measured over windows of consecutive frames, each mapped separately, so that memory holds one window.
+Two sets of poses are always compared on the same points of the same windows.
 """
 
 from dataclasses import dataclass
@@ -20,14 +20,16 @@ NEIGHBOURS = 20
 
 @dataclass(frozen=True)
 class Sharpness:
-    """`voxels` filled, summed over windows; `thickness_m`: median distance (r.m.s.) of points to their local plane."""
+    """The number of filled `voxels`, summed over windows; `thickness_m`: median r.m.s. distance of points to their
+    local plane.
+    """
 
     voxels: int
     thickness_m: float
 
 
 class SharpnessMeter:
-    """Takes frame after frame; `measured` closes the last window."""
+    """Measures frame after frame; `measured` closes the last window."""
 
     def __init__(self, frames_per_window: int = 60) -> None:
         self._frames_per_window = frames_per_window
@@ -37,14 +39,14 @@ class SharpnessMeter:
         self._thickness_m: list[float] = []
 
     def add(self, points_ego: NDArray[np.float32], map_from_ego: SE3, sensor_ego: NDArray[np.float64]) -> None:
-        """One frame's points (N, 3) at one pose."""
+        """Add one frame's points (N, 3) at one pose."""
         self._builder.insert(points_ego, map_from_ego, sensor_ego)
         self._frames += 1
         if self._frames == self._frames_per_window:
             self._close()
 
     def measured(self) -> Sharpness:
-        """Of all windows; thickness 0 where nothing has a plane."""
+        """Return the sharpness over all windows; thickness 0 without any plane."""
         if self._frames:
             self._close()
         thickness_m = float(np.average(self._thickness_m, weights=self._voxels)) if sum(self._voxels) else 0.0
