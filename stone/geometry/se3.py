@@ -172,13 +172,13 @@ def wxyz_from_rotation(rotation: Array) -> Array:
     squares = np.stack([trace, r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]], axis=-1)
     s = r - np.swapaxes(r, -1, -2)
     a = r + np.swapaxes(r, -1, -2)
-    one = 1.0 - trace
+    base = 1.0 - trace
     candidates = np.stack(
         [
             np.stack([1.0 + trace, s[..., 2, 1], s[..., 0, 2], s[..., 1, 0]], axis=-1),
-            np.stack([s[..., 2, 1], one + 2 * r[..., 0, 0], a[..., 0, 1], a[..., 0, 2]], axis=-1),
-            np.stack([s[..., 0, 2], a[..., 0, 1], one + 2 * r[..., 1, 1], a[..., 1, 2]], axis=-1),
-            np.stack([s[..., 1, 0], a[..., 0, 2], a[..., 1, 2], one + 2 * r[..., 2, 2]], axis=-1),
+            np.stack([s[..., 2, 1], base + 2 * r[..., 0, 0], a[..., 0, 1], a[..., 0, 2]], axis=-1),
+            np.stack([s[..., 0, 2], a[..., 0, 1], base + 2 * r[..., 1, 1], a[..., 1, 2]], axis=-1),
+            np.stack([s[..., 1, 0], a[..., 0, 2], a[..., 1, 2], base + 2 * r[..., 2, 2]], axis=-1),
         ],
         axis=-2,
     )

@@ -27,8 +27,8 @@ def with_between(trajectory: Trajectory, max_gap_ns: int) -> Trajectory:
     narrow = np.setdiff1d(_rows(trajectory, max_gap_ns, 1), wide)
     if not len(wide) + len(narrow):
         return trajectory
-    found = [_between(trajectory, rows, reach) for rows, reach in ((narrow, 1), (wide, 2))]
-    return _merged(trajectory, *(np.concatenate(parts) for parts in zip(*found, strict=True)))
+    additions = [_between(trajectory, rows, reach) for rows, reach in ((narrow, 1), (wide, 2))]
+    return _merged(trajectory, *(np.concatenate(parts) for parts in zip(*additions, strict=True)))
 
 
 def _rows(trajectory: Trajectory, max_gap_ns: int, reach: int) -> NDArray[np.int64]:

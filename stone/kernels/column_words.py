@@ -42,11 +42,11 @@ def _packing(voxels: Any, low: Any, high: Any, columns: int) -> Any:
         planes = [pointer(context, builder, plane, arguments[4], word, columns) for plane in both]
         seen = ir.Constant(lanes, [0] * size)
         for n in range(columns * COLUMN // size):
-            place = ir.Constant(I64, n)
-            loaded = builder.load(builder.gep(source, [place]), align=1)
+            offset = ir.Constant(I64, n)
+            loaded = builder.load(builder.gep(source, [offset]), align=1)
             seen = builder.or_(seen, loaded)
             for plane, mask in zip(planes, (LOW, HIGH), strict=True):
-                builder.store(bits(loaded, mask), builder.gep(plane, [place]), 4)
+                builder.store(bits(loaded, mask), builder.gep(plane, [offset]), 4)
         return builder.zext(bits(seen, BEYOND), I64) if size < VECTOR else bits(seen, BEYOND)
 
     return types.uint64(voxels, types.int64, low, high, types.int64), emit
@@ -85,8 +85,8 @@ def _unroll8(typing_context: Any, changes: Any, runs: Any, run: Any, out: Any, a
         rank = builder.sub(counts, splat(builder, first, lanes))
         source = builder.add(run, builder.zext(first, I64))
         near = builder.load(pointer(context, builder, (signature.args[1], runs), source, lanes, 8), align=4)
-        found = _permuted(context, builder, near, rank)
-        builder.store(found, pointer(context, builder, (signature.args[3], out), at, lanes, 8), 4)
+        permuted = _permuted(context, builder, near, rank)
+        builder.store(permuted, pointer(context, builder, (signature.args[3], out), at, lanes, 8), 4)
         return builder.zext(builder.extract_element(counts, ir.Constant(I32, 7)), I64)
 
     return types.int64(types.uint32, runs, types.int64, out, types.int64), emit
@@ -97,12 +97,12 @@ def _permuted(context: Any, builder: Any, near: Any, rank: Any) -> Any:
     lanes = near.type
     if "+avx2" in str(context.codegen().magic_tuple()[2]):
         return _called(builder, "llvm.x86.avx2.permd", lanes, near, rank)
-    found = ir.Constant(lanes, ir.Undefined)
+    permuted = ir.Constant(lanes, ir.Undefined)
     for n in range(lanes.count):
-        place = ir.Constant(I32, n)
-        lane = builder.extract_element(near, builder.extract_element(rank, place))
-        found = builder.insert_element(found, lane, place)
-    return found
+        index = ir.Constant(I32, n)
+        lane = builder.extract_element(near, builder.extract_element(rank, index))
+        permuted = builder.insert_element(permuted, lane, index)
+    return permuted
 
 
 def _called(builder: Any, name: str, kind: Any, *values: Any) -> Any:

@@ -119,8 +119,8 @@ def _transpose(typing_context: Any, source: Any, at: Any, out: Any, to: Any) -> 
         for n in range(COLUMN):
             tested = builder.and_(rows, ir.Constant(lanes, [1 << n] * COLUMN))
             word = builder.bitcast(builder.icmp_unsigned("!=", tested, ir.Constant(lanes, [0] * COLUMN)), I32)
-            place = builder.add(to, ir.Constant(I64, n))
-            builder.store(word, pointer(context, builder, (signature.args[2], out), place, I32, 1), 4)
+            row = builder.add(to, ir.Constant(I64, n))
+            builder.store(word, pointer(context, builder, (signature.args[2], out), row, I32, 1), 4)
         return context.get_dummy_value()
 
     return types.void(source, types.int64, out, types.int64), emit
@@ -141,8 +141,8 @@ def pointer(context: Any, builder: Any, array: tuple[Any, Any], at: Any, lanes: 
     """Return the address of array[at] as a vector of `lanes`; the kernel accesses `count` elements from there."""
     made = context.make_array(array[0])(context, builder, array[1])
     if config.BOUNDSCHECK and count:  # type: ignore[attr-defined]
-        for place in (at, builder.add(at, ir.Constant(I64, count - 1))):
-            do_boundscheck(context, builder, place, made.nitems)  # type: ignore[no-untyped-call]
+        for address in (at, builder.add(at, ir.Constant(I64, count - 1))):
+            do_boundscheck(context, builder, address, made.nitems)  # type: ignore[no-untyped-call]
     return builder.bitcast(builder.gep(made.data, [at]), lanes.as_pointer())
 
 

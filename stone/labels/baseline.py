@@ -135,9 +135,9 @@ def _measure(points: Heights, label_grid: LabelGrid, grid: Grid) -> Heights:
     """Mark each voxel that contains a point as N, and return the lowest z of each column (inf: none)."""
     lowest = np.full(label_grid.shape[:2], np.inf, np.float32)
     with np.errstate(invalid="ignore", over="ignore"):  # NaN points, which are on no grid
-        place = (points - np.array(label_grid.min_m)) / label_grid.voxel_m
-        is_inside = ((place >= 0) & (place < np.array(label_grid.shape))).all(axis=1)  # False for NaN
-    i, j, k = place[is_inside].astype(np.intp).T
+        voxel = (points - np.array(label_grid.min_m)) / label_grid.voxel_m
+        is_inside = ((voxel >= 0) & (voxel < np.array(label_grid.shape))).all(axis=1)  # False for NaN
+    i, j, k = voxel[is_inside].astype(np.intp).T
     grid[i, j, k] = N
     np.minimum.at(lowest, (i, j), points[is_inside, 2])
     return lowest
@@ -192,9 +192,9 @@ def _is_blocking(ground: Heights, most_rise_m: float, most_uneven_m: float) -> N
     return np.asarray((np.sqrt(dx * dx + dy * dy) > most_rise_m) | (uneven > most_uneven_m))
 
 
-def _paint(grid: Grid, ground: Heights, classes: NDArray[np.uint8], place: tuple[LabelGrid, float]) -> None:
+def _paint(grid: Grid, ground: Heights, classes: NDArray[np.uint8], limits: tuple[LabelGrid, float]) -> None:
     """Set the column's class at its ground voxel and measured voxels within the clearance; other voxels stay N."""
-    label_grid, clearance_m = place
+    label_grid, clearance_m = limits
     (_, _, min_z_m), voxel_m = label_grid.min_m, label_grid.voxel_m
     i, j, k = np.nonzero(grid)
     height_m = (k + 0.5) * voxel_m + min_z_m

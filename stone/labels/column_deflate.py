@@ -37,13 +37,13 @@ BITS = np.array([[*(n for n in range(8) if byte >> n & 1), *[0] * 8][:8] for byt
 
 def tokens_of(ones: Words, twos: Words, height: int) -> tuple[NDArray[np.uint16], NDArray[np.int64]]:
     """Return the tokens of the grid, `END` last, and the number of occurrences of each (`TOKENS`,)."""
-    one, two, size = ones.reshape(-1), twos.reshape(-1), height * ones.size
+    low, high, size = ones.reshape(-1), twos.reshape(-1), height * ones.size
     columns = np.empty(ones.size + 1, np.int64)
     places, codes = np.empty(size + EIGHT, np.int32), np.empty(size + EIGHT, np.uint8)
-    found = columns[: _find_columns(one, two, columns)]
-    literals = _find_literals((one, two), found, (0,) * (height // EIGHT), places, codes)
+    differing = columns[: _find_columns(low, high, columns)]
+    literals = _find_literals((low, high), differing, (0,) * (height // EIGHT), places, codes)
     tokens, counts = np.empty(size + 2, np.uint16), np.zeros(TOKENS, np.int64)
-    last = one[-1] >> np.uint32(height - BEFORE), two[-1] >> np.uint32(height - BEFORE)
+    last = low[-1] >> np.uint32(height - BEFORE), high[-1] >> np.uint32(height - BEFORE)
     filled = _say((places[:literals], codes), (size, *last), tokens)
     _count(tokens[:filled], counts)
     return tokens[:filled], counts
@@ -80,11 +80,11 @@ note_eight: Any = intrinsic(_note_eight_of)
 @njit(cache=True, nogil=True)
 def _find_columns(ones, twos, columns):  # type: ignore[no-untyped-def]
     """Write the first column and those that differ from the previous one; return their number."""
-    columns[0], found = 0, 1
+    columns[0], count = 0, 1
     for column in range(1, ones.size):
-        columns[found] = column
-        found += ((ones[column] ^ ones[column - 1]) | (twos[column] ^ twos[column - 1])) != 0
-    return found
+        columns[count] = column
+        count += ((ones[column] ^ ones[column - 1]) | (twos[column] ^ twos[column - 1])) != 0
+    return count
 
 
 @njit(cache=True, nogil=True)
@@ -94,23 +94,23 @@ def _find_literals(words, columns, eights, places, codes):  # type: ignore[no-un
 
     `eights` is a tuple with one element per eight bytes of a column, so that the height is known at compile time.
     """
-    (ones, twos), found, height = words, np.int64(0), EIGHT * len(eights)
+    (ones, twos), count, height = words, np.int64(0), EIGHT * len(eights)
     last, whole = np.uint32(height - BEFORE), np.uint32((np.uint64(1) << np.uint64(height)) - np.uint64(1))
     for n in range(columns.size):
         column = columns[n]
-        one, two = ones[column], twos[column]
-        one_before, two_before = (ones[column - 1], twos[column - 1]) if n else (~one & whole, two)
-        differs = np.uint64((one ^ one_before) | (two ^ two_before))
-        near_one = np.uint64(one) << np.uint64(BEFORE) | np.uint64(one_before >> last)
-        near_two = np.uint64(two) << np.uint64(BEFORE) | np.uint64(two_before >> last)
+        low, high = ones[column], twos[column]
+        one_before, two_before = (ones[column - 1], twos[column - 1]) if n else (~low & whole, high)
+        differs = np.uint64((low ^ one_before) | (high ^ two_before))
+        near_one = np.uint64(low) << np.uint64(BEFORE) | np.uint64(one_before >> last)
+        near_two = np.uint64(high) << np.uint64(BEFORE) | np.uint64(two_before >> last)
         for byte in range(len(eights)):
             shift = np.uint64(EIGHT * byte)
-            at = found + np.int64(popcount(differs & ((np.uint64(1) << shift) - np.uint64(1))))
+            at = count + np.int64(popcount(differs & ((np.uint64(1) << shift) - np.uint64(1))))
             near = np.uint32(near_one >> shift), np.uint32(near_two >> shift)
             set_bits = np.int64((differs >> shift) & np.uint64(255))
             note_eight(BITS, set_bits, height * column + EIGHT * byte, near, (places, codes), at)
-        found += np.int64(popcount(differs))
-    return found
+        count += np.int64(popcount(differs))
+    return count
 
 
 @njit(inline="always")
@@ -125,11 +125,11 @@ def _say(literals, end, tokens):  # type: ignore[no-untyped-def]
 
     `end` is the size of the grid and the last bits of its words.
     """
-    (places, codes), (size, one, two) = literals, end
+    (places, codes), (size, low, high) = literals, end
     filled, after = 0, 0
     for n in range(places.size):
-        place, code = int(places[n]), int(codes[n])
-        same, after = place - after, place + 1
+        position, code = int(places[n]), int(codes[n])
+        same, after = position - after, position + 1
         if same > MOST:
             filled = _put_matches(same, tokens, filled)
             same = 0
@@ -145,7 +145,7 @@ def _say(literals, end, tokens):  # type: ignore[no-untyped-def]
         filled = _put_matches(same, tokens, filled)
     else:
         for back in range(same, 0, -1):
-            tokens[filled] = (one >> np.uint32(BEFORE - back) & 1) | (two >> np.uint32(BEFORE - back) & 1) << 1
+            tokens[filled] = (low >> np.uint32(BEFORE - back) & 1) | (high >> np.uint32(BEFORE - back) & 1) << 1
             filled += 1
     tokens[filled] = END
     return filled + 1

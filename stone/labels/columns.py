@@ -102,10 +102,10 @@ def reconcile(columns: Columns, visible: Words, height: int = PAPER.shape[2]) ->
 def _reconcile(words, masks, counts):  # type: ignore[no-untyped-def]
     (ones, twos, observed, visible), (by_class, by_mask) = words, counts
     for column in range(ones.size):
-        one, two = ones[column], twos[column]
-        seen = observed[column] | one | two
+        low, high = ones[column], twos[column]
+        seen = observed[column] | low | high
         masks[0][column], masks[1][column] = seen, seen & visible[column]
-        for kind, word in enumerate((one & ~two, two & ~one, one & two)):
+        for kind, word in enumerate((low & ~high, high & ~low, low & high)):
             by_class[kind + 1] += np.int64(popcount(np.uint64(word)))
         by_mask[0] += np.int64(popcount(np.uint64(seen)))
         by_mask[1] += np.int64(popcount(np.uint64(seen & visible[column])))

@@ -57,10 +57,10 @@ def hinges(values: Array, curve: Curve) -> Array:
 
 def drivable_log_odds(properties: Mapping[str, Array], curves: Curves = CURVES) -> Array:
     """Return the log odds (K,) that the vehicle can drive over voxels with these properties."""
-    found = np.full(len(properties["height_m"]), curves.intercept)
+    log_odds = np.full(len(properties["height_m"]), curves.intercept)
     for name, curve in curves.properties.items():
-        found += _on_curve(properties[name], curve)
-    return found
+        log_odds += _on_curve(properties[name], curve)
+    return log_odds
 
 
 def right_probability(log_odds: Array, is_n: NDArray[np.bool_], curves: Curves = CURVES) -> Array:

@@ -40,16 +40,16 @@ def cut_with_rows(
     """
     taken = np.full((*grid.shape, 3), UNTAKEN, np.int32)
     columns = cut(window, map_from_ego, taken, grid)
-    found = np.full(grid.shape, -1, np.int32)
+    rows = np.full(grid.shape, -1, np.int32)
     placing = placing_of(window, map_from_ego, grid)
-    place = (placing.start, placing.step, window.origin)
-    _look_up((columns.occupied, taken), place, (labelled.keys, labelled.rows), found)
-    return columns, found
+    placement = (placing.start, placing.step, window.origin)
+    _look_up((columns.occupied, taken), placement, (labelled.keys, labelled.rows), rows)
+    return columns, rows
 
 
 @njit(cache=True, nogil=True)
-def _look_up(labelled, place, table, grid):  # type: ignore[no-untyped-def]
-    (occupied, taken), (start, step, origin), (keys, rows) = labelled, place, table
+def _look_up(labelled, placement, table, grid):  # type: ignore[no-untyped-def]
+    (occupied, taken), (start, step, origin), (keys, rows) = labelled, placement, table
     for a in range(grid.shape[0]):
         for b in range(grid.shape[1]):
             left = occupied[a, b]
@@ -105,7 +105,7 @@ def cut_batch(window: Window, map_from_ego: SE3, grid: LabelGrid = PAPER) -> lis
 def _cuts(
     window: Window, placings: Sequence[CropPlacement], taken: NDArray[np.int32], shape: tuple[int, int, int]
 ) -> list[Columns]:
-    starts, steps = np.array([one.start for one in placings]), np.array([one.step for one in placings])
+    starts, steps = np.array([placing.start for placing in placings]), np.array([placing.step for placing in placings])
     ones, twos, observed = (np.empty((len(placings), *shape[:2]), np.uint32) for _ in range(3))
     rows = np.empty((len(placings), 2, shape[1], 4), np.uint32)
     filled = np.zeros(len(placings), np.int64)

@@ -69,9 +69,9 @@ def _passes(
     """Return when the centre of each voxel is inside a moving box: half its length and width, its lowest and highest
     z.
     """
-    found = Passes(np.full(len(keys), np.inf), np.full(len(keys), -np.inf))
+    result = Passes(np.full(len(keys), np.inf), np.full(len(keys), -np.inf))
     if not len(keys) or box[2] > box[3]:
-        return found
+        return result
     table, centres = table_of(keys), centres_of(keys, voxel_m)
     reach_m = math.hypot(box[0], box[1], max(abs(box[2]), abs(box[3])))
     low, high = corners_of(centres)
@@ -81,9 +81,9 @@ def _passes(
         along_m = start_m + np.concatenate([[0.0], np.cumsum(steps_of(poses)[0])])
         is_near = np.asarray(((low <= poses.translation_m) & (poses.translation_m <= high)).all(axis=1), np.bool_)
         way = (poses[is_near].as_matrix(), along_m[is_near])
-        _sweep(way, (*box, voxel_m), (table.keys, table.rows), (found.first_m, found.last_m))
+        _sweep(way, (*box, voxel_m), (table.keys, table.rows), (result.first_m, result.last_m))
         start_m = float(along_m[-1])
-    return found
+    return result
 
 
 def densified(poses: SE3, step_m: float, step_rad: float = np.inf) -> SE3:
@@ -99,8 +99,8 @@ def densified(poses: SE3, step_m: float, step_rad: float = np.inf) -> SE3:
 
 
 @njit(cache=True, nogil=True)
-def _sweep(way, box, table, found):  # type: ignore[no-untyped-def]
-    (poses, along_m), (first_m, last_m) = way, found
+def _sweep(way, box, table, first_and_last):  # type: ignore[no-untyped-def]
+    (poses, along_m), (first_m, last_m) = way, first_and_last
     length, width, bottom, top, voxel_m = box
     for p in range(poses.shape[0]):
         m = poses[p]

@@ -46,11 +46,11 @@ def ground_shape(voxels: VoxelFeatures, slope_limit_rad: float, body_m: float) -
     indices = indices_of(voxels.keys)
     low, high = corners_of(indices[:, :2])
     sides = high - low + 1 + 2 * REACH
-    place = (
+    column = (
         (indices[:, 0] - low[0] + REACH) * sides[1] + indices[:, 1] - low[1] + REACH
     )  # increases with the sorted keys
-    first = np.searchsorted(place, np.arange(int(sides[0] * sides[1]) + 1))
-    rows = (place, indices[:, 2].copy(), voxels.features[:, 0].copy())
+    first = np.searchsorted(column, np.arange(int(sides[0] * sides[1]) + 1))
+    rows = (column, indices[:, 2].copy(), voxels.features[:, 0].copy())
     columns = (first, int(sides[1]))
     _fit(rows, columns, float(np.tan(slope_limit_rad)), (shape.slope_rad, shape.step_m))
     _pool((*rows[:2], voxels.features, voxels.vertices), columns, shape.pooled)
@@ -59,11 +59,11 @@ def ground_shape(voxels: VoxelFeatures, slope_limit_rad: float, body_m: float) -
 
 
 @njit(cache=True, nogil=True)
-def _fit(rows, columns, tangent, found):  # type: ignore[no-untyped-def]
+def _fit(rows, columns, tangent, results):  # type: ignore[no-untyped-def]
     """Accumulate the window of each column; columns within `REACH` of a voxel's column lie inside the wider grid of
     `first`.
     """
-    (place, level, z), (first, width), (slope_rad, step_m) = rows, columns, found
+    (place, level, z), (first, width), (slope_rad, step_m) = rows, columns, results
     sums = np.empty(9)
     for row in range(place.size):
         sums[:] = 0.0

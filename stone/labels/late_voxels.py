@@ -68,9 +68,9 @@ def late_columns(
 
 
 @njit(inline="always")
-def _is_early(last, place, later):  # type: ignore[no-untyped-def]
+def _is_early(last, brick, later):  # type: ignore[no-untyped-def]
     """Return whether every brick of this column of bricks is seen before frame `later`, or never."""
-    i, j = place
+    i, j = brick
     is_inside = (i >= 0) & (j >= 0) & (i < last.shape[0]) & (j < last.shape[1])
     return not is_inside or last[i, j] < later
 
@@ -86,7 +86,7 @@ def _mark_early(columns, place, seen, early):  # type: ignore[no-untyped-def]
             u = start[0] + a * step[0, 0] + b * step[0, 1]
             v = start[1] + a * step[1, 0] + b * step[1, 1]
             w = start[2] + a * step[2, 0] + b * step[2, 1]
-            found = left
+            early_bits = left
             if _is_early(last, (u >> shift, v >> shift), later):
                 i, j = (u + 31 * step[0, 2]) >> shift, (v + 31 * step[1, 2]) >> shift
                 is_steep = abs(i - (u >> shift)) + abs(j - (v >> shift)) <= 1  # otherwise it may cross further bricks
@@ -99,5 +99,5 @@ def _mark_early(columns, place, seen, early):  # type: ignore[no-untyped-def]
                 is_inside = (i >= 0) & (j >= 0) & (k >= 0)
                 is_inside &= (i < frames.shape[0]) & (j < frames.shape[1]) & (k < frames.shape[2])
                 if is_inside and frames[i, j, k] >= later:
-                    found &= ~(np.uint32(1) << np.uint32(c))
-            early[a, b] = found
+                    early_bits &= ~(np.uint32(1) << np.uint32(c))
+            early[a, b] = early_bits

@@ -224,35 +224,35 @@ def _line_up(rays, reach, view, ranks, lanes):  # type: ignore[no-untyped-def]
     """Write each followed ray at its rank: its entry into the lattice and its crossing times."""
     (origin, corner, bits), (times, cells) = view, lanes
     for p in range(ranks.size):
-        place = ranks[p]
-        if place < 0:
+        rank = ranks[p]
+        if rank < 0:
             continue
         start, end = _stretch(rays, p, reach)
         for axis in range(3):
             slope = rays[axis, p]
             at = origin[axis] + slope * start
             index = math.floor(at)
-            times[axis, place], times[3 + axis, place] = set_off(slope, at - index, axis)
-            cells[axis, place] = share_of(index - corner[axis], bits, axis)
-            cells[3 + axis, place] = step_of(slope, bits, axis)
-        times[END, place] = end_of(end - start)
+            times[axis, rank], times[3 + axis, rank] = set_off(slope, at - index, axis)
+            cells[axis, rank] = share_of(index - corner[axis], bits, axis)
+            cells[3 + axis, rank] = step_of(slope, bits, axis)
+        times[END, rank] = end_of(end - start)
 
 
 @njit(cache=True, nogil=True)
 def _fill_lanes(count, times, cells):  # type: ignore[no-untyped-def]
     """Fill the lanes after the last ray with rays that stay at its start."""
-    for place in range(count, -(-count // LANES) * LANES):
-        times[END, place] = -1
+    for lane in range(count, -(-count // LANES) * LANES):
+        times[END, lane] = -1
         for row in range(CELLS):
-            cells[row, place] = cells[row, count - 1]
+            cells[row, lane] = cells[row, count - 1]
 
 
 @njit(cache=True, nogil=True)
 def _mark(places, words, is_touched):  # type: ignore[no-untyped-def]
     for p in range(places.size):
-        place = np.uint64(np.uint32(places[p]))
-        is_touched[place >> np.uint64(6)] = 1
-        words[place >> np.uint64(6)] |= np.uint64(1) << (place & np.uint64(63))
+        bit = np.uint64(np.uint32(places[p]))
+        is_touched[bit >> np.uint64(6)] = 1
+        words[bit >> np.uint64(6)] |= np.uint64(1) << (bit & np.uint64(63))
 
 
 @njit(cache=True, nogil=True)
@@ -371,7 +371,7 @@ def _rows(context: Any, builder: Any, table: tuple[Any, Any], part: tuple[Any, i
     """Return the lanes of a table's columns, for the rows in `part`."""
     columns = builder.extract_value(context.make_array(table[0])(context, builder, table[1]).shape, 1)
     places = (builder.add(builder.mul(columns, ir.Constant(I64, row)), part[0]) for row in range(part[1]))
-    return [builder.load(pointer(context, builder, table, place, lanes, LANES), align=4) for place in places]
+    return [builder.load(pointer(context, builder, table, address, lanes, LANES), align=4) for address in places]
 
 
 def _carried(builder: Any, before: Any, value: Any) -> Any:

@@ -25,26 +25,26 @@ def parted(position, back, slope):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def close_row(voxels, place, row, out):  # type: ignore[no-untyped-def]
+def close_row(voxels, placement, row, out):  # type: ignore[no-untyped-def]
     """Write the classes of row `a` with closed gaps in it and the previous row; return the number of closed voxels.
 
     `row` is (a, rows, ways): rows as fetched by `stone.labels.crops`, and a buffer for the ways back of all voxels of a
     row; `out` is (ones, twos, observed, taken).
     """
     a, rows, ways = row
-    count = _write_classes(place, (a, rows), out, ways)
-    count = _keep_crossing(voxels, place, a, ways, count)
-    return _fill(voxels, place, a, ways[:count], out)
+    count = _write_classes(placement, (a, rows), out, ways)
+    count = _keep_crossing(voxels, placement, a, ways, count)
+    return _fill(voxels, placement, a, ways[:count], out)
 
 
 @njit(cache=True, nogil=True)
-def _write_classes(place, row, out, ways):  # type: ignore[no-untyped-def]
+def _write_classes(placement, row, out, ways):  # type: ignore[no-untyped-def]
     """Write the labelled and observed voxels, and the ways back that may cross a surface, in grid order as 128 b + 4 c
     + axis; return the number of ways.
 
     Values are copied to local names first, because the compiler cannot exclude that an output overlaps them.
     """
-    (start, step), (a, rows), (ones, twos, observed, _) = place, row, out
+    (start, step), (a, rows), (ones, twos, observed, _) = placement, row, out
     along_x = step[0, 0], step[1, 0], step[2, 0]
     along_y = step[0, 1], step[1, 1], step[2, 1]
     along_z = step[0, 2], step[1, 2], step[2, 2]
@@ -87,9 +87,9 @@ def _slants(line, back, up, beside):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def _ends(place, a, way):  # type: ignore[no-untyped-def]
+def _ends(placement, a, way):  # type: ignore[no-untyped-def]
     """Return both ends of a way back: the free voxel before, and the free voxel itself."""
-    start, step = place
+    start, step = placement
     b, c, axis = way >> 7, (way >> 2) & 31, way & 3
     x = start[0] + a * step[0, 0] + b * step[0, 1] + c * step[0, 2]
     y = start[1] + a * step[1, 0] + b * step[1, 1] + c * step[1, 2]
@@ -104,7 +104,7 @@ def _layer(number, layers):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _keep_crossing(voxels, place, a, ways, count):  # type: ignore[no-untyped-def]
+def _keep_crossing(voxels, placement, a, ways, count):  # type: ignore[no-untyped-def]
     """Keep the ways that may cross a labelled voxel, in their order; return their number.
 
     A way can only cross voxels of the block between its two free ends: its six other corners, fewer if the way stays
@@ -113,34 +113,34 @@ def _keep_crossing(voxels, place, a, ways, count):  # type: ignore[no-untyped-de
     x, y, z = voxels.shape
     kept = 0
     for at in range(count):
-        (u, v, w), (eu, ev, ew) = _ends(place, a, ways[at])
+        (u, v, w), (eu, ev, ew) = _ends(placement, a, ways[at])
         i, j, k = _layer(u >> FRACTION_BITS, x), _layer(v >> FRACTION_BITS, y), _layer(w >> FRACTION_BITS, z)
         ei, ej, ek = _layer(eu >> FRACTION_BITS, x), _layer(ev >> FRACTION_BITS, y), _layer(ew >> FRACTION_BITS, z)
-        found = voxels[ei, j, k] | voxels[i, ej, k] | voxels[i, j, ek]
-        found |= voxels[ei, ej, k] | voxels[ei, j, ek] | voxels[i, ej, ek]
+        crossed = voxels[ei, j, k] | voxels[i, ej, k] | voxels[i, j, ek]
+        crossed |= voxels[ei, ej, k] | voxels[ei, j, ek] | voxels[i, ej, ek]
         ways[kept] = ways[at]
-        kept += (found & OCCUPIED) != 0
+        kept += (crossed & OCCUPIED) != 0
     return kept
 
 
 @njit(cache=True, nogil=True)
-def _fill(voxels, place, a, ways, out):  # type: ignore[no-untyped-def]
+def _fill(voxels, placement, a, ways, out):  # type: ignore[no-untyped-def]
     """On each way between two free centres, give the crossed class to the nearer voxel; return the number of voxels
     that were free before.
     """
     (ones, twos, _, taken), filled = out, 0
     for way in ways:
-        end, begin = _ends(place, a, way)
-        found, ratio, cell = _stepped_over(voxels, end, begin)
-        if found & OCCUPIED == 0:
+        end, begin = _ends(placement, a, way)
+        crossed, ratio, cell = _stepped_over(voxels, end, begin)
+        if crossed & OCCUPIED == 0:
             continue
         is_before, axis = ratio < 0.5, way & 3
         at, b, c = a - (is_before & (axis == 0)), (way >> 7) - (is_before & (axis == 1)), (way >> 2) & 31
         c -= is_before & (axis == 2)
         bit = np.uint32(1) << np.uint32(c)
         filled += (ones[at, b] | twos[at, b]) & bit == 0
-        ones[at, b] = (ones[at, b] & ~bit) | (bit if found & LOW else np.uint32(0))
-        twos[at, b] = (twos[at, b] & ~bit) | (bit if found & HIGH else np.uint32(0))
+        ones[at, b] = (ones[at, b] & ~bit) | (bit if crossed & LOW else np.uint32(0))
+        twos[at, b] = (twos[at, b] & ~bit) | (bit if crossed & HIGH else np.uint32(0))
         if taken.size:
             taken[at, b, c, 0], taken[at, b, c, 1], taken[at, b, c, 2] = cell
     return filled

@@ -50,16 +50,16 @@ def _pool(fine, side, height, out):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def _class_of(ones, twos, place, side):  # type: ignore[no-untyped-def]
+def _class_of(ones, twos, cube, side):  # type: ignore[no-untyped-def]
     """Return the most frequent class of a cube's occupied voxels; ties go to the highest class."""
-    first, second, mask = place
+    first, second, mask = cube
     t = p = n = np.uint64(0)
     for u in range(first, first + side):
         for v in range(second, second + side):
-            one, two = np.uint64(ones[u, v]) & mask, np.uint64(twos[u, v]) & mask
-            t += popcount(one & ~two)
-            p += popcount(two & ~one)
-            n += popcount(one & two)
+            low, high = np.uint64(ones[u, v]) & mask, np.uint64(twos[u, v]) & mask
+            t += popcount(low & ~high)
+            p += popcount(high & ~low)
+            n += popcount(low & high)
     if n >= p and n >= t:
         return 3
     return 2 if p >= t else 1

@@ -61,9 +61,9 @@ class VoxelTerrain:
 
     def features(self, rule: ProfileRule) -> Array:
         """Return the profile's features (K, 3): elevation m, slope rad, roughness log m²."""
-        found: Array = self.columns[:, POOLED if rule.is_pooled else FEATURES].copy()
-        found[:, 0] = self.columns[:, HEIGHT if rule.is_local else 0]
-        return found
+        features: Array = self.columns[:, POOLED if rule.is_pooled else FEATURES].copy()
+        features[:, 0] = self.columns[:, HEIGHT if rule.is_local else 0]
+        return features
 
     @property
     def slope_deg(self) -> Array:
@@ -78,8 +78,8 @@ class VoxelTerrain:
 
     def limit_ratio(self, vehicle: Vehicle) -> Array:
         """Return the largest share (K,); above 1 the vehicle cannot pass."""
-        found: Array = self.limit_ratios(vehicle).max(axis=1)
-        return found
+        largest: Array = self.limit_ratios(vehicle).max(axis=1)
+        return largest
 
 
 def terrain_of(voxels: VoxelFeatures, height_m: Array, shape: GroundShape, looks: NDArray[np.int64]) -> VoxelTerrain:
@@ -112,13 +112,13 @@ def exceedance_squared(features: Array, reference: Reference) -> Array:
     for number in range(7):
         rows = np.flatnonzero([(number + 1) >> axis & 1 for axis in range(3)])
         inverses[number][np.ix_(rows, rows)] = np.linalg.inv(reference.covariance[np.ix_(rows, rows)])
-    found = np.zeros(len(features))
-    _exceed(features - reference.mean, inverses, found)
-    return found
+    squared = np.zeros(len(features))
+    _exceed(features - reference.mean, inverses, squared)
+    return squared
 
 
 @njit(cache=True, nogil=True)
-def _exceed(centred, inverses, found):  # type: ignore[no-untyped-def]
+def _exceed(centred, inverses, squared):  # type: ignore[no-untyped-def]
     for row in range(centred.shape[0]):
         x, y, z = centred[row]
         for number in range(inverses.shape[0]):
@@ -127,4 +127,4 @@ def _exceed(centred, inverses, found):  # type: ignore[no-untyped-def]
             b = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z
             c = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z
             if a >= 0 and b >= 0 and c >= 0:
-                found[row] = max(found[row], a * x + b * y + c * z)
+                squared[row] = max(squared[row], a * x + b * y + c * z)

@@ -64,8 +64,8 @@ def covered_places(driven: Keys, poses: SE3, footprint: Footprint) -> tuple[Mask
     closed.
     """
     nothing = np.zeros((0, len(places_of(footprint))), np.bool_)
-    found = [(nothing, nothing), *_covered_in_turn(driven, poses, footprint)]
-    return np.concatenate([own for own, _ in found]), np.concatenate([closed for _, closed in found])
+    masks = [(nothing, nothing), *_covered_in_turn(driven, poses, footprint)]
+    return np.concatenate([own for own, _ in masks]), np.concatenate([closed for _, closed in masks])
 
 
 def coverage(driven: Keys, poses: SE3, footprint: Footprint) -> TrackCoverage:
@@ -99,5 +99,5 @@ def _covered(driven: Keys, poses: SE3, footprint: Footprint) -> tuple[Mask, Mask
 
 def _is_in(driven: Keys, points: NDArray[np.float64]) -> Mask:
     """Return whether one of each place's three points (P, 3 C, 3) lies in one of the voxels."""
-    found = np.isin(keys_of(points.reshape(-1, 3), VOXEL_M), driven)
-    return np.asarray(found.reshape(len(points), -1, 3).any(axis=2))
+    is_hit = np.isin(keys_of(points.reshape(-1, 3), VOXEL_M), driven)
+    return np.asarray(is_hit.reshape(len(points), -1, 3).any(axis=2))

@@ -124,8 +124,8 @@ def robust_reference_of(features: Array, parameters: ReferenceParameters) -> Ref
     """
     if len(features) < FEWEST_ROBUST:
         raise no_reference(len(features), FEWEST_ROBUST)
-    found = robust_scatter(features, parameters.outlier_ratio)
-    return _floored(found.mean, found.covariance, len(features), parameters)
+    scatter = robust_scatter(features, parameters.outlier_ratio)
+    return _floored(scatter.mean, scatter.covariance, len(features), parameters)
 
 
 def cleaned_reference_of(features: Array, parameters: ReferenceParameters) -> Reference:
@@ -136,8 +136,8 @@ def cleaned_reference_of(features: Array, parameters: ReferenceParameters) -> Re
         raise no_reference(len(features))
     middle, spread = middle_and_spread(features)
     kept = features[(np.abs(features - middle) <= parameters.clean_mads * spread).all(axis=1)]
-    found = reference_of(sums_of(kept, middle), parameters)
-    return replace(found, voxels=len(features), left_out=len(features) - len(kept))
+    reference = reference_of(sums_of(kept, middle), parameters)
+    return replace(reference, voxels=len(features), left_out=len(features) - len(kept))
 
 
 def _floored(mean: Array, covariance: Array, count: int, parameters: ReferenceParameters) -> Reference:

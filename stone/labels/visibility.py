@@ -57,10 +57,10 @@ def ways(shape: tuple[int, ...]) -> NDArray[np.int64]:
     strides = size[1] * size[2], size[2], 1
     for code in range(1, len(table)):
         main, step, below_one, below_other = _way_of(code)
-        one, other = (main + 1) % 3, (main + 2) % 3
-        first = strides[main] * step - strides[one] * below_one - strides[other] * below_other
-        table[code, :3] = first, strides[one], strides[other]
-        for axis, sign in ((main, step), (one, 1 - 2 * below_one), (other, 1 - 2 * below_other)):
+        second, third = (main + 1) % 3, (main + 2) % 3
+        first = strides[main] * step - strides[second] * below_one - strides[third] * below_other
+        table[code, :3] = first, strides[second], strides[third]
+        for axis, sign in ((main, step), (second, 1 - 2 * below_one), (third, 1 - 2 * below_other)):
             table[code, 3 + axis] = strides[axis] * sign
     return table
 
@@ -103,9 +103,9 @@ OUT_OF_SIGHT, SOURCE, AT_RIM, INSIDE = range(4)
 
 
 @njit(cache=True, nogil=True)
-def _project(camera_from_ego, image, place, kinds):  # type: ignore[no-untyped-def]
+def _project(camera_from_ego, image, layout, kinds):  # type: ignore[no-untyped-def]
     """Mark the voxels in the image, and the voxels nearer than `RIM` to it."""
-    m, (low, voxel_m) = camera_from_ego, place
+    m, (low, voxel_m) = camera_from_ego, layout
     fx, fy, cx, cy, width, height = image
     for a in range(kinds.shape[0]):
         for b in range(kinds.shape[1]):
@@ -141,8 +141,8 @@ def _nearer(at, camera):  # type: ignore[no-untyped-def]
     first = min(OPEN, round((1.0 - u) * (1.0 - v) * OPEN))
     second = min(OPEN - first, round(u * (1.0 - v) * OPEN))
     third = min(OPEN - first - second, round((1.0 - u) * v * OPEN))
-    m, one, other = at[main] + step, at[(main + 1) % 3] - below_one, at[(main + 2) % 3] - below_other
-    voxel = (m, one, other) if main == 0 else (other, m, one) if main == 1 else (one, other, m)
+    m, n, o = at[main] + step, at[(main + 1) % 3] - below_one, at[(main + 2) % 3] - below_other
+    voxel = (m, n, o) if main == 0 else (o, m, n) if main == 1 else (n, o, m)
     way = 1 + main * 8 + (4 if step > 0 else 0) + below_one * 2 + below_other
     return way, voxel, (first, second, third, OPEN - first - second - third)
 
@@ -150,11 +150,11 @@ def _nearer(at, camera):  # type: ignore[no-untyped-def]
 @njit(inline="always")
 def _corner(voxel, way, corner):  # type: ignore[no-untyped-def]
     """Return the voxel of this corner of the four that start with `voxel`."""
-    one, other = ((way - 1) // 8 + 1) % 3, ((way - 1) // 8 + 2) % 3
+    second, third = ((way - 1) // 8 + 1) % 3, ((way - 1) // 8 + 2) % 3
     du, dv = corner & 1, corner >> 1
-    i = voxel[0] + (du if one == 0 else 0) + (dv if other == 0 else 0)
-    j = voxel[1] + (du if one == 1 else 0) + (dv if other == 1 else 0)
-    k = voxel[2] + (du if one == 2 else 0) + (dv if other == 2 else 0)
+    i = voxel[0] + (du if second == 0 else 0) + (dv if third == 0 else 0)
+    j = voxel[1] + (du if second == 1 else 0) + (dv if third == 1 else 0)
+    k = voxel[2] + (du if second == 2 else 0) + (dv if third == 2 else 0)
     return i, j, k
 
 
@@ -198,17 +198,17 @@ def _sort(kinds, ranks, begins, places):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _lay_out(places, camera, grid, out):  # type: ignore[no-untyped-def]
-    (kinds, size), (place, weight) = grid, out
+    (kinds, size), (voxels, weight) = grid, out
     for s in range(places.shape[0]):
         a, b, c = np.int64(places[s, 0]), np.int64(places[s, 1]), np.int64(places[s, 2])
         voxel = np.uint32(((a + 1) * size[1] + b + 1) * size[2] + c + 1)
         if kinds[a, b, c] == SOURCE:
-            place[s] = voxel
+            voxels[s] = voxel
             continue
         way, _, weights = _nearer((a, b, c), camera)
-        place[s] = voxel | np.uint32(way << VOXEL_BITS) | (IN_IMAGE if kinds[a, b, c] == INSIDE else np.uint32(0))
+        voxels[s] = voxel | np.uint32(way << VOXEL_BITS) | (IN_IMAGE if kinds[a, b, c] == INSIDE else np.uint32(0))
         for axis in range(3):
-            place[s] |= np.uint32(_shows(kinds, (a, b, c), camera, axis)) << np.uint32(SIDE_BIT + axis)
+            voxels[s] |= np.uint32(_shows(kinds, (a, b, c), camera, axis)) << np.uint32(SIDE_BIT + axis)
         for corner in range(4):
             weight[s, corner] = weights[corner]
 

@@ -176,23 +176,23 @@ def ratio_spectra(confusions: Counts, frames_of_sequence: Sequence[int], metric:
 
     Raises `ShapeError` if the lengths do not add up to F, and `unknown_metric`.
     """
-    found, layout = frame_influences(confusions, metric), layout_of(frames_of_sequence)
-    kept = coefficients(found.of_frame, layout)
+    influences, layout = frame_influences(confusions, metric), layout_of(frames_of_sequence)
+    kept = coefficients(influences.of_frame, layout)
     bounds = np.cumsum([0, *layout.frames_of_sequence])[:-1]
-    spread = 1 / (len(found.weight) * (found.weight**2).sum(axis=0))
+    spread = 1 / (len(influences.weight) * (influences.weight**2).sum(axis=0))
     spread[MEAN] = spread[list(CLASS_COLUMNS)].min()
-    return RatioSpectra(layout, kept, np.add.reduceat(found.weight, bounds, axis=0), spread)
+    return RatioSpectra(layout, kept, np.add.reduceat(influences.weight, bounds, axis=0), spread)
 
 
 def estimates(values: NDArray[np.floating], spectra: RatioSpectra, scope: Scope) -> tuple[Estimate | Silence, ...]:
     """Return the estimate, or the reason for its absence, of each of the values (5,): ratios or differences of
     ratios.
     """
-    found = _within(spectra) if scope == "these_places" else _across(spectra)
+    variances = _within(spectra) if scope == "these_places" else _across(spectra)
     silences = _silences(values, spectra, scope)
     return tuple(
         silence or _estimate(float(value), *of_value, scope)
-        for value, silence, of_value in zip(values, silences, zip(*found, strict=True), strict=True)
+        for value, silence, of_value in zip(values, silences, zip(*variances, strict=True), strict=True)
     )
 
 
@@ -207,23 +207,23 @@ def _silences(values: NDArray[np.floating], spectra: RatioSpectra, scope: Scope)
     wanders = np.ptp(sums_of_sequences(spectra.coefficients, spectra.layout), axis=0) > LEAST_WANDER
     if scope == "these_places":
         wanders = np.sqrt((spectra.coefficients**2).sum(axis=0)) > LEAST_WANDER
-    found: list[Silence | None] = []
+    silences: list[Silence | None] = []
     for value, has_wander, spread in zip(values, wanders, spectra.spread, strict=True):
         is_few = scope == "new_place" and len(spectra.layout.frames_of_sequence) < FEWEST_SEQUENCES
         is_concentrated = scope == "these_places" and spread < LEAST_SPREAD
-        said: tuple[tuple[bool, Silence], ...] = (
+        conditions: tuple[tuple[bool, Silence], ...] = (
             (not np.isfinite(value), "undefined"),
             (is_few, "few_sequences"),
             (not has_wander, "no_wander"),
             (is_concentrated, "concentrated"),
         )
-        found.append(next((code for is_so, code in said if is_so), None))
-    return found
+        silences.append(next((code for is_so, code in conditions if is_so), None))
+    return silences
 
 
 def _within(spectra: RatioSpectra) -> tuple[Floats, Floats]:
-    found = sampling_variances(spectra.coefficients.T, spectra.layout)
-    return found.variance, np.nan_to_num(found.degrees)
+    variances = sampling_variances(spectra.coefficients.T, spectra.layout)
+    return variances.variance, np.nan_to_num(variances.degrees)
 
 
 def _across(spectra: RatioSpectra) -> tuple[Floats, Floats]:

@@ -101,10 +101,10 @@ def board_spectra(entries: Sequence[EntrySpectra]) -> BoardSpectra:
     """
     return BoardSpectra(
         entries[0].layout,
-        np.stack([one.coefficients for one in entries]),
-        np.stack([one.sequence_weight for one in entries]),
-        np.array([one.spread for one in entries]),
-        np.array([one.across_degrees for one in entries]),
+        np.stack([entry.coefficients for entry in entries]),
+        np.stack([entry.sequence_weight for entry in entries]),
+        np.array([entry.spread for entry in entries]),
+        np.array([entry.across_degrees for entry in entries]),
     )
 
 
@@ -159,17 +159,19 @@ def _in_parts(
 ) -> _Pairs:
     """Return all pairs, computed in parts that fit into memory."""
     starts = range(0, max(1, len(first)), PAIRS_AT_ONCE)
-    parts = [pairs_of(spectra, *(one[start : start + PAIRS_AT_ONCE] for one in (first, second))) for start in starts]
+    parts = [
+        pairs_of(spectra, *(places[start : start + PAIRS_AT_ONCE] for places in (first, second))) for start in starts
+    ]
     joined = (np.concatenate([getattr(part, name) for part in parts]) for name in ("variance", "degrees", "power"))
     return _Pairs(parts[0].scope, first, second, *joined)
 
 
 def _within(spectra: BoardSpectra, first: Places, second: Places) -> _Pairs:
     differences = _differences(spectra, first, second)
-    found = sampling_variances(differences, spectra.layout)
+    variances = sampling_variances(differences, spectra.layout)
     is_spread = np.minimum(spectra.spread[first], spectra.spread[second]) >= LEAST_SPREAD
-    variance = np.where(is_spread, found.variance, np.nan)
-    return _Pairs("these_places", first, second, variance, found.degrees, _power(differences, spectra.layout))
+    variance = np.where(is_spread, variances.variance, np.nan)
+    return _Pairs("these_places", first, second, variance, variances.degrees, _power(differences, spectra.layout))
 
 
 def _across(spectra: BoardSpectra, first: Places, second: Places) -> _Pairs:
@@ -195,8 +197,8 @@ def _power(differences: Floats, layout: SpectrumLayout) -> Floats:
 def _critical(count: int, degrees: Floats, level: float) -> Floats:
     """Return q / √2 for each pair; degrees are rounded down."""
     whole = np.floor(degrees).astype(np.int64)
-    known = {one: range_quantile(count, one, level) / np.sqrt(2) for one in np.unique(whole).tolist()}
-    return np.array([known[one] for one in whole.tolist()])
+    known = {freedom: range_quantile(count, freedom, level) / np.sqrt(2) for freedom in np.unique(whole).tolist()}
+    return np.array([known[freedom] for freedom in whole.tolist()])
 
 
 @lru_cache(4096)

@@ -32,7 +32,7 @@ class SignFlip:
 
 def in_order(keys: Sequence[Sequence[float]]) -> list[int]:
     """Return the entries' indices, best first: by the first key descending, then the next; ties keep their order."""
-    return sorted(range(len(keys)), key=lambda place: [-value for value in keys[place]])
+    return sorted(range(len(keys)), key=lambda index: [-value for value in keys[index]])
 
 
 def shared_ranks(keys: Sequence[Sequence[float]]) -> list[int]:
@@ -40,9 +40,9 @@ def shared_ranks(keys: Sequence[Sequence[float]]) -> list[int]:
     3).
     """
     ranks: list[int] = []
-    for place, key in enumerate(keys):
-        is_equal = place > 0 and list(key) == list(keys[place - 1])
-        ranks.append(ranks[-1] if is_equal else place + 1)
+    for index, key in enumerate(keys):
+        is_equal = index > 0 and list(key) == list(keys[index - 1])
+        ranks.append(ranks[-1] if is_equal else index + 1)
     return ranks
 
 
@@ -59,10 +59,10 @@ def tie_groups(above: Claims) -> Ranks:
     """
     groups = np.ones(len(above), np.int64)
     first = 0
-    for place in range(1, len(above)):
-        if above[first, place]:
-            first = place
-        groups[place] = groups[place - 1] + (first == place)
+    for entry in range(1, len(above)):
+        if above[first, entry]:
+            first = entry
+        groups[entry] = groups[entry - 1] + (first == entry)
     return groups
 
 

@@ -148,10 +148,10 @@ class Scores:
         """Return the output of `stone score --json`."""
         counts_of_frames, metric = self.counts_of_frames, self.signature.metric
         spectra = counts_of_frames.spectra(metric)
-        told = record_of(counts_of_frames, spectra, metric, is_in_time_order=self.is_in_time_order)
-        occupied = sum(map(sum, told["confusion"][1:]))
+        record = record_of(counts_of_frames, spectra, metric, is_in_time_order=self.is_in_time_order)
+        occupied = sum(map(sum, record["confusion"][1:]))
         return {
-            **told,
+            **record,
             **({"confidence": self.limit.as_record(occupied)} if self.limit else {}),
             "signature": str(self.signature),
             "code_version": self.code_version,
@@ -272,24 +272,24 @@ def interval_record(
     independent, and the interval would be too narrow.
     """
     values = np.array([np.nan if total[name] is None else total[name] for name in RATIOS], np.float64)
-    found = {scope: estimates(values, spectra, scope) for scope in SCOPES}
+    by_scope = {scope: estimates(values, spectra, scope) for scope in SCOPES}
     if not is_in_time_order:
-        found["these_places"] = tuple(UNKNOWN_ORDER if np.isfinite(value) else "undefined" for value in values)
+        by_scope["these_places"] = tuple(UNKNOWN_ORDER if np.isfinite(value) else "undefined" for value in values)
     if metric.successor is not None:
-        found = dict.fromkeys(SCOPES, (WITHDRAWN,) * len(RATIOS))
+        by_scope = dict.fromkeys(SCOPES, (WITHDRAWN,) * len(RATIOS))
     return {
         "intervals": {
-            scope: dict(zip(RATIOS, map(_bounds, of_scope), strict=True)) for scope, of_scope in found.items()
+            scope: dict(zip(RATIOS, map(_bounds, of_scope), strict=True)) for scope, of_scope in by_scope.items()
         },
         "silences": {
-            scope: dict(zip(RATIOS, map(_silence, of_scope), strict=True)) for scope, of_scope in found.items()
+            scope: dict(zip(RATIOS, map(_silence, of_scope), strict=True)) for scope, of_scope in by_scope.items()
         },
     }
 
 
-def _bounds(found: Estimate | Silence) -> list[float] | None:
-    return None if isinstance(found, str) else list(found.ratio_interval())
+def _bounds(estimate: Estimate | Silence) -> list[float] | None:
+    return None if isinstance(estimate, str) else list(estimate.ratio_interval())
 
 
-def _silence(found: Estimate | Silence) -> Silence | None:
-    return found if isinstance(found, str) else None
+def _silence(estimate: Estimate | Silence) -> Silence | None:
+    return estimate if isinstance(estimate, str) else None

@@ -87,8 +87,8 @@ def coefficients(influences: NDArray[np.floating], layout: SpectrumLayout) -> ND
     if len(influences) != sum(frames) or min(frames, default=0) < 1:
         raise ShapeError("influences", influences.shape, f"({sum(frames)}, …), sequences of at least one frame each")
     runs = pairwise(accumulate(frames, initial=0))
-    found = (_cosine_transform(influences[start:stop]) for start, stop in runs)
-    return np.concatenate([of_sequence[:kept] for of_sequence, kept in zip(found, layout.kept, strict=True)])
+    transforms = (_cosine_transform(influences[start:stop]) for start, stop in runs)
+    return np.concatenate([of_sequence[:kept] for of_sequence, kept in zip(transforms, layout.kept, strict=True)])
 
 
 def _cosine_transform(signal: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -198,30 +198,30 @@ class _Period:
 def sampling_variances(series: Coefficients, layout: SpectrumLayout) -> SamplingVariances:
     """Return the variances for coefficients (R, K). A constant or non-finite series has no result."""
     squares = np.asarray(series, np.float64) ** 2
-    found = SamplingVariances(*(np.full(len(series), np.nan) for _ in range(3)))
+    variances = SamplingVariances(*(np.full(len(series), np.nan) for _ in range(3)))
     periods = _periods(layout)
     if not periods:
-        return found
+        return variances
     power = _power_by_step(squares, layout)
     undecided = np.isfinite(squares).all(axis=1) & (power.sum(axis=1) > 0)
     for period in periods:
         rows = np.flatnonzero(undecided)
         rows = rows[_is_flat(power[rows], period)]
-        _settle(found, rows, (squares, power), (layout, period))
+        _settle(variances, rows, (squares, power), (layout, period))
         undecided[rows] = False
-    return found
+    return variances
 
 
 def _settle(
-    found: SamplingVariances, rows: NDArray[np.int64], of: tuple[Floats, Floats], at: tuple[SpectrumLayout, _Period]
+    variances: SamplingVariances, rows: NDArray[np.int64], of: tuple[Floats, Floats], at: tuple[SpectrumLayout, _Period]
 ) -> None:
-    (squares, power), (layout, period) = (one[rows] for one in of), at
+    (squares, power), (layout, period) = (table[rows] for table in of), at
     variance, degrees = _variance(squares, layout, period.used)
     variance = _with_long_memory(variance, np.hstack([power[:, period.steps], squares[:, period.places]]), period)
     is_enough = (degrees >= FEWEST_DEGREES) & (variance > 0)
-    for values, of_rows in ((found.variance, variance), (found.degrees, degrees)):
+    for values, of_rows in ((variances.variance, variance), (variances.degrees, degrees)):
         values[rows] = np.where(is_enough, of_rows, np.nan)
-    found.correlation_frames[rows] = np.where(is_enough, period.period_frames, np.nan)
+    variances.correlation_frames[rows] = np.where(is_enough, period.period_frames, np.nan)
 
 
 def _variance(squares: Floats, layout: SpectrumLayout, used: NDArray[np.int64]) -> tuple[Floats, Floats]:
@@ -265,10 +265,10 @@ def _with_long_memory(variance: Floats, power: Floats, period: _Period) -> Float
 
 def _power_by_step(squares: Floats, layout: SpectrumLayout) -> Floats:
     """Return the sums of squares (R, steps) of each period step, the highest frequencies first."""
-    place = layout.steps + OCTAVES_ABOVE * STEPS_PER_OCTAVE
+    step_index = layout.steps + OCTAVES_ABOVE * STEPS_PER_OCTAVE
     power = np.zeros((len(squares), _highest_step(layout) + OCTAVES_ABOVE * STEPS_PER_OCTAVE + 1))
-    for step in np.unique(place[place >= 0]):
-        power[:, step] = squares[:, place == step].sum(axis=1)
+    for step in np.unique(step_index[step_index >= 0]):
+        power[:, step] = squares[:, step_index == step].sum(axis=1)
     return power
 
 
@@ -294,10 +294,10 @@ def _tried(layout: SpectrumLayout) -> Iterator[_Period]:
 def _period(layout: SpectrumLayout, step: int, used: NDArray[np.int64]) -> _Period:
     above = OCTAVES_ABOVE * STEPS_PER_OCTAVE
     places = np.concatenate([np.arange(1, 1 + count) + run.start for run, count in zip(layout.runs, used, strict=True)])
-    of_step = [(one, np.flatnonzero(layout.steps == one)) for one in range(step - above, step)]
-    steps = np.array([one for one, members in of_step if len(members)])
+    of_step = [(number, np.flatnonzero(layout.steps == number)) for number in range(step - above, step)]
+    steps = np.array([number for number, members in of_step if len(members)])
     decisive = [layout.frequencies[members] for _, members in of_step if len(members)]
-    single = [layout.frequencies[[place]] for place in places]
+    single = [layout.frequencies[[index]] for index in places]
     period_frames = layout.period_frames(step)
     times = _fitted_times(period_frames)
     lowest = np.pi / (FRAMES_PER_PERIOD * period_frames)

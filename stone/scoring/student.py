@@ -45,17 +45,17 @@ def critical_value(level: float, degrees: float) -> float:
 def _fraction(x: float, a: float, b: float) -> float:
     """Return the continued fraction of the incomplete beta function."""
     c, d = 1.0, 1 / _nonzero(1 - (a + b) * x / (a + 1))
-    found = d
+    fraction = d
     for m in range(1, _MOST_TERMS):
         even = m * (b - m) * x / ((a + 2 * m - 1) * (a + 2 * m))
         odd = -(a + m) * (a + b + m) * x / ((a + 2 * m) * (a + 2 * m + 1))
-        before = found
+        before = fraction
         for term in (even, odd):
             c, d = _nonzero(1 + term / c), 1 / _nonzero(1 + term * d)
-            found *= c * d
-        if abs(found - before) <= _EPSILON * abs(found):
+            fraction *= c * d
+        if abs(fraction - before) <= _EPSILON * abs(fraction):
             break
-    return found
+    return fraction
 
 
 def _nonzero(value: float) -> float:

@@ -92,5 +92,5 @@ def triggered_samples(frames_ns: Stamps, stamps_ns: Stamps, period_ns: int) -> t
     − frame stamp, so `dt_ns` − phase is the residual. Raises `unsorted_stamps` if either side decreases.
     """
     phase_ns = trigger_phase_ns(frames_ns, stamps_ns, period_ns)
-    found = nearest_samples(frames_ns + phase_ns, stamps_ns, max(period_ns // 2 - 1, 0))
-    return Nearest(found.index, np.where(found.index >= 0, found.dt_ns + phase_ns, 0)), phase_ns
+    nearest = nearest_samples(frames_ns + phase_ns, stamps_ns, max(period_ns // 2 - 1, 0))
+    return Nearest(nearest.index, np.where(nearest.index >= 0, nearest.dt_ns + phase_ns, 0)), phase_ns

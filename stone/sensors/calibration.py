@@ -98,6 +98,6 @@ def entry_of(mount: Mount | SE3) -> str:
     """Return the entry of a mount, or of the LiDAR's mount, as users write it."""
     name = f"lidar_from_sensor of {mount.name}" if isinstance(mount, Mount) else "ego_from_lidar"
     transform = mount.lidar_from_sensor if isinstance(mount, Mount) else mount
-    place = ", ".join(f"{value:.3f}" for value in transform.translation_m.tolist())
+    position = ", ".join(f"{value:.3f}" for value in transform.translation_m.tolist())
     turn = ", ".join(f"{value:.5f}" for value in transform.wxyz.tolist())
-    return f"{name} at [{place}] m, wxyz [{turn}]"
+    return f"{name} at [{position}] m, wxyz [{turn}]"

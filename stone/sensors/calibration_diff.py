@@ -105,7 +105,7 @@ def _lens(intrinsics: CameraIntrinsics | None) -> dict[str, float | str | None]:
     if intrinsics is None:
         return {}
     values = {entry.name: getattr(intrinsics, entry.name) for entry in fields(intrinsics) if entry.name != "distortion"}
-    return values | {f"distortion_{place}": value for place, value in enumerate(intrinsics.distortion)}
+    return values | {f"distortion_{index}": value for index, value in enumerate(intrinsics.distortion)}
 
 
 def _changed(before: dict[str, float | str | None], after: dict[str, float | str | None]) -> tuple[ValueChange, ...]:

@@ -49,14 +49,14 @@ def doubts_of(track: Trajectory) -> list[Doubt]:
     """Return where a track's heading fits its course worst: at most `MOST_DOUBTS` per stretch, turns first; none if it
     fits or the track has no course.
     """
-    found = [doubt for rows in _stretches(track) for doubt in _doubts(_steps(track, rows))]
-    return sorted(found, key=lambda doubt: doubt.is_aside)[:MOST_DOUBTS]
+    doubts = [doubt for rows in _stretches(track) for doubt in _doubts(_steps(track, rows))]
+    return sorted(doubts, key=lambda doubt: doubt.is_aside)[:MOST_DOUBTS]
 
 
 def aside_of_course(track: Trajectory) -> float:
     """Return the median angle between heading and course in rad; π if the track has no course."""
-    found = [_steps(track, rows).off_rad for rows in _stretches(track)]
-    off = np.concatenate([*found, np.zeros(0)])
+    angles = [_steps(track, rows).off_rad for rows in _stretches(track)]
+    off = np.concatenate([*angles, np.zeros(0)])
     return float(np.median(np.abs(np.angle(np.exp(1j * off))))) if len(off) else float(np.pi)
 
 
@@ -140,13 +140,13 @@ def _doubts(steps: _Steps) -> list[Doubt]:
             best, best_apart = change, apart
         if best.max(initial=0.0) >= ENOUGH_RAD:
             break
-    found = list[Doubt]()
-    while len(found) < MOST_DOUBTS and best.max(initial=0.0) > DOUBT_RAD:
+    doubts = list[Doubt]()
+    while len(doubts) < MOST_DOUBTS and best.max(initial=0.0) > DOUBT_RAD:
         at = int(np.argmax(best))
-        found.append(_between(steps, at, at + best_apart))
+        doubts.append(_between(steps, at, at + best_apart))
         best[max(0, at - best_apart) : at + best_apart + 1] = 0.0
-    aside = _aside(steps) if not found else None
-    return found if aside is None else [aside]
+    aside = _aside(steps) if not doubts else None
+    return doubts if aside is None else [aside]
 
 
 def _aside(steps: _Steps) -> Doubt | None:
@@ -157,8 +157,8 @@ def _aside(steps: _Steps) -> Doubt | None:
     length = min(STRAIGHT_STEPS, len(off))
     bends = [float(np.ptp(steps.course_rad[at : at + length])) for at in range(len(off) - length + 1)]
     at = int(np.argmin(bends))
-    found = _between(steps, at, at + length - 1)
-    return Doubt(found.begin_ns, found.end_ns, float(off[at : at + length].mean()), is_aside=True)
+    stretch = _between(steps, at, at + length - 1)
+    return Doubt(stretch.begin_ns, stretch.end_ns, float(off[at : at + length].mean()), is_aside=True)
 
 
 def _between(steps: _Steps, first: int, last: int) -> Doubt:

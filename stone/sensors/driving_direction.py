@@ -88,12 +88,12 @@ def driving_direction(track: Trajectory) -> DrivingDirection | None:
 
 def _aside_m(off_rad: list[Array]) -> float:
     """Return the sideways drift of stretches of `WANDER_STEPS` steps with these direction errors (S,)."""
-    found, way = [], np.arange(WANDER_STEPS + 1.0)
+    deviations, way = [], np.arange(WANDER_STEPS + 1.0)
     for off in off_rad:
         for begin in range(0, len(off) - WANDER_STEPS + 1, WANDER_STEPS):
             aside_m = np.append(0.0, STEP_M * np.cumsum(off[begin : begin + WANDER_STEPS]))
-            found.append(float(np.std(aside_m - np.polyval(np.polyfit(way, aside_m, 1), way))))
-    return float(np.median(found)) if found else 0.0
+            deviations.append(float(np.std(aside_m - np.polyval(np.polyfit(way, aside_m, 1), way))))
+    return float(np.median(deviations)) if deviations else 0.0
 
 
 def _straight_on(angles_rad: Array, turns: Array) -> tuple[Array, float, float]:

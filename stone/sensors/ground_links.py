@@ -93,9 +93,9 @@ def look(points_map: Array) -> Look:
 def links_between(looks: Listing[Look], way: Way) -> Links:
     """Return the links of the looks (K,) along a track."""
     pairs = _pairs(way)
-    found = np.array([_higher(looks[a], looks[b]) for a, b in pairs.tolist()]).reshape(-1, 3)
-    is_found = np.isfinite(found[:, 0])
-    return Links(pairs[is_found], found[is_found, 0], found[is_found, 1:])
+    differences = np.array([_higher(looks[a], looks[b]) for a, b in pairs.tolist()]).reshape(-1, 3)
+    is_found = np.isfinite(differences[:, 0])
+    return Links(pairs[is_found], differences[is_found, 0], differences[is_found, 1:])
 
 
 def of_one_visit(links: Links, way: Way) -> NDArray[np.bool_]:
@@ -145,7 +145,7 @@ def _pairs(way: Way) -> Rows:
     pairs = [
         (before, row)
         for row, near in enumerate(tree.query_ball_point(way.places_m, FARTHEST_M, return_sorted=True))
-        for before in _partners(np.array([one for one in near if one < row], np.int64))
+        for before in _partners(np.array([look for look in near if look < row], np.int64))
         if way.maps[before] == way.maps[row]
     ]
     return np.array(pairs, np.int64).reshape(-1, 2)
@@ -158,14 +158,14 @@ def _partners(before: Rows) -> list[int]:
     return [*np.unique(others[spread]).tolist(), *last.tolist()]
 
 
-def _higher(one: Look, other: Look) -> tuple[float, float, float]:
+def _higher(first: Look, second: Look) -> tuple[float, float, float]:
     """Return the height of the second look's ground above the first's, and the position; NaN if little is shared or it
     scatters.
     """
-    cells, mine, theirs = np.intersect1d(one.cells, other.cells, assume_unique=True, return_indices=True)
+    cells, mine, theirs = np.intersect1d(first.cells, second.cells, assume_unique=True, return_indices=True)
     if len(mine) < FEWEST_CELLS:
         return np.nan, np.nan, np.nan
-    off_m = other.heights_m[theirs].astype(np.float64) - one.heights_m[mine]
+    off_m = second.heights_m[theirs].astype(np.float64) - first.heights_m[mine]
     middle_m = float(np.median(off_m))
     x_m, y_m = ((indices_of(cells)[:, :2] + 0.5) * CELL_M).mean(axis=0).tolist()
     is_one = float(np.median(np.abs(off_m - middle_m))) <= MOST_SCATTER_M

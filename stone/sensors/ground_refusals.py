@@ -43,7 +43,7 @@ def _mount_tilted(ground: GroundFit) -> Refused:
 def _poses_tilted(ground: GroundFit, calibration: Calibration) -> Refused:
     climb_rad = math.atan(ground.way_slope)
     mounts = turned_to_way(calibration, 0.0, climb_rad - math.atan(ground.slope_x))
-    entries = [f"enter {entry_of(one)}" for one in mounts]
+    entries = [f"enter {entry_of(mount)}" for mount in mounts]
     way_out = entries[0] if entries else "correct the source, or estimate the poses from the sweeps (odometry kiss-icp)"
     return Refused(
         "poses_tilted",

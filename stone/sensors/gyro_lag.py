@@ -143,8 +143,8 @@ def _integrated(time_s: Array, rates: Array) -> Array:
 
 def _best(gyro: _Gyro, turns: Turns) -> GyroLag | None:
     searched = np.arange(-MAX_LAG_S, MAX_LAG_S + COARSE_STEP_S / 2, COARSE_STEP_S)
-    found = [_agreement(gyro, turns, lag_s) for lag_s in searched.tolist()]
-    at = int(np.argmax(found))
+    agreements = [_agreement(gyro, turns, lag_s) for lag_s in searched.tolist()]
+    at = int(np.argmax(agreements))
     if at in (0, len(searched) - 1):
         return None
     lag_s, correlation = peak(lambda lag_s: _agreement(gyro, turns, lag_s), (searched[at - 1], searched[at + 1]))
@@ -173,9 +173,9 @@ def peak(height: Callable[[float], float], bounds: tuple[float, float]) -> tuple
 
 def _agreement(gyro: _Gyro, turns: Turns, lag_s: float) -> float:
     """Return the correlation of the rates under the best rotation (Kabsch, 1976; including reflections)."""
-    told, turned = gyro.rates_between(turns, lag_s), turns.centred()
-    energy = float(np.sum(told**2) * np.sum(turned**2))
-    return float(np.linalg.svd(told.T @ turned, compute_uv=False).sum()) / np.sqrt(energy) if energy > 0 else 0.0
+    rates, turned = gyro.rates_between(turns, lag_s), turns.centred()
+    energy = float(np.sum(rates**2) * np.sum(turned**2))
+    return float(np.linalg.svd(rates.T @ turned, compute_uv=False).sum()) / np.sqrt(energy) if energy > 0 else 0.0
 
 
 def _sigma_s(gyro: _Gyro, turns: Turns, lag_s: float) -> float | None:
@@ -184,8 +184,8 @@ def _sigma_s(gyro: _Gyro, turns: Turns, lag_s: float) -> float | None:
     Changes that a small turn of the mount explains as well carry no information about the lag. The gyro's slope
     includes noise that moves with the lag, so it counts only in the error, never in the signal.
     """
-    told, turned = gyro.rates_between(turns, lag_s), turns.centred()
-    u, _, v = np.linalg.svd(told.T @ turned)
+    rates, turned = gyro.rates_between(turns, lag_s), turns.centred()
+    u, _, v = np.linalg.svd(rates.T @ turned)
     mount = u @ v
     tilts = np.stack([np.cross(turned, axis).ravel() for axis in np.eye(3)], axis=-1)
     slope = gyro.rates_between(turns, lag_s + SLOPE_STEP_S) - gyro.rates_between(turns, lag_s - SLOPE_STEP_S)
@@ -193,7 +193,7 @@ def _sigma_s(gyro: _Gyro, turns: Turns, lag_s: float) -> float | None:
     signal = _energy_beside(np.gradient(turned, turns.begin_s, axis=0), tilts)
     if signal == 0:
         return None
-    error = float(np.sum((told @ mount - turned) ** 2)) / (turned.size - FITTED)
+    error = float(np.sum((rates @ mount - turned) ** 2)) / (turned.size - FITTED)
     return float(np.sqrt(error * max(noisy, signal))) / signal
 
 

@@ -73,8 +73,8 @@ class LagFit:
 def fitted_lag(evidence: Sequence[LagEvidence], span_s: tuple[float, float]) -> LagFit | None:
     """Return the best offset between two limits; None if nothing stands out, or the best offset is at a limit."""
     searched = np.arange(span_s[0], span_s[1] + COARSE_STEP_S / 2, COARSE_STEP_S)
-    found = [_cost(evidence, offset_s) for offset_s in searched.tolist()]
-    costs, known = (np.array(column) for column in zip(*found, strict=True))
+    results = [_cost(evidence, offset_s) for offset_s in searched.tolist()]
+    costs, known = (np.array(column) for column in zip(*results, strict=True))
     costs[known < max(1.0, LEAST_KNOWN_RATIO * known.max())] = np.inf
     best = int(np.argmin(costs))
     if best in (0, len(searched) - 1) or not np.isfinite(costs[best - 1 : best + 2]).all():
@@ -101,11 +101,11 @@ def _lead(evidence: Sequence[LagEvidence], best_s: float, other_s: float) -> flo
     """Return the log-likelihood advantage of the best offset over another, in standard errors by blocks."""
     times, gains = list[Array](), list[Array]()
     for sensor in evidence:
-        one, two = sensor.residuals(best_s), sensor.values(other_s)
-        is_known = one.is_known & np.isfinite(two).all(axis=1)
+        best, other = sensor.residuals(best_s), sensor.values(other_s)
+        is_known = best.is_known & np.isfinite(other).all(axis=1)
         if is_known.any():
-            times.append(one.times_s[is_known])
-            gains.append(_costs(two[is_known]) - _costs(one.values[is_known]))
+            times.append(best.times_s[is_known])
+            gains.append(_costs(other[is_known]) - _costs(best.values[is_known]))
     if not times:
         return 0.0
     blocks = _by_block(np.concatenate(times), np.concatenate(gains))
@@ -153,14 +153,14 @@ def _normal(evidence: Sequence[LagEvidence], offset_s: float) -> tuple[Array, fl
     """Return each block's gradient, and the total information about the offset."""
     parts, energy = list[tuple[Array, Array]](), 0.0
     for sensor in evidence:
-        found = sensor.residuals(offset_s)
-        known = found.is_known
-        values, slopes = found.values[known], found.slopes_per_s[known]
+        measured = sensor.residuals(offset_s)
+        known = measured.is_known
+        values, slopes = measured.values[known], measured.slopes_per_s[known]
         scales = _scales(values) if len(values) else np.ones(values.shape[1])
         weights = np.minimum(1.0, HUBER_SCALES * scales / np.maximum(np.abs(values), 1e-300)) / scales**2
         weights[np.abs(values) > 2 * FAR_SCALES * scales] = 0.0
         energy += float(np.sum(weights * slopes**2))
-        parts.append((found.times_s[known], (weights * slopes * values).sum(axis=1)))
+        parts.append((measured.times_s[known], (weights * slopes * values).sum(axis=1)))
     times_s, scores = (np.concatenate(column) for column in zip(*parts, strict=True))
     return _by_block(times_s, scores), energy
 
@@ -195,8 +195,8 @@ class TurnEvidence:
         second order for small residuals.
         """
         later, earlier = self._explaining(offset_s + SLOPE_STEP_S), self._explaining(offset_s - SLOPE_STEP_S)
-        found = self._beside(self._explaining(offset_s), (later - earlier) / (2 * SLOPE_STEP_S))
-        return LagResiduals(*found, (self.begin_s + self.end_s) / 2)
+        fitted = self._beside(self._explaining(offset_s), (later - earlier) / (2 * SLOPE_STEP_S))
+        return LagResiduals(*fitted, (self.begin_s + self.end_s) / 2)
 
     def _beside(self, explaining: Array, slopes: Array | None) -> tuple[Array, Array]:
         """Return the residuals of the fit, and the part of the slopes that the fit does not explain."""

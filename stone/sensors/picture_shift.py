@@ -74,13 +74,13 @@ def _whole_pixels(first: Picture, second: Picture) -> tuple[int, int]:
     """
     height, width = first.shape
     window = np.outer(np.hanning(height), np.hanning(width))
-    one, two = (np.fft.rfft2((picture - picture.mean()) * window) for picture in (first, second))
-    cross = one.conj() * two
+    spectrum_1, spectrum_2 = (np.fft.rfft2((picture - picture.mean()) * window) for picture in (first, second))
+    cross = spectrum_1.conj() * spectrum_2
     size = np.abs(cross)
     peaks = [(0, 0)]
     for spectrum in (cross, cross / (size + 1e-3 * size.mean())):
-        found = np.fft.irfft2(spectrum, s=first.shape)
-        down, right = (int(at) for at in np.unravel_index(np.argmax(found), found.shape))
+        correlation = np.fft.irfft2(spectrum, s=first.shape)
+        down, right = (int(at) for at in np.unravel_index(np.argmax(correlation), correlation.shape))
         peaks.append((_wrapped(right, width), _wrapped(down, height)))
     return min(peaks, key=lambda shift: _apart(first, second, shift))
 
@@ -91,9 +91,9 @@ def _apart(first: Picture, second: Picture, shift: tuple[int, int]) -> float:
     height, width = first.shape
     if abs(right) > width * (1 - LEAST_KNOWN_RATIO) or abs(down) > height * (1 - LEAST_KNOWN_RATIO):
         return float("inf")
-    one = first[max(0, -down) : height - max(0, down), max(0, -right) : width - max(0, right)]
-    two = second[max(0, down) : height - max(0, -down), max(0, right) : width - max(0, -right)]
-    return float(np.median(np.abs(one - two)))
+    one_part = first[max(0, -down) : height - max(0, down), max(0, -right) : width - max(0, right)]
+    other_part = second[max(0, down) : height - max(0, -down), max(0, right) : width - max(0, -right)]
+    return float(np.median(np.abs(one_part - other_part)))
 
 
 def _wrapped(at: int, size: int) -> int:

@@ -140,11 +140,11 @@ def _unbent(reach: Array, lens: CameraIntrinsics) -> Array:
     turn.
     """
     table = np.linspace(0.0, field_limit(lens), STEPS)
-    found = np.interp(reach, table * _radial(table * table, lens), table, right=np.nan)
+    undistorted = np.interp(reach, table * _radial(table * table, lens), table, right=np.nan)
     for _ in range(NEWTON_ROUNDS):
-        ahead, here = (at * _radial(at * at, lens) for at in (found + NEWTON_STEP, found))
-        found -= (here - reach) / np.maximum((ahead - here) / NEWTON_STEP, LEAST_SLOPE)
-    return np.asarray(found)
+        ahead, here = (at * _radial(at * at, lens) for at in (undistorted + NEWTON_STEP, undistorted))
+        undistorted -= (here - reach) / np.maximum((ahead - here) / NEWTON_STEP, LEAST_SLOPE)
+    return np.asarray(undistorted)
 
 
 def _radial(squared: Array, lens: CameraIntrinsics) -> Array:

@@ -44,11 +44,11 @@ class CompensatedRadar:
 def radar_motion(mount: SweepMount, lidar_from_radar: SE3, stamp_ns: int, taken_ns: int) -> RadarMotion:
     """Return a radar's motion from its measurement (`taken_ns`) to the frame's stamp, and its velocity."""
     times_ns = np.array([stamp_ns, taken_ns, taken_ns - HALF_SPAN_NS, taken_ns + HALF_SPAN_NS], np.int64)
-    found = mount.trajectory.at(times_ns, mount.max_gap_ns)
-    map_from_lidar = found.map_from_ego @ mount.ego_from_lidar
+    poses = mount.trajectory.at(times_ns, mount.max_gap_ns)
+    map_from_lidar = poses.map_from_ego @ mount.ego_from_lidar
     map_from_radar = map_from_lidar[1:] @ lidar_from_radar
     # A pose beyond a jump of the track is no neighbour.
-    is_ok = found.is_ok & (found.segment == found.segment[0])
+    is_ok = poses.is_ok & (poses.segment == poses.segment[0])
     stamp_from_radar = map_from_lidar[0].inverse() @ map_from_radar[0]
     if not is_ok[:2].all():
         return RadarMotion(SE3(np.full(7, np.nan)), np.full(3, np.nan))

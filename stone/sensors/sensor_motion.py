@@ -30,20 +30,20 @@ class SensorMotion:
 
     def velocity_at(self, times_s: Array) -> Array:
         """Return the velocity (N, 3) in m/s; NaN if unknown."""
-        place = (times_s - self.begin_s) / (STEP_NS * 1e-9)
-        found = np.stack([_linear(place, axis) for axis in self.rates[:, 3:].T], axis=1)
-        return np.where(self._is_known(place, place)[:, None], found, np.nan)
+        position = (times_s - self.begin_s) / (STEP_NS * 1e-9)
+        velocity = np.stack([_linear(position, axis) for axis in self.rates[:, 3:].T], axis=1)
+        return np.where(self._is_known(position, position)[:, None], velocity, np.nan)
 
     def between(self, begin_s: Array, end_s: Array) -> Array:
         """Return the turn in radians and the way in metres (N, 6) between two times; NaN if unknown."""
         first, last = ((times_s - self.begin_s) / (STEP_NS * 1e-9) for times_s in (begin_s, end_s))
-        found = np.stack([_linear(last, axis) - _linear(first, axis) for axis in self.sums.T], axis=1)
-        return np.where(self._is_known(first, last)[:, None], found, np.nan)
+        change = np.stack([_linear(last, axis) - _linear(first, axis) for axis in self.sums.T], axis=1)
+        return np.where(self._is_known(first, last)[:, None], change, np.nan)
 
     def _is_known(self, first: Array, last: Array) -> NDArray[np.bool_]:
         most = len(self.rates) - 1
         is_inside = (first >= 0) & (last <= most)
-        low, high = (np.clip(place, 0, most).astype(np.int64) for place in (np.floor(first), np.ceil(last)))
+        low, high = (np.clip(step, 0, most).astype(np.int64) for step in (np.floor(first), np.ceil(last)))
         before = np.where(low > 0, self.unknown[low - 1], 0)
         return np.asarray(is_inside & (self.unknown[high] == before))
 
@@ -55,7 +55,7 @@ def sensor_motion(track: Trajectory, ego_from_sensor: SE3, max_gap_ns: int) -> S
         return None
     before, after = (track.at(times_ns + at_ns, max_gap_ns) for at_ns in (-HALF_SPAN_NS, HALF_SPAN_NS))
     is_known = before.is_ok & after.is_ok & (before.segment == after.segment)
-    first, last = (found.map_from_ego @ ego_from_sensor for found in (before, after))
+    first, last = (poses.map_from_ego @ ego_from_sensor for poses in (before, after))
     way_sensor = rotate(first.inverse().wxyz, last.translation_m - first.translation_m)
     turn_sensor = rotation_vectors((first.inverse() @ last).wxyz)
     # Halfway, the sensor has turned by half: its velocity is expressed in these axes.
@@ -67,5 +67,5 @@ def sensor_motion(track: Trajectory, ego_from_sensor: SE3, max_gap_ns: int) -> S
     return SensorMotion(HALF_SPAN_NS * 1e-9, rates, sums, np.cumsum(~is_known).astype(np.float64))
 
 
-def _linear(place: Array, values: Array) -> Array:
-    return np.asarray(np.interp(place, np.arange(len(values)), values))
+def _linear(position: Array, values: Array) -> Array:
+    return np.asarray(np.interp(position, np.arange(len(values)), values))

@@ -59,8 +59,8 @@ def repeated_rows(first: TopicMessages, second: TopicMessages, tolerance_ns: int
 
     They have the same content and the same stamp, or without a stamp, log times within `tolerance_ns`.
     """
-    one, two = _keys(first.digests, first.stamps_ns), _keys(second.digests, second.stamps_ns)
-    is_same = np.isin(two, one[first.stamps_ns != 0]) & (second.stamps_ns != 0)
+    first_keys, second_keys = _keys(first.digests, first.stamps_ns), _keys(second.digests, second.stamps_ns)
+    is_same = np.isin(second_keys, first_keys[first.stamps_ns != 0]) & (second.stamps_ns != 0)
     rows, others = (np.flatnonzero(messages.stamps_ns == 0) for messages in (first, second))
     is_same[others] = _is_logged_near(
         (first.digests[rows], first.log_times_ns[rows]),
@@ -96,14 +96,14 @@ def _is_logged_near(
     for other in (before, after):
         is_same = is_first[other] & (digests[other] == digests)
         is_near |= is_same & (np.abs(times_ns[other] - times_ns) <= tolerance_ns)
-    found = np.zeros(len(order), np.bool_)
-    found[order] = is_near
-    return found[len(first[0]) :]
+    is_repeat = np.zeros(len(order), np.bool_)
+    is_repeat[order] = is_near
+    return is_repeat[len(first[0]) :]
 
 
 def _once_in_both(first: NDArray[np.uint64], second: NDArray[np.uint64]) -> tuple[NDArray[np.int64], ...]:
-    (one, rows), (two, others) = (_once(digests) for digests in (first, second))
-    _shared, at, of = np.intersect1d(one, two, assume_unique=True, return_indices=True)
+    (first_digests, rows), (second_digests, others) = (_once(digests) for digests in (first, second))
+    _shared, at, of = np.intersect1d(first_digests, second_digests, assume_unique=True, return_indices=True)
     return rows[at].astype(np.int64), others[of].astype(np.int64)
 
 

@@ -101,12 +101,12 @@ def triggers_of(fired_ns: NDArray[np.int64], looks_ns: NDArray[np.int64], period
         return None
     away_ns = wrapped_ns(fired_ns[:, None] - looks_ns[None, :], period_ns)
     delays = [0, *np.diag(away_ns).tolist()]
-    found = [_with_delay(away_ns, delay_ns, period_ns) for delay_ns in delays]
-    counts = [int(is_explained.sum()) for _triggers, is_explained in found]
-    best = max(range(len(found)), key=lambda at: (counts[at], -abs(delays[at])))
+    fits = [_with_delay(away_ns, delay_ns, period_ns) for delay_ns in delays]
+    counts = [int(is_explained.sum()) for _triggers, is_explained in fits]
+    best = max(range(len(fits)), key=lambda at: (counts[at], -abs(delays[at])))
     late_least = max(LEAST_AGREEING_LATE, AGREEING_LATE_RATIO * len(fired_ns))
     least = AGREEING_RATIO * len(fired_ns) if abs(delays[best]) <= ON_TIME_NS else late_least
-    return found[best][0] if counts[best] >= least else None
+    return fits[best][0] if counts[best] >= least else None
 
 
 def _with_delay(away_ns: NDArray[np.int64], delay_ns: int, period_ns: int) -> tuple[Triggers, NDArray[np.bool_]]:
@@ -130,8 +130,8 @@ def _is_exchanged(nearest: NDArray[np.int64], is_candidate: NDArray[np.bool_]) -
     """
     on_cycle = np.zeros(len(nearest), np.bool_)
     for camera in np.flatnonzero(is_candidate).tolist():
-        place, steps = int(nearest[camera]), 1
-        while is_candidate[place] and place != camera and steps < len(nearest):
-            place, steps = int(nearest[place]), steps + 1
-        on_cycle[camera] = place == camera and steps > 1
+        camera_at, steps = int(nearest[camera]), 1
+        while is_candidate[camera_at] and camera_at != camera and steps < len(nearest):
+            camera_at, steps = int(nearest[camera_at]), steps + 1
+        on_cycle[camera] = camera_at == camera and steps > 1
     return on_cycle

@@ -95,23 +95,23 @@ def continues(earlier: DrivenTrack, later: DrivenTrack) -> bool:
 
 def drives_of(tracks: Mapping[str, DrivenTrack]) -> dict[str, tuple[str, ...]]:
     """Return each sequence's drive by its id: the ids of the drive's sequences in the order of their first stamps."""
-    order = sorted(tracks, key=lambda one: (tracks[one].first_ns, one))
-    drive_of = {one: [one] for one in order}
+    order = sorted(tracks, key=lambda name: (tracks[name].first_ns, name))
+    drive_of = {name: [name] for name in order}
     open_until_ns = int(LONGEST_GAP_S * 1e9)
     active = list[str]()
-    for one in order:
-        active = [other for other in active if tracks[other].last_ns + open_until_ns >= tracks[one].first_ns]
+    for name in order:
+        active = [other for other in active if tracks[other].last_ns + open_until_ns >= tracks[name].first_ns]
         for other in active:
-            if drive_of[other] is not drive_of[one] and continues(tracks[other], tracks[one]):
-                drive_of[other].extend(drive_of[one])
-                drive_of |= dict.fromkeys(drive_of[one], drive_of[other])
-        active.append(one)
-    rank = {one: number for number, one in enumerate(order)}
-    return {one: tuple(sorted(drive, key=rank.__getitem__)) for one, drive in drive_of.items()}
+            if drive_of[other] is not drive_of[name] and continues(tracks[other], tracks[name]):
+                drive_of[other].extend(drive_of[name])
+                drive_of |= dict.fromkeys(drive_of[name], drive_of[other])
+        active.append(name)
+    rank = {name: number for number, name in enumerate(order)}
+    return {name: tuple(sorted(drive, key=rank.__getitem__)) for name, drive in drive_of.items()}
 
 
-def _contradict(one: str, other: str) -> bool:
-    return bool(one and other) and one != other
+def _contradict(first: str, second: str) -> bool:
+    return bool(first and second) and first != second
 
 
 def _joins(earlier: DrivenTrack, later: DrivenTrack, gap_s: float) -> bool:
@@ -123,8 +123,8 @@ def _joins(earlier: DrivenTrack, later: DrivenTrack, gap_s: float) -> bool:
     return all(_apart_m(earlier, later, at) <= SLACK_M + SPACING_M for at in (later.first_ns, both_end_ns))
 
 
-def _apart_m(one: DrivenTrack, other: DrivenTrack, at_ns: int) -> float:
-    return float(np.linalg.norm(_place_at(one, at_ns) - _place_at(other, at_ns)))
+def _apart_m(first: DrivenTrack, second: DrivenTrack, at_ns: int) -> float:
+    return float(np.linalg.norm(_place_at(first, at_ns) - _place_at(second, at_ns)))
 
 
 def _place_at(track: DrivenTrack, at_ns: int) -> NDArray[np.float64]:
@@ -151,7 +151,7 @@ class TrackGap:
 
 def gap_between(first: Mapping[str, DrivenTrack | None], second: Mapping[str, DrivenTrack | None]) -> TrackGap:
     """Return the gap between two groups; distances are exact to half of `MEASURED_M`, or of a long track's spacing."""
-    known, others = ({one: track for one, track in of.items() if track} for of in (first, second))
+    known, others = ({key: track for key, track in of.items() if track} for of in (first, second))
     unknown = len(first) + len(second) - len(known) - len(others)
     distance_m, nearest = min(_distances(known, others), default=(None, None))
     time_s, soonest = _least_time(known, others)
@@ -177,14 +177,14 @@ def _distances(
 def _points(tracks: Mapping[str, DrivenTrack], name: str) -> tuple[list[str], NDArray[np.float64]]:
     """Return points along the tracks in this map, `MEASURED_M` apart, and the sequence of each."""
     ids, points = list[str](), list[NDArray[np.float64]]()
-    for one, track in tracks.items():
+    for sequence, track in tracks.items():
         if track.map != name:
             continue
         rows = np.array(track.places)[:, 1:]
         way_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(rows, axis=0), axis=1))])
         at_m = np.linspace(0.0, way_m[-1], 2 + int(way_m[-1] / MEASURED_M))
         points.append(np.column_stack([np.interp(at_m, way_m, rows[:, axis]) for axis in range(3)]))
-        ids += [one] * len(at_m)
+        ids += [sequence] * len(at_m)
     return ids, np.concatenate(points)
 
 
@@ -194,8 +194,8 @@ def _least_time(
     """Return the minimum time in seconds (0 if two overlap in time), and its two sequences."""
     if not (first and second):
         return None, None
-    begin, end = (np.array([getattr(one, name) for one in first.values()]) for name in ("first_ns", "last_ns"))
-    others = [np.array([getattr(one, name) for one in second.values()]) for name in ("first_ns", "last_ns")]
+    begin, end = (np.array([getattr(track, name) for track in first.values()]) for name in ("first_ns", "last_ns"))
+    others = [np.array([getattr(track, name) for track in second.values()]) for name in ("first_ns", "last_ns")]
     between_ns = np.maximum(np.maximum(others[0] - end[:, None], begin[:, None] - others[1]), 0)
     row, column = np.unravel_index(int(between_ns.argmin()), between_ns.shape)
     return float(between_ns[row, column]) / 1e9, (list(first)[row], list(second)[column])

@@ -123,8 +123,8 @@ def _split(entries: tuple[CatalogueEntry, ...], parts: tuple[int, ...]) -> Split
 
 
 def _shares(entries: tuple[CatalogueEntry, ...], split: Split, parts: tuple[int, ...]) -> PartShares:
-    of_parts = {one for part in parts for one in tuple(split.parts.values())[part]}
-    everything = {one for ids in split.parts.values() for one in ids}
+    of_parts = {entry_id for part in parts for entry_id in tuple(split.parts.values())[part]}
+    everything = {entry_id for ids in split.parts.values() for entry_id in ids}
     sums = sums_of(entry for entry in entries if entry.id in of_parts)
     whole = sums_of(entry for entry in entries if entry.id in everything)
     return PartShares(
@@ -144,8 +144,8 @@ def _facts(rule: Rule, sought: SplitTask) -> tuple[tuple[CatalogueEntry, ...], s
     entries, sizes = sought.entries, sought.sizes
     usable = tuple(entry for entry in entries if is_long_enough(entry))
     if rule.code == SIZES:
-        asked = f"{' + '.join(map(str, sizes))} = {sum(sizes)} sequences are requested for train, val and test"
-        return (), f"{asked}; {len(entries)} exist, {len(usable)} of at least 20 s"
+        requested = f"{' + '.join(map(str, sizes))} = {sum(sizes)} sequences are requested for train, val and test"
+        return (), f"{requested}; {len(entries)} exist, {len(usable)} of at least 20 s"
     if rule.code == LENGTH:
         short = tuple(entry for entry in entries if not is_long_enough(entry))
         return short, f"{len(short)} of {len(entries)} sequences are shorter than 20 s: {_names(short)}"

@@ -35,15 +35,15 @@ NAMED = 3
 def check_whole(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleFinding, ...]:
     """Check that every sequence is known, in one part, once, and without a duplicate."""
     known = {entry.id: entry for entry in catalogue}
-    times = Counter(one for ids in split.parts.values() for one in ids)
-    unknown = tuple(sorted(one for one in times if one not in known))
-    repeated = tuple(sorted(one for one, count in times.items() if count > 1))
+    times = Counter(entry_id for ids in split.parts.values() for entry_id in ids)
+    unknown = tuple(sorted(entry_id for entry_id in times if entry_id not in known))
+    repeated = tuple(sorted(entry_id for entry_id, count in times.items() if count > 1))
     findings = []
     if unknown:
         findings.append(_error(WHOLE, f"{_many(unknown)} not in the catalogue of labelled sequences", unknown))
     if repeated:
         findings.append(_error(WHOLE, f"{_many(repeated)} listed more than once; use each in one split", repeated))
-    assigned = [known[one] for one in sorted(times) if one in known]
+    assigned = [known[entry_id] for entry_id in sorted(times) if entry_id in known]
     for why, twins in twins_of(assigned):
         ids = tuple(entry.id for entry in twins)
         names = ", ".join(entry.name for entry in twins)
@@ -61,9 +61,12 @@ def check_drives(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[Rul
         for entry in members:
             names.setdefault(part_of[entry.id], []).append(entry.name)
         if len(names) > 1:
-            found = " and ".join(f"{len(ones)} in {part} ({_some(ones)})" for part, ones in names.items())
+            distribution = " and ".join(
+                f"{len(members_of_part)} in {part} ({_some(members_of_part)})"
+                for part, members_of_part in names.items()
+            )
             message = (
-                f"drive {name!r} is divided: of its {len(members)} consecutive sequences, {found}; put all of "
+                f"drive {name!r} is divided: of its {len(members)} consecutive sequences, {distribution}; put all of "
                 "them into one split, or remove some so that one split remains"
             )
             findings.append(_error(DRIVES, message, tuple(entry.id for entry in members)))
@@ -133,9 +136,9 @@ def check_said(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleF
 def check_exposed(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleFinding, ...]:
     """Return a warning for each test sequence whose labels may be known: known labels win the benchmark."""
     exposed = [entry for part, entry in _assigned(split, catalogue) if part == "test" and entry.exposure]
-    told = "is in test, and its labels may be known"
+    problem = "is in test, and its labels may be known"
     return tuple(
-        RuleFinding(EXPOSED, "warning", f"{entry.name} {told}: {entry.exposure}", (entry.id,)) for entry in exposed
+        RuleFinding(EXPOSED, "warning", f"{entry.name} {problem}: {entry.exposure}", (entry.id,)) for entry in exposed
     )
 
 
@@ -177,7 +180,7 @@ def _check_conditions(rule: str, split: Split, catalogue: tuple[CatalogueEntry, 
 def _assigned(split: Split, catalogue: Iterable[CatalogueEntry]) -> list[tuple[Part, CatalogueEntry]]:
     """Return (part, entry) of the split's known sequences, in the split's order."""
     known = {entry.id: entry for entry in catalogue}
-    return [(part, known[one]) for part, ids in split.parts.items() for one in ids if one in known]
+    return [(part, known[entry_id]) for part, ids in split.parts.items() for entry_id in ids if entry_id in known]
 
 
 def _many(ids: tuple[str, ...]) -> str:

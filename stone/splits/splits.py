@@ -83,9 +83,9 @@ class Condition:
         regions = {entry.region_key for entry in self.entries}
         drives = len({entry.drive_key for entry in self.entries})
         if drives < len(parts):
-            found = counted(len(self.entries), "sequence")
-            found += f" of {counted(drives, 'drive')}" if drives < len(self.entries) else ""
-            return f"only {found} of at least 20 s, but {len(parts)} splits each require one"
+            available = counted(len(self.entries), "sequence")
+            available += f" of {counted(drives, 'drive')}" if drives < len(self.entries) else ""
+            return f"only {available} of at least 20 s, but {len(parts)} splits each require one"
         if {"train", "test"} <= {*parts} and len(regions) < 2:
             return f"its {len(self.entries)} sequences lie in one region, and test and train must not share a region"
         return ""

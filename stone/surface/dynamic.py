@@ -60,8 +60,8 @@ class MotionVotes:
         views = SE3(np.stack([image.map_from_view.wxyz_xyz for image in images]))
         matrices, limits = views.inverse().as_matrix(), (p.min_range_m**2, p.max_range_m**2, p.margin_m)
         pixels = np.empty(2 * images[0].ranges_m.size, np.float32)
-        for image, matrix, place in zip(images, matrices, views.translation_m, strict=True):
-            if not _mark_near(self._boxes, place, (p.max_range_m + SLACK_M) ** 2, self._is_near):
+        for image, matrix, position in zip(images, matrices, views.translation_m, strict=True):
+            if not _mark_near(self._boxes, position, (p.max_range_m + SLACK_M) ** 2, self._is_near):
                 continue
             _pair_up(image.ranges_m, pixels)
             view = (matrix, pixels, image.ranges_m.shape, lens_of(p))
@@ -105,13 +105,13 @@ def carried_along(
 
 
 @njit(cache=True, nogil=True)
-def _mark_near(boxes, place, reach_squared, near):  # type: ignore[no-untyped-def]
+def _mark_near(boxes, position, reach_squared, near):  # type: ignore[no-untyped-def]
     """Mark the blocks with a box within reach of a position (3,); return whether there is any."""
     (low, high), is_any_near = boxes, False
     for b in range(near.size):
         square = 0.0
         for axis in range(3):
-            gap = max(0.0, low[b, axis] - place[axis], place[axis] - high[b, axis])
+            gap = max(0.0, low[b, axis] - position[axis], position[axis] - high[b, axis])
             square += gap * gap
         near[b] = square < reach_squared
         is_any_near |= near[b]

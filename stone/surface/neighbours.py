@@ -64,13 +64,13 @@ def plane_fits_at(cells: Cells, places: NDArray[np.float64], k: int) -> PlaneFit
     return _fits(cells, (np.ascontiguousarray(places), np.arange(len(cells.keys) + 1)), k)
 
 
-def _fits(cells: Cells, asked: tuple[NDArray[np.float64], NDArray[np.int64]], k: int) -> PlaneFits:
+def _fits(cells: Cells, requested: tuple[NDArray[np.float64], NDArray[np.int64]], k: int) -> PlaneFits:
     """Return the planes around the requested positions (Q, 3); cell c has asked[1][c] to asked[1][c + 1]."""
-    mean_square = np.empty(len(asked[0]))
-    normals = np.zeros((len(asked[0]), 3))
+    mean_square = np.empty(len(requested[0]))
+    normals = np.zeros((len(requested[0]), 3))
     crowd = int(np.diff(cells.start).max(initial=0))
     room = k + min(len(cells.points), SEARCHED * crowd)
-    fit((cells.points, *asked), (cells.keys, cells.start, cells.size_m), k, room, (mean_square, normals))
+    fit((cells.points, *requested), (cells.keys, cells.start, cells.size_m), k, room, (mean_square, normals))
     return PlaneFits(mean_square, normals)
 
 
@@ -216,9 +216,9 @@ def _open_columns(keys, key, reach, columns):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _gather(points, rows, at, found, count):  # type: ignore[no-untyped-def]
+def _gather(points, rows, at, candidates, count):  # type: ignore[no-untyped-def]
     """Append the points of a range with their squared distances; return the new number."""
-    distances, numbers = found
+    distances, numbers = candidates
     for b in range(rows[0], rows[1]):
         distances[count] = (points[b, 0] - at[0]) ** 2 + (points[b, 1] - at[1]) ** 2 + (points[b, 2] - at[2]) ** 2
         numbers[count] = b
@@ -227,9 +227,9 @@ def _gather(points, rows, at, found, count):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _gather_nearer(points, rows, at, found, count, limit):  # type: ignore[no-untyped-def]
+def _gather_nearer(points, rows, at, candidates, count, limit):  # type: ignore[no-untyped-def]
     """Append only the points nearer than `limit` (squared); return the new number."""
-    distances, numbers = found
+    distances, numbers = candidates
     for b in range(rows[0], rows[1]):
         d = (points[b, 0] - at[0]) ** 2 + (points[b, 1] - at[1]) ** 2 + (points[b, 2] - at[2]) ** 2
         distances[count], numbers[count] = d, b
@@ -238,30 +238,30 @@ def _gather_nearer(points, rows, at, found, count, limit):  # type: ignore[no-un
 
 
 @njit(cache=True, nogil=True)
-def _gather_ring(points, start, columns, place, found, count, limit):  # type: ignore[no-untyped-def]
+def _gather_ring(points, start, columns, position, candidates, count, limit):  # type: ignore[no-untyped-def]
     """Append points two cells away and nearer than `limit`: all of the outer columns, and the ends of the columns
     searched before. Columns whose side is farther than the limit are skipped.
     """
-    (near, wide), (at, sides) = columns, place
+    (near, wide), (at, sides) = columns, position
     for column in range(25):
         i, j = column // 5 - 1, column % 5 - 1
         first, end = wide[column, 0], wide[column, 1]
         if 0 <= i < 3 and 0 <= j < 3:
             inner = near[3 * i + j]
-            count = _gather_nearer(points, (start[first], start[inner[0]]), at, found, count, limit)
-            count = _gather_nearer(points, (start[inner[1]], start[end]), at, found, count, limit)
+            count = _gather_nearer(points, (start[first], start[inner[0]]), at, candidates, count, limit)
+            count = _gather_nearer(points, (start[inner[1]], start[end]), at, candidates, count, limit)
             continue
         x_m = sides[0] if i < 0 else sides[1] if i > 2 else 0.0
         y_m = sides[2] if j < 0 else sides[3] if j > 2 else 0.0
         if x_m * x_m + y_m * y_m <= limit * SLACK:
-            count = _gather_nearer(points, (start[first], start[end]), at, found, count, limit)
+            count = _gather_nearer(points, (start[first], start[end]), at, candidates, count, limit)
     return count
 
 
 @njit(cache=True, nogil=True)
-def _keep_nearest(found, count, k, size_m, best):  # type: ignore[no-untyped-def]
+def _keep_nearest(candidates, count, k, size_m, best):  # type: ignore[no-untyped-def]
     """Write the nearest k candidates, sorted; return their number."""
-    (distances, numbers), (kept, rows, bins) = found, best
+    (distances, numbers), (kept, rows, bins) = candidates, best
     scale = BINS / (WIDEST_CELLS * size_m) ** 2
     for b in range(BINS):
         bins[b] = 0
@@ -300,15 +300,15 @@ def _sides(key, size_m, at):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def fit(asked, cells, k, room, out):  # type: ignore[no-untyped-def]
+def fit(requested, cells, k, room, out):  # type: ignore[no-untyped-def]
     """Fill mean squares and normals of the planes through the k points nearest to each requested position; `room` fits
     all candidates of any search, plus k.
     """
-    points, places, first = asked
+    points, places, first = requested
     keys, start, size_m = cells
     mean_square, normals = out
     near, wide = np.zeros((9, 2), np.int64), np.zeros((25, 2), np.int64)
-    found = (np.empty(room), np.empty(room, np.int64))
+    candidates = (np.empty(room), np.empty(room, np.int64))
     best = (np.empty(room), np.empty(room, np.int64), np.empty(BINS, np.int64))
     for c in range(keys.size):
         _open_columns(keys, keys[c], 1, near)
@@ -317,8 +317,8 @@ def fit(asked, cells, k, room, out):  # type: ignore[no-untyped-def]
             at = (places[a, 0], places[a, 1], places[a, 2])
             count = 0
             for column in range(9):
-                count = _gather(points, (start[near[column, 0]], start[near[column, 1]]), at, found, count)
-            count = _keep_nearest(found, count, k, size_m, best)
+                count = _gather(points, (start[near[column, 0]], start[near[column, 1]]), at, candidates, count)
+            count = _keep_nearest(candidates, count, k, size_m, best)
             sides, border = _sides(keys[c], size_m, at)
             limit = best[0][k - 1] if count == k else np.inf
             if limit > border * border:
@@ -326,9 +326,9 @@ def fit(asked, cells, k, room, out):  # type: ignore[no-untyped-def]
                     _open_columns(keys, keys[c], 2, wide)
                     is_wide_open = True
                 for t in range(count):
-                    found[0][t], found[1][t] = best[0][t], best[1][t]
-                count = _gather_ring(points, start, (near, wide), (at, sides), found, count, limit)
-                count = _keep_nearest(found, count, k, size_m, best)
+                    candidates[0][t], candidates[1][t] = best[0][t], best[1][t]
+                count = _gather_ring(points, start, (near, wide), (at, sides), candidates, count, limit)
+                count = _keep_nearest(candidates, count, k, size_m, best)
             if count < FEWEST:
                 mean_square[a] = np.nan
                 continue

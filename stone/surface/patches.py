@@ -126,9 +126,9 @@ def mirror_returns(
     sheets = cells[is_sheet], means_map[is_sheet, 2]
     rows = rows[_meets(sheets, width_m, means_map[rows], np.broadcast_to([0.0, 0.0, 1.0], (len(rows), 3)))]
     rows = rows[_meets(sheets, width_m, means_map[rows], views[rows])]
-    found = np.zeros(len(cells), np.bool_)
-    found[rows] = True
-    return found
+    is_mirrored = np.zeros(len(cells), np.bool_)
+    is_mirrored[rows] = True
+    return is_mirrored
 
 
 def _is_within(sheets: Keys) -> NDArray[np.bool_]:
