@@ -1,7 +1,7 @@
 """Frames of a published dataset in the form of exports: the file of each sensor and of the labels.
 
-**Conventions.** In an archive, all files are located when the frames are placed, because the archive's name index is
-valid in one process only (`stone_datasets/files.py`); placed frames can be sent to other processes. Files are opened
+**Conventions.** In an archive, all files are located when the frames are placed, so that placed frames can be sent to
+other processes. The archive's name index is valid in one process only (`stone_datasets/files.py`). Files are opened
 only when they are read.
 """
 

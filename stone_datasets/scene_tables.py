@@ -3,10 +3,10 @@
     <folder of the scene>/<table>.json   for each table of the schema, and splits.json
 
 **Conventions.** A row is written byte for byte; rows with line ends are written as Python's json does, because exports
-have one row per line. Rows keep their order. A scene's files contain its log, the maps of its log, the calibrated
-sensors and ego poses of its data, its samples' annotations and their instances, and all sensors, categories, attributes
-and visibilities. Rows that belong to no scene are left out, like tables outside the schema. A missing schema table is
-written empty.
+have one row per line. Rows keep their order. A scene's files contain its log, its log's maps, the calibrated sensors
+and ego poses of its data, and its samples' annotations with their instances. They also contain all sensors, categories,
+attributes and visibilities. Rows that belong to no scene are left out, like tables outside the schema. A missing schema
+table is written empty.
 """
 
 import json

@@ -1,7 +1,7 @@
 """Stamps of frames: microseconds of a set clock, of a clock that was never set, or stamps in another unit.
 
-**Conventions.** A set clock gives 1990 to 2100. Simulated time and time since boot are outside; the steps between
-frames, 10 ms to 10 s, decide their unit: below 10 in seconds, below 10,000 in milliseconds and so on. A scene with one
+**Conventions.** A set clock gives 1990 to 2100. Simulated time and time since boot are outside. Their unit follows from
+the steps between frames (10 ms to 10 s): below 10 it is seconds, below 10,000 milliseconds and so on. A scene with one
 frame has no step; if its log's date is the stamp's date in another unit, that unit is used.
 """
 

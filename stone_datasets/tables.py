@@ -193,7 +193,7 @@ def _repeated_tokens(tables: DatasetTables, table: str) -> Iterator[DatasetFault
 
 
 def _unique() -> Add:
-    """Return a check for tables of which only the tokens must be unique."""
+    """Return a check that the tokens of a table are unique."""
     seen = set[str]()
 
     def add(_tables: DatasetTables, row: DatasetRow) -> None:

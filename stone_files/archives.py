@@ -1,9 +1,9 @@
 """Virtual tar and zip archives, and the index of a tar: the offset of every byte, from names, sizes and CRCs.
 
-**Conventions.** Only the layout, without content: an archive is a sequence of regions, each with header bytes and
-optionally the content of one member, so any byte range can be served separately. Equal members give equal bytes: every
-file is 0644, owner 0, dated 1980-01-01 (the first zip date; tar warns of 1970). A member's name is a relative path of
-plain ASCII parts, so no system unpacks a file outside its folder.
+**Conventions.** Only the layout, without content. An archive is a sequence of regions, each with header bytes and
+optionally the content of one member, so that any byte range can be served separately. Equal members give equal bytes:
+every file is 0644, owner 0, dated 1980-01-01 (the first zip date; tar warns of 1970). A member's name is a relative
+path of plain ASCII parts, so no system unpacks a file outside its folder.
 
 Source: POSIX.1-2017 pax §"ustar Interchange Format" and §"pax Interchange Format"; PKWARE APPNOTE 6.3.10 §4.3, §4.5.3.
 """

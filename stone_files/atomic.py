@@ -49,7 +49,7 @@ def atomic_directory(path: Path, *, replaces: str | None = None) -> Iterator[Pat
     """Yield an empty folder to fill; at the end, rename it to `path`.
 
     An earlier non-empty `path` is replaced only if it contains an entry named `replaces`, the mark of an earlier output
-    of the same kind: a mistyped `-o ~` must not delete a home folder. The old folder is moved aside, the new folder is
+    of the same kind. A mistyped `-o ~` must not delete a home folder. The old folder is moved aside, the new folder is
     moved in, and then the old folder is deleted. The next run undoes a crash between the two moves. Raises
     `output_exists`, before any work and again at the end, if `path` is a file or another non-empty folder.
     """

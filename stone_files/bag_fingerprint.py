@@ -119,9 +119,9 @@ def stream_sha256(file: FileIO, is_given_up: Callable[[], bool] = lambda: False)
 
 
 # Checks that several uploaded files are one bag: the `.mcap` or `.db3` files of a rosbag2 folder, or the parts of a
-# split ROS 1 `.bag` (`.bag.active` if its recorder crashed); optionally each compressed with zstd, with database
-# journals, metadata.yaml and message definitions (`my_msgs.Reading.msg`). Names are compared case-insensitively, so
-# that any disk can store the folder.
+# split ROS 1 `.bag` (`.bag.active` if its recorder crashed). Each may be compressed with zstd. Database journals,
+# metadata.yaml and message definitions (`my_msgs.Reading.msg`) may be included. Names are compared case-insensitively,
+# so that any disk can store the folder.
 
 
 METADATA = "metadata.yaml"

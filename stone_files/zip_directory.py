@@ -1,9 +1,9 @@
 """A zip's central directory, read with every length checked before anything is read or allocated.
 
 **Conventions.** Offsets and sizes are bytes from the start of the archive. Nothing is trusted, so that no two readers
-can see different files: the directory has exactly the announced records, every header agrees with the directory,
-members share no bytes, and only data descriptors lie between members. Zip64 is supported. The same reader serves a
-submission (a file) and a frame in it (a buffer).
+can see different files. The directory must have exactly the announced records, and every header must agree with it.
+Members must share no bytes, and only data descriptors may lie between them. Zip64 is supported. The same reader serves
+a submission (a file) and a frame in it (a buffer).
 
 Source: PKWARE APPNOTE 6.3.10, §4.3.7, 4.3.9, 4.3.12, 4.4.4, D; overlaps: Fifield, "A better zip bomb" (WOOT 2019).
 """
@@ -313,9 +313,9 @@ def limits_of(offsets: NDArray[np.uint64], packed_bytes: NDArray[np.uint64], end
     return limits
 
 
-# The extra fields of zip headers, as (tag, length, value) with up to three bytes of padding at the end: zip64 sizes,
-# and a second name that must equal the first. Source: PKWARE APPNOTE 6.3.10, §4.5.1, 4.5.3 (zip64), 4.6.9 (Unicode
-# path).
+# The extra fields of zip headers: zip64 sizes, and a second name that must equal the first. Fields are (tag, length,
+# value) with up to three bytes of padding at the end. Source: PKWARE APPNOTE 6.3.10, §4.5.1, 4.5.3 (zip64), 4.6.9
+# (Unicode path).
 
 
 ZIP64_TAG, UNICODE_PATH_TAG = 0x0001, 0x7075

@@ -2,8 +2,8 @@
 
 **Conventions.** Steps are between neighbouring poses: K poses have K − 1. A step is compared with the surrounding
 velocities (the median of five, including its own), so that a fast vehicle is no jump and an outlier gives two. A step
-is a jump if it misses the expected position by more than the vehicle's acceleration (a·dt²) and the source's noise
-allow, or if the robot would have turned implausibly fast.
+is a jump if it misses the expected position by more than a·dt² (a: the vehicle's acceleration) plus the source's noise.
+An implausibly fast turn is a jump too.
 """
 
 from dataclasses import dataclass, replace

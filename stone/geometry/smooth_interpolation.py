@@ -1,12 +1,12 @@
 """Adds poses between those of a smooth source, so that linear interpolation and slerp have a smaller error.
 
-Between two INS samples, 50 ms apart, a robot on rough ground pitches with 2 rad/s²: slerp alone has an error of 0.025°,
-and points deskewed with it are off by 12 mm at 50 m. The polynomial through the six surrounding samples (Lagrange, in
-the tangent of the left one of the middle two; four samples if there are no six) reduces the error to a twentieth.
+A robot on rough ground pitches with 2 rad/s². With INS samples 50 ms apart, slerp alone then has an error of 0.025°, or
+12 mm at 50 m. A Lagrange polynomial through the six (at the ends: four) surrounding samples reduces the error to a
+twentieth. It is computed in the tangent of the left one of the middle two.
 
-**Conventions.** Samples stay unchanged. Nothing is added in the first or last interval of a segment, or if one of the
-three surrounding intervals is longer than `max_gap_ns`, because a polynomial would be a guess. Only for sources that
-are smooth between samples; scan-by-scan odometry is not.
+**Conventions.** Samples stay unchanged. The first and last interval of a segment get no poses. Neither does an interval
+if one of the three around it is longer than `max_gap_ns`: a polynomial would be a guess. Only for sources that are
+smooth between samples; scan-by-scan odometry is not.
 """
 
 from dataclasses import replace

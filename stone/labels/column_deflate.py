@@ -50,8 +50,9 @@ def tokens_of(ones: Words, twos: Words, height: int) -> tuple[NDArray[np.uint16]
 
 
 def _note_eight_of(typing_context: Any, bits: Any, byte: Any, first: Any, near: Any, out: Any, at: Any) -> Any:
-    """Write the positions of a byte's set bits to out[0] from `at` (the first bit has position `first`), and their
-    codes to out[1]: three bits of near[0] from the position, then three of near[1]. Always writes eight values.
+    """Write the positions of a byte's set bits to out[0] from `at` on, and their codes to out[1]. The first bit has
+    position `first`. A code is three bits of near[0] from the position, then three of near[1]. Always write eight
+    values.
     """
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:

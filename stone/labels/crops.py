@@ -66,8 +66,8 @@ def _look_up(labelled, placement, table, grid):  # type: ignore[no-untyped-def]
 
 @dataclass(frozen=True, eq=False)
 class CropPlacement:
-    """Fixed-point position of the centre of voxel [0, 0, 0] in the window, `start` (3,), and its change by one voxel
-    along each ego axis, the columns of `step` (3, 3).
+    """Fixed-point positions in the window: `start` (3,) is the centre of voxel [0, 0, 0], and the columns of `step` (3,
+    3) are the change per voxel along each ego axis.
     """
 
     start: NDArray[np.int64]

@@ -19,7 +19,7 @@ WINDOW_M = 0.5
 WINDOW_VOXELS = 3
 REACH = int(WINDOW_M / VOXEL_M)
 FEWEST = 4
-LEAST_SPREAD = 1e-6  # of a plane's normal equations, m⁴: collinear columns fit no plane
+LEAST_SPREAD = 1e-6  # least spread of a plane's normal equations, m⁴
 
 
 @dataclass(frozen=True, eq=False)

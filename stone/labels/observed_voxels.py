@@ -32,11 +32,11 @@ AHEAD = 16  # bricks prefetched at once
 class CarveParameters:
     """Parameters of ray thinning.
 
-    Neighbouring rays pass the same voxels near the sensor. In a sweep of more than `sparse_rays` rays, one ray in eight
-    therefore starts at the sensor, a second one at `thin_m`, two more at twice and the other four at three times that
-    range; each range still has more than one ray per voxel.
+    Neighbouring rays pass the same voxels near the sensor. In a sweep of more than `sparse_rays` rays, only one ray in
+    eight therefore starts at the sensor. A second one starts at `thin_m`, two more at twice and the other four at three
+    times that range. Each range still has more than one ray per voxel.
 
-    Neighbouring sweeps overlap too. Of sweeps with N rays, one in N / `rays_per_sweep` is followed, rounded down, and
+    Neighbouring sweeps overlap too. One sweep in N / `rays_per_sweep` is followed (N rays per sweep, rounded down), and
     at least one in `every_frame`.
     """
 
@@ -308,10 +308,10 @@ def _rehash(old, new):  # type: ignore[no-untyped-def]
 # Follows rays through the voxel lattice, `LANES` of them in parallel to hide latency. A window has 2^bits bricks along
 # each axis, and a voxel's place in it is brick · 64 + bit (`stone.labels.observed_voxels`). Each axis has its own bits
 # of a place, its share, and a step along the axis changes only these (Schrack, 1992). Rays that leave the window at one
-# end enter it at the other. Time along a ray is counted in 2^-44 voxels, finer than the rounding of doubles; the lowest
-# bits are a number of the axis and direction, so that no two crossings coincide. Rays are stored side by side: `times`
-# (7, R) are the next crossings of x, y, z, the duration of a voxel along each, and the end; `cells` (6, R) are the
-# shares of x, y, z and their increments. Source: Amanatides & Woo (1987).
+# end enter it at the other. Time along a ray is counted in 2^-44 voxels, finer than the rounding of doubles. The lowest
+# bits number the axis and direction, so that no two crossings coincide. Rays are stored side by side. `times` (7, R)
+# are the next crossings of x, y, z, the time per voxel along each, and the end. `cells` (6, R) are the shares of x, y,
+# z and their increments. Source: Amanatides & Woo (1987).
 
 
 LANES = 16

@@ -12,7 +12,7 @@ from stone.labels.grid import HIGH, LOW, OCCUPIED
 
 FRACTION_BITS = 20
 ONE = 1 << FRACTION_BITS
-CLASS_1, CLASS_2, LABELLED, SEEN = range(4)  # of a row: the words of the bits `LOW`, `HIGH`, `OCCUPIED` and `OBSERVED`
+CLASS_1, CLASS_2, LABELLED, SEEN = range(4)  # words of a row: bits `LOW`, `HIGH`, `OCCUPIED` and `OBSERVED`
 NOT_ASKED = np.zeros((0, 0, 0, 3), np.int32)  # the source voxels of closed gaps are not requested
 
 

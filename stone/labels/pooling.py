@@ -68,8 +68,8 @@ def _class_of(ones, twos, cube, side):  # type: ignore[no-untyped-def]
 def pooled_further(
     fine: Columns, columns: Columns, further: Mapping[str, NDArray[Any]], grid: LabelGrid
 ) -> dict[str, NDArray[Any]]:
-    """Return further arrays with the grid's shape, by name, from arrays of `grid.on_map`: each voxel is the mean of its
-    map voxels with its class, or of all its map voxels without a surface.
+    """Return further arrays with the grid's shape, by name, from arrays of `grid.on_map`. Each voxel is the mean of its
+    map voxels with the same class; without a surface, of all its map voxels.
     """
     n, (x, y, z) = grid.pooled, grid.shape
     cubes, height = (x, n, y, n, z, n), n * z

@@ -2,8 +2,8 @@
 
 **Conventions.** `paper` is the paper's method: absolute elevation, slope and roughness of the vertices in the voxel
 (Eq. 4–6). `local` replaces the elevation by the height above the ground nearby. `field` also averages slope and
-roughness over the voxel's neighbours (most voxels contain a single vertex), penalises only features that are higher,
-steeper or rougher than the driven ground, and labels N what the vehicle cannot drive over or under.
+roughness over the voxel's neighbours, because most voxels contain a single vertex. It penalises only features that are
+higher, steeper or rougher than the driven ground. Obstacles that the vehicle cannot drive over or under are N.
 """
 
 from collections.abc import Mapping
@@ -46,8 +46,9 @@ FEATURES, HEIGHT, POOLED, SLOPE, STEP, CLEARANCE, LOOKS = slice(0, 3), 3, slice(
 class VoxelTerrain:
     """The properties of the voxels `keys` (K,) that profiles use, in `columns` (K, 11).
 
-    The columns are the features of Eq. 4–5; height above the local ground, m; the pooled features; the slope under a
-    footprint, rad; the step, m; the clearance, m; the number of frames that hit the voxel.
+    The first columns are the features of Eq. 4–5, the height above the local ground (m), and the pooled features. Then
+    follow the slope under a footprint (rad), the step (m), the clearance (m), and the number of frames that hit the
+    voxel.
     """
 
     keys: Keys

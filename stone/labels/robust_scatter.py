@@ -1,8 +1,8 @@
 """Robust location and scatter: the minimum covariance determinant, which resists a few wrong voxels.
 
-**Conventions.** Of n rows, the h rows with the smallest covariance determinant are searched (Rousseeuw, 1985) by
+**Conventions.** The method searches the h of n rows with the smallest covariance determinant (Rousseeuw, 1985). It uses
 concentration steps (Rousseeuw and Van Driessen, 1999) from deterministic starts (Hubert, Rousseeuw and Verdonck, 2012),
-and reweighted once. Scatter is scaled to be consistent for Gaussian rows.
+and reweights once. Scatter is scaled to be consistent for Gaussian rows.
 """
 
 import math
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from stone.sensors.clocks import MAD_TO_SIGMA
 
 MOST_STEPS = 100
-RIDGE = 1e-9  # of the rows' spread: a constant feature has no variance to divide by
+RIDGE = 1e-9  # relative to the rows' spread: a constant feature has no variance to divide by
 INLIER_RATIO = 0.975
 
 Array = NDArray[np.float64]
@@ -31,9 +31,7 @@ class Scatter:
 
 
 def robust_scatter(rows: Array, outlier_ratio: float) -> Scatter:
-    """Return the scatter of rows (n, d), of which up to the share `outlier_ratio` (0 to 0.5) may be outliers; n > d +
-    1.
-    """
+    """Return the scatter of rows (n, d), n > d + 1, with up to the share `outlier_ratio` (0 to 0.5) of outliers."""
     count, width = rows.shape
     kept = max(math.ceil((1.0 - outlier_ratio) * count), width + 1)
     middle, spread = middle_and_spread(rows)
@@ -58,8 +56,8 @@ def _starts(scaled: Array, kept: int) -> Iterator[NDArray[np.int64]]:
 
 
 def _concentrated(scaled: Array, subset: NDArray[np.int64], kept: int) -> tuple[Array, Array]:
-    """Return mean and covariance after concentration steps, each of which selects the `kept` nearest rows; the
-    determinant decreases until it is constant.
+    """Return mean and covariance after concentration steps. Each step selects the `kept` nearest rows, until the
+    determinant is constant.
     """
     moments = _moments(scaled, subset)
     for _ in range(MOST_STEPS):

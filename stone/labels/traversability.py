@@ -120,7 +120,7 @@ def reference_of(sums: FeatureSums, parameters: ReferenceParameters) -> Referenc
 def robust_reference_of(features: Array, parameters: ReferenceParameters) -> Reference:
     """Return robust mean and covariance of F (n, 3) over T for up to `outlier_ratio` outliers.
 
-    Raises `no_reference` below 5 voxels, of which none can be excluded.
+    Raises `no_reference` below 5 voxels, because none can be excluded.
     """
     if len(features) < FEWEST_ROBUST:
         raise no_reference(len(features), FEWEST_ROBUST)

@@ -1,12 +1,12 @@
 """Visibility of the grid's voxels from one camera, including occlusion.
 
 **Conventions.** Grids as in `stone_base.label_grid`. Sight is computed voxel by voxel outwards. The openness of the way
-to a voxel is the openness at the point one step nearer to the camera, interpolated between the four voxels around that
-point (XDraw: Franklin & Ray, 1994). A free voxel is seen if its way is at least half open. A labelled voxel is also
-seen if a free voxel next to one of its camera-facing sides is, because the line ends there (at a grazing angle, the way
-to its centre passes through other ground). A single neighbour instead of four would bend lines towards the grid's axes.
-The steps depend only on the calibration, so they are computed once per robot; `stone.labels.sight_batches` follows them
-for many frames at once.
+to a voxel is the openness at the point one step nearer to the camera. It is interpolated between the four voxels around
+that point (XDraw: Franklin & Ray, 1994). A free voxel is seen if its way is at least half open. A labelled voxel is
+also seen if a free voxel next to one of its camera-facing sides is, because the line ends there. At a grazing angle,
+the way to its centre passes through other ground. A single neighbour instead of four would bend lines towards the
+grid's axes. The steps depend only on the calibration, so they are computed once per robot; `stone.labels.sight_batches`
+follows them for many frames at once.
 
 The grid has a frame of one voxel on every side, which is open, for points nearer than its border.
 """
@@ -34,10 +34,10 @@ IN_IMAGE = np.uint32(1 << 31)
 class SightLines:
     """Voxels in and around the image, each after all voxels before it on its line.
 
-    `place` (S,) uint32: bits 0–21 the voxel in the framed grid, flat; bits 22–26 the way to the four voxels around the
-    point one step nearer, a row of `ways()`; bits 27–29 whether its side on x, y, z faces the camera and the voxel
-    before it is in view; bit 31 whether it is in the image. `weight` (S, 4) uint8: the weights of the four voxels, with
-    sum `OPEN`.
+    `place` (S,) uint32: bits 0–21 are the voxel in the framed grid, flat. Bits 22–26 are the way to the four voxels
+    around the point one step nearer, a row of `ways()`. Bits 27–29: its side on x, y, z faces the camera and the voxel
+    before it is in view. Bit 31: it is in the image. `weight` (S, 4) uint8: the weights of the four voxels, with sum
+    `OPEN`.
     """
 
     place: NDArray[np.uint32]
@@ -50,8 +50,8 @@ def framed(shape: tuple[int, ...]) -> tuple[int, int, int]:
 
 
 def ways(shape: tuple[int, ...]) -> NDArray[np.int64]:
-    """Return (25, 6) flat steps in the framed grid by way: to the first of the four, to the second, from the first to
-    the third, and towards the camera along x, y and z.
+    """Return (25, 6) flat steps in the framed grid by way. The steps lead to the first of the four, to the second, from
+    the first to the third, and towards the camera along x, y and z.
     """
     table, size = np.zeros((25, 6), np.int64), framed(shape)
     strides = size[1] * size[2], size[2], 1
@@ -73,8 +73,8 @@ def _way_of(code: int) -> tuple[int, int, int, int]:
 def sight_lines(intrinsics: CameraIntrinsics, ego_from_camera: SE3, grid: LabelGrid = PAPER) -> SightLines:
     """Return the sight lines of one camera through the grid.
 
-    The image border is the undistorted pinhole's: within the grid's range, distortion bends lines inside the image by
-    less than a voxel, and distortion models that fold back would include voxels behind the border.
+    The image border is the undistorted pinhole's. Within the grid's range, distortion bends lines inside the image by
+    less than a voxel. Distortion models that fold back would include voxels behind the border.
     """
     k = intrinsics
     image = np.array([k.fx_px, k.fy_px, k.cx_px, k.cy_px, k.width_px, k.height_px], np.float64)

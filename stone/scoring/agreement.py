@@ -1,11 +1,11 @@
-"""Agreement of two label sets A and B of the same frames, neither of which is the truth.
+"""Agreement of two label sets A and B of the same frames; neither is the truth.
 
 **Conventions.** A confusion matrix is [A, B] over the classes 0 free, 1 traversable (T), 2 potentially traversable (P),
 3 non-traversable (N). The ratios of `stone.scoring.confusion` over all voxels are symmetric in A and B, so they also
 apply to two label sets. The *agreement* is the share of voxels with the same class, among the voxels that are occupied
 in A or B; undefined (NaN) if neither has an occupied voxel.
 
-A voxel *differs* in one of four ways, coded as `DIFFERENCES`: occupied only in A, only in B, or occupied in both with a
+A voxel *differs* in one of four ways, coded as `DIFFERENCES`. It is occupied only in A, only in B, or in both with a
 class in B that is easier (T before P before N) or harder to drive.
 """
 

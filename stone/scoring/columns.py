@@ -10,7 +10,7 @@ evaluated voxels only, and prediction columns that may contain others.
 - The *class of a column* is the worst (N, P, T, free) of its voxels, without the N voxels that are higher above its
   lowest T or P than the robot's height.
 
-Both are counted in at most `COUNTED_FRAMES` frames of a submission (`frame_counts.py`), evenly spaced: neighbouring
+Both are counted in at most `COUNTED_FRAMES` evenly spaced frames of a submission (`frame_counts.py`). Neighbouring
 frames overlap, and these counts take half as long as all other work on a frame.
 """
 

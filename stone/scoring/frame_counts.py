@@ -88,5 +88,5 @@ def overhead_voxels(voxel_m: float) -> int:
 
 
 def counted_every(frames: int) -> int:
-    """Return n: of this many frames, the first and every n-th are counted."""
+    """Return n: the first and every n-th frame are counted."""
     return max(1, -(-frames // COUNTED_FRAMES))

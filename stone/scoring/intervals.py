@@ -39,8 +39,8 @@ from stone.scoring.spectra import (
 )
 from stone.scoring.student import critical_value, two_sided
 
-# Influence of each frame on a ratio of sums, to first order: r = g(C), C = Σ_f c_f; z_f = ∇g(C) · c_f. Σ_f z_f = 0,
-# because a ratio does not change if all counts grow by the same factor. The variation of z along a sequence is the
+# Influence of each frame on a ratio of sums, to first order: z_f = ∇g(C) · c_f with r = g(C), C = Σ_f c_f. Their sum is
+# 0, because a ratio does not change if all counts grow by the same factor. The variation of z along a sequence is the
 # ratio's uncertainty. Confusion matrices are (F, 4, 4) by frame; influences (F, 5) float64, columns
 # `stone.scoring.metric.RATIOS`, NaN if the ratio is undefined. For a − b they are z_a − z_b. Source: the influence
 # function, Hampel (1974); as the linearisation of a ratio estimator, Woodruff (1971).
@@ -118,15 +118,15 @@ SILENCES: Mapping[Silence, str] = {
 
 LEVEL = 0.95
 LEAST_SPREAD = 0.5
-LEAST_WANDER = 1e-12  # of a ratio: less is rounding
+LEAST_WANDER = 1e-12  # a smaller variation of a ratio is rounding
 
 
 @dataclass(frozen=True, eq=False)
 class RatioSpectra:
     """Data for the uncertainty of a score, and of its difference from other scores.
 
-    `coefficients` (K, 5) of the influences; `sequence_weight` (S, 5) each sequence's share of each ratio's union;
-    `spread` (5,) the share of frames over which that union is spread, 1 if all frames have the same weight.
+    `coefficients` (K, 5) are those of the influences. `sequence_weight` (S, 5) is each sequence's share of each ratio's
+    union. `spread` (5,) is the share of frames over which that union is spread, 1 if all frames have the same weight.
     """
 
     layout: SpectrumLayout

@@ -2,8 +2,8 @@
 
 **Conventions.** A version never changes: a changed rule is a new version, and a board shows one version at a time. The
 definitions are plain Markdown for people; `confusion.ratios` computes them, and test vectors prove that. The versions
-`-1` have the same ratios as their successors, but too narrow intervals: their scores have no intervals, ties or rank
-intervals, and they cannot be used for new scores. This module loads nothing, so every process may import it.
+`-1` have the same ratios as their successors, but their intervals were too narrow. Their scores have no intervals, ties
+or rank intervals, and they cannot be used for new scores. This module loads nothing, so every process may import it.
 """
 
 from collections.abc import Mapping

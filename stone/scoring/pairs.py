@@ -2,10 +2,10 @@
 
     a is significantly above b  if  (r_a − r_b) / √Var(r_a − r_b) > q(n, ν) / √2
 
-where q is the quantile of Tukey's studentised range of n entries. The probability that *any* two of n equally good
-entries are separated is then the stated one. Among many pairs, some variance estimates are always far too small by
-chance. Therefore no variance is less than the pair's power (the sum of its squared coefficients) times the median ratio
-of variance to power over the board's pairs, which share the ground and its correlation.
+with q the quantile of Tukey's studentised range of n entries. The probability that *any* two of n equally good entries
+are separated is then the stated one. Among many pairs, some variance estimates are always far too small by chance.
+Therefore every variance has a lower limit: the pair's power (sum of squared coefficients) times the median ratio of
+variance to power. The median is over the board's pairs, which share the ground and its correlation.
 
 The variance is that of these places. If it is known for too few pairs, the variance of a new place is used, from the
 pairs' differences in whole sequences. It includes the variation within and between places, so its claims also hold for
@@ -44,7 +44,7 @@ from stone.scoring.spectra import (
 )
 
 PAIRS_AT_ONCE = 4096
-LEAST_TOLD = 0.5  # of pairs: with fewer known variances, the known ones are wrong more often
+LEAST_TOLD = 0.5  # share of pairs: with fewer known variances, the known ones are wrong more often
 Claims = NDArray[np.bool_]
 Places = NDArray[np.int64]
 

@@ -114,19 +114,19 @@ def layout_of(frames_of_sequence: Sequence[int]) -> SpectrumLayout:
 
 # Variance of a sum of correlated influences, from the low-frequency part of their spectrum, or no result. Var(Σ z) ≈
 # Σ_s n_s · mean of C_j², j = 1 … ν_s, if the spectrum is flat below ω = π / (6 p), with ν_s = ⌊n_s / 6p⌋. The period p
-# must not be shorter than the correlation time, or the variance is too small. So p is the shortest period for which,
-# with 90 % confidence, the correlation time is not longer: first-order spectra over a noise floor are fitted to the
-# four octaves *above* ω, and all longer correlation times must fit clearly worse. The variance and this decision use
-# different, nearly independent coefficients, so that narrow intervals are not selected by chance. Fewer than five
-# coefficients give no result. Long memory (a spectrum that rises as a power law down to frequency 0) resembles a long
-# correlation time over a noise floor. Power laws are therefore fitted too, to the used coefficients and those above,
-# and the variance is the mean over both kinds of process, weighted by likelihood: Var = (P(short) · Var_short + Σ_d
-# P(d) · Var_d) / (P(short) + Σ_d P(d)), S_d(ω) ∝ ω^−2d, Var_d(Σ z) = S_d(1) · Σ_s n_s^(1 + 2d) / (Γ(2 + 2d) cos πd).
-# Intervals are wider according to the likelihood of long memory, and are given as often as without it. Series are rows:
-# coefficients (R, K) of `spectra.py`. Frames are the unit of time. Source: equal-weighted cosine estimator with
-# critical values of t, Müller (2007), Lazarus et al. (2018); spectral likelihood, Whittle (1953); degrees of freedom of
-# a sum of variances, Satterthwaite (1946); fractional Gaussian noise, H = d + 1/2, Mandelbrot and Van Ness (1968); mean
-# over models by likelihood, Leamer (1978).
+# must not be shorter than the correlation time, or the variance is too small. So p is the shortest period that the
+# correlation time does not exceed with 90 % confidence. First-order spectra over a noise floor are fitted to the four
+# octaves *above* ω; all longer correlation times must fit clearly worse. The variance and this decision use different,
+# nearly independent coefficients, so that narrow intervals are not selected by chance. Fewer than five coefficients
+# give no result. Long memory (a spectrum that rises as a power law down to frequency 0) resembles a long correlation
+# time over a noise floor. Power laws S_d(ω) ∝ ω^−2d are therefore fitted too, to the used coefficients and those above.
+# The variance is the mean over both kinds of process, weighted by likelihood: (P(short) · Var_short + Σ_d P(d) · Var_d)
+# / (P(short) + Σ_d P(d)). Var_d(Σ z) is S_d(1) · Σ_s n_s^(1 + 2d) / (Γ(2 + 2d) cos πd). Intervals are wider according
+# to the likelihood of long memory, and are given as often as without it. Series are rows: coefficients (R, K) of
+# `spectra.py`. Frames are the unit of time. Sources. Equal-weighted cosine estimator with critical values of t: Müller
+# (2007), Lazarus et al. (2018). Spectral likelihood: Whittle (1953). Degrees of freedom of a sum of variances:
+# Satterthwaite (1946). Fractional Gaussian noise, H = d + 1/2: Mandelbrot and Van Ness (1968). Mean over models by
+# likelihood: Leamer (1978).
 
 
 FEWEST_USED = 5
@@ -135,7 +135,7 @@ MOST_UNSEEN_RATIO = 0.2  # frames of sequences too short for a coefficient of th
 FLOORS = (0.0, 0.1, 0.3)  # noise of single frames, as a share of the slow part's density at 0
 LONGEST_FITTED = 2.0  # times the period: much longer times are indistinguishable from a flat spectrum
 SHORTEST_FITTED = 0.25
-CLEARLY_WORSE = 0.82  # of log-likelihood: half the 0.8 quantile of χ²(1), 90 % one-sided
+CLEARLY_WORSE = 0.82  # difference of log-likelihood: half the 0.8 quantile of χ²(1), 90 % one-sided
 MEMORIES = np.array([0.2, 0.3, 0.4, 0.45])  # d of the power laws
 LONG_MEMORY_ODDS = 10.0  # prior odds, chosen so that intervals hold at H = 0.9
 

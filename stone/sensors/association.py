@@ -14,8 +14,8 @@ from stone.errors import Refused
 
 Stamps = NDArray[np.int64]
 
-# A camera triggered at the start of the sweep jitters around the sweep's stamp; with this guard its phase is near zero
-# instead of near a whole period (design §3: residuals up to 2 ms count as on time).
+# A camera triggered at the start of the sweep jitters around the sweep's stamp. With this guard its phase is near zero
+# instead of near a whole period. Residuals up to 2 ms count as on time (design §3).
 PHASE_GUARD_NS = 2_000_000
 
 
@@ -40,10 +40,9 @@ def require_sorted(name: str, stamps_ns: Stamps) -> None:
 
 
 def nearest_samples(queries_ns: Stamps, stamps_ns: Stamps, tolerance_ns: int) -> Nearest:
-    """Return the nearest sample within ±`tolerance_ns` (inclusive) of each query; of two equally near samples, the
-    earlier.
+    """Return the nearest sample within ±`tolerance_ns` (inclusive) of each query; ties go to the earlier sample.
 
-    Queries may have any order; of samples with equal stamps, the first is used. Without samples every index is −1.
+    Queries may have any order; the first of samples with equal stamps is used. Without samples every index is −1.
     Raises `unsorted_stamps` if `stamps_ns` decrease.
     """
     require_sorted("stamps_ns", stamps_ns)

@@ -1,8 +1,8 @@
 """Checks of a calibration before use: small faults are corrected and reported, large ones refused.
 
 **Conventions.** Every check takes `sensor`, the name for messages, and returns findings (severity "warning", topic =
-sensor) or raises a refusal. Thresholds: design §2. Rounding to four decimals leaves a rotation error of 1e-6…1e-4; of
-17 extrinsics published with OpenCalib, three exceed 5e-3 (determinants 0, 0.97, 0.999).
+sensor) or raises a refusal. Thresholds: design §2. Rounding to four decimals leaves a rotation error of 1e-6…1e-4;
+three of the 17 extrinsics published with OpenCalib exceed 5e-3 (determinants 0, 0.97, 0.999).
 """
 
 from collections.abc import Sequence

@@ -22,7 +22,7 @@ LEAST_RATIO = 0.05
 # left camera of a forward-looking pair, so only the opposite direction is wrong.
 OFF_NAME_LIMIT_DEG, OFF_SIDE_LIMIT_DEG = 75.0, 135.0
 UPRIGHT_LEAST, LEVEL_MOST = 0.5, 0.8
-BACKWARD_LEAST = 0.99  # of a quaternion's z: half a turn about the vertical within 16°
+BACKWARD_LEAST = 0.99  # least z of a quaternion: half a turn about the vertical within 16°
 
 WORDS = {"FRONT": (1, 0), "FORWARD": (1, 0), "BACK": (-1, 0), "REAR": (-1, 0), "LEFT": (0, 1), "RIGHT": (0, -1)}
 

@@ -3,12 +3,11 @@
     lidar(stamp)_from_lidar(t) = (map_from_ego(stamp) @ ego_from_lidar)⁻¹ @ map_from_ego(t) @ ego_from_lidar
 
 **Conventions.** `offset_ns` is a point's time relative to the sweep's stamp. One transform serves each 100 µs bin,
-centred on multiples of 100 µs, so the time error is at most 50 µs: below 1.3 mm at 40 m, 4.8 m/s and 28 °/s.
+centred on multiples of 100 µs. The time error is at most 50 µs: below 1.3 mm at 40 m, 4.8 m/s and 28 °/s.
 
-A point whose bin has no pose (before the first, after the last, in a gap, beyond a jump, or moved out of reach within
-one sweep) is dropped instead of moved by the nearest pose: clamping is extrapolation with zero velocity and smears
-points. Callers should exclude frames whose sweep is not completely covered (`stone_recordings.sync` does, with a
-reason).
+A point is dropped if its bin has no pose: before the first, after the last, in a gap, beyond a jump, or moved out of
+reach within one sweep. Moving it by the nearest pose would be extrapolation with zero velocity and smear points.
+Callers should exclude frames whose sweep is not completely covered (`stone_recordings.sync` does, with a reason).
 """
 
 from dataclasses import dataclass

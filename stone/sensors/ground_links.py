@@ -58,7 +58,7 @@ class Way:
 @dataclass(frozen=True, eq=False)
 class Links:
     """Pairs (L, 2) of looks at the same ground, the height of the second above the first (L,), and the centre (L, 2) in
-    plan of the cells that both contain.
+    plan of their common cells.
     """
 
     pairs: Rows

@@ -3,9 +3,9 @@
 **Conventions.** In the ego frame, whose origin should be on the ground under the footprint, with x and y along it. A
 plane is z = height_m + slope_x · x + slope_y · y. One sweep's plane follows the terrain around it; over a run, hills
 and hollows cancel, and the rest is the calibration's error: one height and one tilt. Terrain changes that tilt by up to
-1.3°. Two looks at the same ground from different positions (`stone/sensors/sweep_tilt.py`) give the sweeps' tilt in the
-map to 0.2°, and the poses give the robot's climb relative to its x axis. These distinguish three faults, here with 2°
-each:
+1.3°. Two looks at the same ground from different positions give the sweeps' tilt in the map to 0.2°
+(`stone/sensors/sweep_tilt.py`). The poses give the robot's climb relative to its x axis. These distinguish three
+faults, here with 2° each:
 
     ground in the ego frame | way in it | sweeps in the map | cause
     2°                      | 0°        | 2°                | the LiDAR's mount differs from the calibration: refused
@@ -29,7 +29,7 @@ TOLERATED_M, TOLERATED_RAD = 0.07, float(np.deg2rad(1.5))
 # A LiDAR pitched by 0.5° loses 2 to 3 % of drivable ground, by 1° 6 to 24 %; rolled by 1°, 2 to 5 %. Poses that drift
 # in z by 1 % look like tilted ones, and are corrected.
 MOST_PITCH, MOST_ROLL, MOST_WAY_SLOPE = np.tan(np.deg2rad([0.55, 1.0, 0.7])).tolist()
-TERRAIN_SHARE = 0.25  # of the sweeps' spread: 16 channels saw hills 0 to 0.6 m above a correct mount
+TERRAIN_SHARE = 0.25  # share of the sweeps' spread: 16 channels saw hills 0 to 0.6 m above a correct mount
 
 Array = NDArray[np.float64]
 

@@ -1,8 +1,8 @@
 """The ground in one sweep around the robot: its points, the low point of each cell in plan, and their plane.
 
 **Conventions.** A plane is (height_m, slope_x, slope_y), as in `stone.sensors.ground_plane`. A cell's low point is at
-`LOW_QUANTILE` of height, so that vegetation above and stray returns below have no effect. Of equally high points, the
-first is used. Only cells are sorted.
+`LOW_QUANTILE` of height, so that vegetation above and stray returns below have no effect. Ties in height go to the
+first point. Only cells are sorted.
 """
 
 import numpy as np
@@ -136,9 +136,7 @@ def _near(points, near):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _number(cell, taken, numbers, out):  # type: ignore[no-untyped-def]
-    """Number the cells in order of appearance: write each point's number and each number's cell; return the number of
-    cells.
-    """
+    """Write each point's cell number, in order of appearance, and each number's cell; return the number of cells."""
     number, cells = out
     count = 0
     for p in range(cell.size):

@@ -5,8 +5,8 @@
 **Conventions.** The rate of turn is the rotation between two orientations, in the source's own axes, divided by the
 time between them. The gyro is integrated over the same time, so that neither is differentiated or resampled. The
 rotation `R` and the bias `b` are fitted, so the gyro's mount need not be known. All three axes are used, because rough
-ground rolls and pitches a robot faster than it yaws (error on simulated drives of 6 s: 0.3 ms; with yaw only, 8 ms). A
-positive lag means that the gyro's stamps are late. Orientations are `wxyz`. Source: generalised cross-correlation
+ground rolls and pitches a robot faster than it yaws. On simulated drives of 6 s the error is 0.3 ms; with yaw only, 8
+ms. A positive lag means that the gyro's stamps are late. Orientations are `wxyz`. Source: generalised cross-correlation
 (Knapp and Carter, 1976) with a fitted mount (Kabsch, 1976). The standard error is that of least squares: residual over
 the slope of the signal. The best lag is found by golden sections (Kiefer, 1953), because loading SciPy's optimisers
 takes a third of a second, a fifth of `stone inspect`.
@@ -79,8 +79,8 @@ class _Gyro:
 def gyro_lag(gyro: tuple[Stamps, Array], source: tuple[Stamps, Array]) -> GyroLag | None:
     """Return the lag from rates (N, 3) in rad/s and orientations (K, 4), each with its stamps, in any order.
 
-    Return None if fewer than `LEAST_TURNS` steps lie within the gyro's record, if nothing turns, or if the best
-    agreement is at the end of the search (± `MAX_LAG_S`), which is not a peak.
+    Return None if fewer than `LEAST_TURNS` steps lie within the gyro's record, or if nothing turns. Return None too if
+    the best agreement is at the end of the search (± `MAX_LAG_S`), which is not a peak.
     """
     (gyro_ns, rates), (source_ns, wxyz) = _ordered(*gyro), _ordered(*source)
     if len(gyro_ns) < 2 or len(source_ns) < 2:

@@ -11,9 +11,9 @@ MOST_APART_M = 0.6  # 5 % within reach: more is not drift
 class HeightDrift:
     """Drift from `looks` at the ground with `links` between them, in metres.
 
-    The fields are the largest height difference of two looks at the same ground with the original poses, for all looks
-    and for looks of one visit; the 95th percentile of the remaining difference; the range of the corrections; and the
-    driven distance. `is_followed`: the poses were corrected.
+    The first fields are the largest height difference of two looks at the same ground with the original poses, for all
+    looks and for looks of one visit. Then follow the 95th percentile of the corrected difference, the range of the
+    corrections, and the driven distance. `is_followed`: the poses were corrected.
     """
 
     looks: int

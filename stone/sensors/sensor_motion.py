@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class SensorMotion:
-    """`rates` (M, 6): rotation and velocity along the sensor's axes, rad/s and m/s, every `STEP_NS` from `begin_s`;
+    """`rates` (M, 6) are rotation (rad/s) and velocity (m/s) along the sensor's axes, every `STEP_NS` from `begin_s`.
     `sums` (M, 6) are their integrals; `unknown` (M,) counts the previous steps without a rate.
     """
 

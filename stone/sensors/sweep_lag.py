@@ -6,8 +6,8 @@
 axes are used, because rough ground rolls and pitches a robot faster than it yaws. A constant error (`b`, from the
 mount) is removed by a median. A positive lag means that the poses' stamps are late, a negative lag that the sweeps'
 are. Least squares by Gauss–Newton; each turn is weighted by one over its distance, so that wrong turns have little
-effect. The standard error is that of least squares. It does not include the effect of late poses on the sweeps, which
-were deskewed with them: on simulated drives, a lag of 0.2 s is underestimated by up to 20 %.
+effect. The standard error is that of least squares. It does not include the effect of late poses on the deskewed
+sweeps. On simulated drives, a lag of 0.2 s is underestimated by up to 20 %.
 """
 
 from dataclasses import dataclass
@@ -53,8 +53,8 @@ class SweepLag:
 
 
 def sweep_lag(turns: SweepTurns, track: Trajectory, max_gap_ns: int) -> SweepLag | None:
-    """Return the lag; None for fewer than `FEWEST_TURNS` within the track, for turns that do not depend on time, and if
-    the best agreement is at the end of the search (± `MAX_LAG_S`).
+    """Return the lag. Return None for fewer than `FEWEST_TURNS` within the track, for turns that do not depend on time,
+    and for a best agreement at the end of the search (± `MAX_LAG_S`).
     """
     residual = _Residuals(turns, track, max_gap_ns)
     searched = np.arange(-MAX_LAG_S, MAX_LAG_S + COARSE_STEP_S / 2, COARSE_STEP_S)

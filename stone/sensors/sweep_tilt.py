@@ -3,9 +3,9 @@
     height of a link = slope_x · (x₂ − x₁) + slope_y · (y₂ − y₁)
 
 **Conventions.** x₁, y₁ and x₂, y₂ are the positions of the common ground in the ego frames of the first and the second
-look (`stone.sensors.ground_links`). Slopes are the ground's slopes in the ego frame minus the way's: a tilted LiDAR
-mount and tilted poses look alike, and so do poses that climb against their own attitude. A straight way reveals no
-slope across it.
+look (`stone.sensors.ground_links`). Slopes are the ground's slopes in the ego frame minus the way's. A tilted LiDAR
+mount, tilted poses, and poses that climb against their own attitude look alike. A straight way reveals no slope across
+it.
 """
 
 from dataclasses import dataclass

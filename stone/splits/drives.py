@@ -1,7 +1,7 @@
 """Drives (sequences that continue each other), and the distance in time and space between the tracks of two parts.
 
-A sequence continues an earlier one if log and vehicle do not contradict, it starts at most `LONGEST_GAP_S` after the
-earlier one ends, and its first pose is where the earlier track leads: within `SLACK_M` plus `STRETCH` times the
+A sequence continues an earlier one if log and vehicle do not contradict and it starts at most `LONGEST_GAP_S` after the
+earlier one ends. Its first pose must also be where the earlier track leads, within `SLACK_M` plus `STRETCH` times the
 distance driven in the gap. Sequences that are linked in any number of steps are one drive. Their labels overlap at the
 joints, and they share ground, weather and light.
 

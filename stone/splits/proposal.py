@@ -2,10 +2,10 @@
 
 **Conventions.** Binary x[s, p]: sequence s is in part p; y[r]: region r belongs to test. First, the cheapest violation
 of the rules is computed (`COSTS`; zero if all can be kept). Then, at no higher cost, the parts are made similar: each
-part's duration and its T, P and N voxels should match the whole (sum of absolute deviations, each relative to the
-part's expected value). A conflict is irreducible: rules are dropped one by one as long as the rest still conflict.
-HiGHS solves the problem through `scipy.optimize.milp` in one thread, limited by nodes instead of seconds: equal
-catalogues give equal proposals, in any order.
+part's duration and its T, P and N voxels should match the whole. The objective is the sum of absolute deviations, each
+relative to the part's expected value. A conflict is irreducible: rules are dropped one by one as long as the rest still
+conflict. HiGHS solves the problem through `scipy.optimize.milp` in one thread, limited by nodes instead of seconds:
+equal catalogues give equal proposals, in any order.
 """
 
 from collections import Counter

@@ -1,15 +1,15 @@
 """Splits of a dataset into train, val and test, and the findings about them.
 
 **Conventions.** A finding has a rule's code, one sentence, and the ids of the affected sequences. `error`: the rule is
-violated. `warning`: the data do not allow the rule, or lack an attribute that it requires. What the data allow is
-judged from the whole given catalogue, one condition at a time: a condition can be in every non-empty split if enough
-drives (≥ 20 s each) have it, in at least two regions if there are both train and test.
+violated. `warning`: the data do not allow the rule, or lack an attribute that it requires. The whole given catalogue
+determines which conditions the data allow. A condition can be in every non-empty split if enough drives (≥ 20 s each)
+have it. If there are both train and test, they must be in at least two regions.
 
 A drive is a set of sequences that continue each other (`stone/splits/drives.py`), or a single sequence. It corresponds
 to the paper's sequence: a dataset in chunks is judged by its drives.
 
-Rules: Park et al., STONE Dataset, ICRA 2026: 43 sequences as 31 train, 7 val, 5 test, by whole sequences; day and night
-and every environment in each split; test regions disjoint from train; each sequence at least 20 s.
+Rules (Park et al., STONE Dataset, ICRA 2026): 43 whole sequences as 31 train, 7 val, 5 test. Each split has day and
+night and every environment. Test regions are disjoint from train. Each sequence lasts at least 20 s.
 """
 
 from collections.abc import Iterable, Iterator, Mapping

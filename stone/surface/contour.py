@@ -17,13 +17,13 @@ from stone.geometry.lattice import BIAS, MASK, Keys, VoxelTable, find, indices_o
 from stone.surface.mesh import Mesh
 
 # The lattice near the data: the corners of cells on which the surface's field is solved. Cells of `width_m` have their
-# corners on the centres of voxels of that size: corner (i, j, k) is at (i + ½, j + ½, k + ½) · width, on one lattice
-# for the whole map; a cell has the key of its lowest corner. The band contains the 4 × 4 × 4 corners around every data
+# corners on the centres of voxels of that size. Corner (i, j, k) is at (i + ½, j + ½, k + ½) · width, on one lattice
+# for the whole map. A cell has the key of its lowest corner. The band contains the 4 × 4 × 4 corners around every data
 # cell, so every point within `width_m` of the data is in a complete cell. Keys are sorted, so corners of a column are
 # consecutive.
 
 
-STEPS = (1 << 42, 1 << 21, 1)  # of a key, along x, y, z
+STEPS = (1 << 42, 1 << 21, 1)  # steps of a key along x, y, z
 BELOW, ABOVE = 1, 2  # corners before and after a cell's lowest corner
 
 
@@ -81,7 +81,7 @@ def _corners(cells, table, corners):  # type: ignore[no-untyped-def]
             corners[c, 2 * pair], corners[c, 2 * pair + 1] = row, row + 1
 
 
-CORNERS = 8  # of a cell; bit 2 of a corner's number is its position along x, bit 1 along y, bit 0 along z
+CORNERS = 8  # per cell; bit 2 of a corner's number is its position along x, bit 1 along y, bit 0 along z
 EDGES = tuple((base, axis) for axis in range(3) for base in range(CORNERS) if not base & 4 >> axis)
 
 

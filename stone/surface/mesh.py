@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 DEGENERATE_M2 = 1e-12
-"""Twice the area below which a face has no direction: corners 1 km from the origin are rounded to 1e-13 m, and a plane
+"""Twice the area below which a face has no direction. Corners 1 km from the origin are rounded to 1e-13 m, and a plane
 through its lattice's corners is cut into as many slivers as triangles.
 """
 

@@ -1,8 +1,8 @@
 """The k nearest neighbours of every point, as their best-fitting plane.
 
-**Conventions.** Points are sorted into cubic cells, and the search is exact: it expands by rings until the k-th
-neighbour is nearer than the border of the searched cells, up to the second ring (at least 2 cell sizes away). A point
-is its own neighbour at distance 0. Ties are resolved by the order of the sorted points.
+**Conventions.** Points are sorted into cubic cells. The exact search expands by rings until the k-th neighbour is
+nearer than the border of the searched cells, up to the second ring (at least 2 cell sizes away). A point is its own
+neighbour at distance 0. Ties are resolved by the order of the sorted points.
 """
 
 import math

@@ -116,8 +116,9 @@ def mirror_returns(
 ) -> NDArray[np.bool_]:
     """Return which patches (C,) are below ground through which they were seen.
 
-    `cells` (C,) are sorted keys of `width_m`. Each has its mean point (C, 3), normal (C, 3) on the seen side, mean unit
-    viewing direction (C, 3), and mean squared distance (C,) of its points to their plane, NaN without a plane.
+    `cells` (C,) are sorted keys of `width_m`. Each has a mean point (C, 3), a normal (C, 3) on the seen side and a mean
+    unit viewing direction (C, 3). `mean_square_m2` (C,) is the mean squared distance of its points to their plane, NaN
+    without a plane.
     """
     is_sheet = (normals[:, 2] >= MIRROR_FLAT_COSINE) & (views[:, 2] > 0) & (mean_square_m2 <= SMOOTH_M**2)
     is_seen_from_above = (views[:, 2] > 0) & (np.linalg.norm(views, axis=1) >= ONE_SIDE)

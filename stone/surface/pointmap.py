@@ -159,10 +159,10 @@ class PointMapBuilder:
 
 
 # The hot loops of the point map: they add a sweep's points to the rows of an open-addressing table. A row is one cache
-# line of eight int64: the voxel's key (0 for a free row, which no voxel has), a counter, Σ offset from the centre and Σ
-# unit view, in units of `QUANTUM_M`. The counter packs, lowest bit first: points (32 bits), frames (16), and 1 + the
-# last counted frame (16). Points are processed in blocks: vectorised arithmetic first, then their rows are prefetched,
-# and meanwhile the previous block is added to its rows.
+# line of eight int64: the voxel's key, a counter, Σ offset from the centre and Σ unit view, in units of `QUANTUM_M`.
+# Key 0 marks a free row; no voxel has it. The counter packs, lowest bit first: points (32 bits), frames (16), and 1 +
+# the last counted frame (16). Points are processed in blocks: vectorised arithmetic first, then their rows are
+# prefetched, and meanwhile the previous block is added to its rows.
 
 
 QUANTUM_M = 2.0**-20

@@ -90,9 +90,8 @@ def ring_spread_px(nearest_m: NDArray[np.float32]) -> int:
     """Return the number of rows up and down that returns (rows, columns; inf = none) must fill, from the median ring
     gap.
 
-    It is the smallest number for which each pixel and its neighbours have a ray above and a ray below: with only the
-    ray above, which hits the ground farther out, the ground itself would be voted out. Gaps too wide to be ring gaps
-    are not filled.
+    It is the smallest number for which each pixel and its neighbours have a ray above and a ray below. A ray above hits
+    the ground farther out; alone, it would vote the ground itself out. Gaps too wide to be ring gaps are not filled.
     """
     counts = _gap_counts(nearest_m, MAX_RING_GAP_PX + 1)
     median_px = int(np.argmax(2 * np.cumsum(counts) >= counts.sum()))
@@ -140,8 +139,8 @@ def arctangent(y, x):  # type: ignore[no-untyped-def]
 def aim(block, lens, seen):  # type: ignore[no-untyped-def]
     """Write squared range, row and column (not rounded) of a block's points; columns run clockwise from behind.
 
-    Coordinates are `AT_ONCE` apart in one array, and so are the results: the compiler then knows the overlaps, and
-    vectorises.
+    Coordinates are `AT_ONCE` apart in one array, and so are the results: the compiler can then exclude overlaps and
+    vectorise.
     """
     top, per_row, per_column = lens
     for p in range(AT_ONCE):
@@ -211,8 +210,8 @@ def _project(points, sensor, lens, nearest, work):  # type: ignore[no-untyped-de
 def _open_up(ranges, farthest):  # type: ignore[no-untyped-def]
     """Replace 0 by the farthest range in directions with rays but no return.
 
-    These are rows between the highest and the lowest return, in columns with a return (a sensor may look to one side
-    only), in gaps of more rows than any two rings leave.
+    These are rows between the highest and the lowest return, in gaps of more rows than any two rings leave. Only
+    columns with a return count, because a sensor may look to one side only.
     """
     rows, columns = ranges.shape
     top, bottom = rows, 0
