@@ -73,8 +73,8 @@ def layout_of_labels(span: ExportFileSpan | None, *, has_dashes: bool) -> Datase
         return known
     try:
         listed, arrays = _opened(span, known.grid)
-        members = {one.filename.removesuffix(".npy"): one for one in listed[:MOST_ARRAYS]}
-        keys = [one.label_key for one in LAYOUTS.values() if one.label_key in members]
+        members = {member.filename.removesuffix(".npy"): member for member in listed[:MOST_ARRAYS]}
+        keys = [layout.label_key for layout in LAYOUTS.values() if layout.label_key in members]
         shape = arrays.shape_of(members[keys[0]]) if keys else None
     except (DatasetFaultError, *NO_NPY):
         return known

@@ -57,7 +57,7 @@ class JoinedMember:
     sha256: str = ""
 
     def count_left_out(self) -> Mapping[str, int]:
-        """Number of excluded messages by topic."""
+        """Return the number of excluded messages by topic."""
         return {topic: sum(stop - start for start, stop in runs) for topic, runs in self.left_out.items()}
 
 
@@ -152,7 +152,9 @@ def _problem(member: JoinedMember) -> str:
         return f"{shown} has an offset from an unknown source, or an invalid hash"
     for runs in member.left_out.values():
         ends = [index for run in runs for index in run]
-        if ends and not (ends[0] >= 0 and ends[-1] <= LAST_INDEX and all(one < two for one, two in pairwise(ends))):
+        if ends and not (
+            ends[0] >= 0 and ends[-1] <= LAST_INDEX and all(earlier < later for earlier, later in pairwise(ends))
+        ):
             return f"{shown} excludes runs of messages that are not in order"
     return ""
 

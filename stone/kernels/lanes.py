@@ -74,14 +74,14 @@ def _looked_up(typing_context: Any, block: Any, last: Any, place: Any, slope: An
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         block, *axes, bits = arguments
         at = _offsets(builder, axes, bits)
-        lanes, found = ir.VectorType(I8, COLUMN), ir.Constant(ir.VectorType(I8, COLUMN), ir.Undefined)
+        lanes, gathered = ir.VectorType(I8, COLUMN), ir.Constant(ir.VectorType(I8, COLUMN), ir.Undefined)
         for n in range(COLUMN):  # one by one: vector gathers take a third longer
-            place = builder.zext(builder.extract_element(at, ir.Constant(I32, n)), I64)
-            byte = builder.load(pointer(context, builder, (signature.args[0], block), place, I8, 1))
-            found = builder.insert_element(found, byte, ir.Constant(I32, n))
+            address = builder.zext(builder.extract_element(at, ir.Constant(I32, n)), I64)
+            byte = builder.load(pointer(context, builder, (signature.args[0], block), address, I8, 1))
+            gathered = builder.insert_element(gathered, byte, ir.Constant(I32, n))
         words = []
         for bit in range(4):
-            tested = builder.and_(found, ir.Constant(lanes, [1 << bit] * COLUMN))
+            tested = builder.and_(gathered, ir.Constant(lanes, [1 << bit] * COLUMN))
             words.append(builder.bitcast(builder.icmp_unsigned("!=", tested, ir.Constant(lanes, [0] * COLUMN)), I32))
         return context.make_tuple(builder, signature.return_type, words)
 
@@ -95,11 +95,11 @@ def _offsets(builder: Any, axes: Any, bits: Any) -> Any:
     numbers, none = ir.Constant(lanes, list(range(COLUMN))), ir.Constant(lanes, [0] * COLUMN)
     offsets = none
     for axis in range(3):
-        last, place, slope = (builder.extract_value(each, axis) for each in axes)
-        whole = builder.ashr(place, bits)
+        last, position, slope = (builder.extract_value(each, axis) for each in axes)
+        whole = builder.ashr(position, bits)
         part, last, whole, slope = (
             splat(builder, builder.trunc(value, I32), lanes)
-            for value in (builder.sub(place, builder.shl(whole, bits)), last, whole, slope)
+            for value in (builder.sub(position, builder.shl(whole, bits)), last, whole, slope)
         )
         part = builder.add(part, builder.mul(slope, numbers))
         layer = builder.add(whole, builder.ashr(part, splat(builder, builder.trunc(bits, I32), lanes)))

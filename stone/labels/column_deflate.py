@@ -60,15 +60,15 @@ def _note_eight_of(typing_context: Any, bits: Any, byte: Any, first: Any, near: 
         lanes, bytes_ = ir.VectorType(I32, EIGHT), ir.VectorType(I8, EIGHT)
         row = builder.mul(byte, ir.Constant(I64, EIGHT))
         bit = builder.load(pointer(context, builder, (signature.args[0], bits), row, lanes, EIGHT), align=4)
-        place = builder.add(splat(builder, builder.trunc(first, I32), lanes), bit)
+        position = builder.add(splat(builder, builder.trunc(first, I32), lanes), bit)
         places, codes = ((signature.args[4][n], builder.extract_value(out, n)) for n in range(2))
-        builder.store(place, pointer(context, builder, places, at, lanes, EIGHT), 4)
+        builder.store(position, pointer(context, builder, places, at, lanes, EIGHT), 4)
         three = ir.Constant(lanes, [7] * EIGHT)
-        one, two = (
+        low, high = (
             builder.and_(builder.lshr(splat(builder, builder.extract_value(near, n), lanes), bit), three)
             for n in range(2)
         )
-        code = builder.trunc(builder.or_(one, builder.shl(two, ir.Constant(lanes, [3] * EIGHT))), bytes_)
+        code = builder.trunc(builder.or_(low, builder.shl(high, ir.Constant(lanes, [3] * EIGHT))), bytes_)
         builder.store(code, pointer(context, builder, codes, at, bytes_, EIGHT), 1)
         return context.get_dummy_value()
 

@@ -130,21 +130,15 @@ def _cut(voxels, places, room, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _fetch_row(voxels, place, asked, row):  # type: ignore[no-untyped-def]
-    """Fill row a of `asked`, (Y, 4), with the used bits; voxels outside the window are looked up in its outermost
-    layer.
-    """
-    (start, step), (a, used) = place, asked
+def _fetch_row(voxels, placement, used_bits, row):  # type: ignore[no-untyped-def]
+    """Fill row a, (Y, 4), with `used_bits`; voxels outside the window are looked up in its outermost layer."""
+    (start, step), (a, used) = placement, used_bits
     su, sv, sw = step[0, 2], step[1, 2], step[2, 2]
-    bu, bv, bw = (
-        step[0, 1],
-        step[1, 1],
-        step[2, 1],
-    )  # copied first: the compiler cannot exclude that the row overlaps them
+    bu, bv, bw = step[0, 1], step[1, 1], step[2, 1]  # copied first, because the row may alias them
     u, v, w = start[0] + a * step[0, 0] + ONE, start[1] + a * step[1, 0] + ONE, start[2] + a * step[2, 0] + ONE
     last = (voxels.shape[0] - 1, voxels.shape[1] - 1, voxels.shape[2] - 1)
     flat = voxels.reshape(-1)
     for b in range(row.shape[0]):
-        place = (u + b * bu, v + b * bv, w + b * bw)
-        one, two, occupied, seen = looked_up(flat, last, place, (su, sv, sw), FRACTION_BITS)
-        row[b, 0], row[b, 1], row[b, 2], row[b, 3] = one & used, two & used, occupied & used, seen & used
+        centre = (u + b * bu, v + b * bv, w + b * bw)
+        low, high, occupied, seen = looked_up(flat, last, centre, (su, sv, sw), FRACTION_BITS)
+        row[b, 0], row[b, 1], row[b, 2], row[b, 3] = low & used, high & used, occupied & used, seen & used

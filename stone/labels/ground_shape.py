@@ -63,16 +63,16 @@ def _fit(rows, columns, tangent, results):  # type: ignore[no-untyped-def]
     """Accumulate the window of each column; columns within `REACH` of a voxel's column lie inside the wider grid of
     `first`.
     """
-    (place, level, z), (first, width), (slope_rad, step_m) = rows, columns, results
+    (column_of, level, z), (first, width), (slope_rad, step_m) = rows, columns, results
     sums = np.empty(9)
-    for row in range(place.size):
+    for row in range(column_of.size):
         sums[:] = 0.0
         for di in range(-REACH, REACH + 1):
             for dj in range(-REACH, REACH + 1):
                 away_m = VOXEL_M * np.sqrt(di * di + dj * dj)
                 if away_m > WINDOW_M:
                     continue
-                column = place[row] + di * width + dj
+                column = column_of[row] + di * width + dj
                 for other in range(first[column], first[column + 1]):
                     if abs(level[other] - level[row]) > WINDOW_VOXELS:
                         continue
@@ -113,12 +113,12 @@ def _slope(sums):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _pool(rows, columns, pooled):  # type: ignore[no-untyped-def]
     """Average over the voxel and the 26 around it; a voxel has at least one vertex, so the weight is not 0."""
-    (place, level, features, vertices), (first, width) = rows, columns
-    for row in range(place.size):
+    (column_of, level, features, vertices), (first, width) = rows, columns
+    for row in range(column_of.size):
         weight, a, b, c = 0.0, 0.0, 0.0, 0.0
         for di in range(-1, 2):
             for dj in range(-1, 2):
-                column = place[row] + di * width + dj
+                column = column_of[row] + di * width + dj
                 for other in range(first[column], first[column + 1]):
                     if abs(level[other] - level[row]) <= 1:
                         weight += vertices[other]
@@ -130,9 +130,9 @@ def _pool(rows, columns, pooled):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _clear(rows, first, body_m, clearance_m):  # type: ignore[no-untyped-def]
-    place, _, z = rows
-    for row in range(place.size):
-        for other in range(row + 1, first[place[row] + 1]):
+    column_of, _, z = rows
+    for row in range(column_of.size):
+        for other in range(row + 1, first[column_of[row] + 1]):
             if z[other] - z[row] > body_m:
                 clearance_m[row] = z[other] - z[row]
                 break

@@ -46,7 +46,7 @@ class DrivenPlaces:
         return DrivenPlaces(self.centres_m[keep], self.maps[keep])
 
     def apart(self) -> NDArray[np.float64]:
-        """The centres (n, 3) with different maps far from each other."""
+        """Return the centres (n, 3) with different maps far from each other."""
         return np.column_stack([self.centres_m, self.maps * OTHER_MAP_M])
 
 

@@ -169,7 +169,8 @@ def _stepped_over(voxels, a, b):  # type: ignore[no-untyped-def]
     in_z = (not in_x) & (not in_y)
     ni, nj, nk = ei if in_x else i, ej if in_y else j, ek if in_z else k
     x, y, z = voxels.shape
-    one, other = voxels[_layer(i, x), _layer(j, y), _layer(k, z)], voxels[_layer(ni, x), _layer(nj, y), _layer(nk, z)]
-    if one & OCCUPIED:
-        return one, first, (i, j, k)
+    first_voxel = voxels[_layer(i, x), _layer(j, y), _layer(k, z)]
+    other = voxels[_layer(ni, x), _layer(nj, y), _layer(nk, z)]
+    if first_voxel & OCCUPIED:
+        return first_voxel, first, (i, j, k)
     return other, second, (ni, nj, nk)

@@ -71,8 +71,8 @@ def _reach_of(typing_context: Any, ways: Any, places: Any, weights: Any, free: A
         lanes, wide = ir.VectorType(I8, LANES), ir.VectorType(ir.IntType(16), LANES)
         total = ir.Constant(wide, [0] * LANES)
         for corner in range(4):
-            place = builder.extract_value(places, corner)
-            row = builder.load(pointer(context, builder, (signature.args[0], array), place, lanes, LANES), align=1)
+            index = builder.extract_value(places, corner)
+            row = builder.load(pointer(context, builder, (signature.args[0], array), index, lanes, LANES), align=1)
             weight = builder.zext(builder.extract_value(weights, corner), ir.IntType(16))
             total = builder.add(total, builder.mul(builder.zext(row, wide), splat(builder, weight, wide)))
         reached = builder.udiv(total, ir.Constant(wide, [OPEN] * LANES))
@@ -80,8 +80,8 @@ def _reach_of(typing_context: Any, ways: Any, places: Any, weights: Any, free: A
         onward = builder.select(
             builder.bitcast(free, bits_of(LANES)), builder.trunc(reached, lanes), ir.Constant(lanes, [0] * LANES)
         )
-        place = builder.extract_value(places, 4)
-        builder.store(onward, pointer(context, builder, (signature.args[0], array), place, lanes, LANES), 1)
+        index = builder.extract_value(places, 4)
+        builder.store(onward, pointer(context, builder, (signature.args[0], array), index, lanes, LANES), 1)
         return builder.bitcast(seen, I32)
 
     return types.uint32(ways, places, weights, types.uint32), emit
@@ -106,10 +106,10 @@ _half_open: Any = intrinsic(_half_open_of)
 
 @njit(cache=True, nogil=True)
 def _look(lines, ways, state):  # type: ignore[no-untyped-def]
-    (place, weight), (free, way, seen) = lines, state
-    for s in range(place.size):
-        voxel = np.int64(place[s] & VOXEL_MASK)
-        code = (place[s] >> np.uint32(VOXEL_BITS)) & WAY_MASK
+    (voxels, weight), (free, way, seen) = lines, state
+    for s in range(voxels.size):
+        voxel = np.int64(voxels[s] & VOXEL_MASK)
+        code = (voxels[s] >> np.uint32(VOXEL_BITS)) & WAY_MASK
         at = voxel * LANES
         if code == AT_SOURCE:
             for lane in range(LANES):
@@ -117,26 +117,26 @@ def _look(lines, ways, state):  # type: ignore[no-untyped-def]
             reached = np.uint32(0xFFFFFFFF)
         else:
             first = at + ways[code, 0] * LANES
-            one, other = ways[code, 1] * LANES, ways[code, 2] * LANES
-            places = (first, first + one, first + other, first + one + other, at)
+            second, third = ways[code, 1] * LANES, ways[code, 2] * LANES
+            places = (first, first + second, first + third, first + second + third, at)
             weights = (weight[s, 0], weight[s, 1], weight[s, 2], weight[s, 3])
             reached = _reach(way, places, weights, free[voxel])
-        if place[s] & IN_IMAGE:
+        if voxels[s] & IN_IMAGE:
             seen[voxel] |= reached
 
 
 @njit(cache=True, nogil=True)
-def _look_at_sides(place, ways, state):  # type: ignore[no-untyped-def]
+def _look_at_sides(voxels, ways, state):  # type: ignore[no-untyped-def]
     """Mark labelled voxels as seen if a line ends on their side; the ways have been followed before."""
     free, way, seen = state
-    for s in range(place.size):
-        voxel = np.int64(place[s] & VOXEL_MASK)
+    for s in range(voxels.size):
+        voxel = np.int64(voxels[s] & VOXEL_MASK)
         labelled = ~free[voxel]
-        if labelled == 0 or not place[s] & IN_IMAGE:
+        if labelled == 0 or not voxels[s] & IN_IMAGE:
             continue
-        code = (place[s] >> np.uint32(VOXEL_BITS)) & WAY_MASK
+        code = (voxels[s] >> np.uint32(VOXEL_BITS)) & WAY_MASK
         for axis in range(3):
-            if (place[s] >> np.uint32(SIDE_BIT + axis)) & np.uint32(1):
+            if (voxels[s] >> np.uint32(SIDE_BIT + axis)) & np.uint32(1):
                 seen[voxel] |= labelled & _half_open(way, (voxel + ways[code, 3 + axis]) * LANES)
 
 

@@ -4,10 +4,10 @@
 high bit of two planes. These kernels are compiled for `stone.scoring.bitplanes`, which passes truth columns with
 evaluated voxels only, and prediction columns that may contain others.
 
-- *Pairs* of a set (occupied, T, P, N): in each column, count the truth voxels with a predicted voxel at most one voxel
-  above or below, and the predicted voxels with such a truth voxel; the smaller count is the number of pairs. A surface
+- *Pairs* of a set (occupied, T, P, N), per column: the smaller of two counts. One counts the truth voxels with a
+  predicted voxel at most one voxel above or below, the other the predicted voxels with such a truth voxel. A surface
   one voxel too high pairs completely; a column of three voxels pairs with one voxel once.
-- The *class of a column* is the worst (N, P, T, free) of its voxels, without the N voxels that are higher above its
+- The *class of a column* is the worst (N, P, T, free) of its voxels. N voxels do not count if they are higher above the
   lowest T or P than the robot's height.
 
 Both are counted in at most `COUNTED_FRAMES` evenly spaced frames of a submission (`frame_counts.py`). Neighbouring

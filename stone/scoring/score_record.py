@@ -114,7 +114,7 @@ class SubmissionCounts:
         return self.column_counts.columns.sum(axis=(0, 1), dtype=np.int64) if self.column_counts else None
 
     def cells(self) -> NDArray[np.int64]:
-        """The confusion matrices of each sequence [sequence, ring, truth, prediction]."""
+        """Return the confusion matrices of each sequence [sequence, ring, truth, prediction]."""
         runs = pairwise(accumulate(self.frames_of_sequence, initial=0))
         return np.stack([self.confusions[start:stop].sum(axis=0, dtype=np.int64) for start, stop in runs])
 

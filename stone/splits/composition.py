@@ -95,7 +95,7 @@ class CompositionSums:
     quality: LabelQuality = UNKNOWN
 
     def class_shares(self) -> tuple[float, float, float] | None:
-        """The shares of T, P and N among occupied voxels; None without occupied voxels."""
+        """Return the shares of T, P and N among occupied voxels; None without occupied voxels."""
         total = sum(self.voxels)
         return (self.voxels[0] / total, self.voxels[1] / total, self.voxels[2] / total) if total else None
 

@@ -44,7 +44,7 @@ class Band:
         return len(self.keys)
 
     def places_map(self) -> NDArray[np.float64]:
-        """The positions (N, 3) of the corners, metres."""
+        """Return the positions (N, 3) of the corners, metres."""
         return np.asarray((indices_of(self.keys) + 0.5) * self.width_m)
 
 

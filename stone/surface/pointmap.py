@@ -36,19 +36,19 @@ class PointMap:
         return len(self.keys)
 
     def counts(self) -> NDArray[np.int64]:
-        """The number of points in each voxel (M,)."""
+        """Return the number of points in each voxel (M,)."""
         return self.moments[:, COUNT]
 
     def frames_seen(self) -> NDArray[np.int64]:
-        """The number of frames that hit each voxel (M,)."""
+        """Return the number of frames that hit each voxel (M,)."""
         return self.moments[:, FRAMES]
 
     def centroids_map(self) -> NDArray[np.float64]:
-        """The mean point of each voxel (M, 3), metres."""
+        """Return the mean point of each voxel (M, 3), metres."""
         return centres_of(self.keys, self.voxel_m) + self.moments[:, OFFSET] * QUANTUM_M / self.moments[:, :1]
 
     def views_map(self) -> NDArray[np.float64]:
-        """The mean unit direction from each voxel to the sensors that saw it (M, 3), length ≤ 1."""
+        """Return the mean unit direction from each voxel to the sensors that saw it (M, 3), length ≤ 1."""
         return np.asarray(self.moments[:, VIEW] * QUANTUM_M / self.moments[:, :1])
 
     def where(self, keep: NDArray[np.bool_]) -> "PointMap":
