@@ -154,8 +154,8 @@ def _read_scene(files: DatasetFiles, read: Read, faults: DatasetFaults) -> Datas
         except DatasetFaultError as fault:
             faults.add(fault)
     for at, what, likely in clock_faults(np.array(scene.stamps_us, np.int64)):
-        place = DatasetPlace(f"{ANNOTATIONS} scene {name}", at + 1, scene.tokens[at])
-        faults.add(DatasetFaultError("DST-028", place, what, likely))
+        position = DatasetPlace(f"{ANNOTATIONS} scene {name}", at + 1, scene.tokens[at])
+        faults.add(DatasetFaultError("DST-028", position, what, likely))
     if faults.total > before:
         return None
     keys, links = [hash(token) for token in scene.tokens], np.array(scene.links, np.int64).reshape(-1, 2)
@@ -272,8 +272,8 @@ def picture_names(sequence: DatasetSequence, channel: DatasetChannel) -> tuple[s
     """Return the names of a channel's files in the release's layout. Raises `DST-035`."""
     name, stamps_us = channel.sensor.channel, channel.stamps_ns // NS_PER_US
     if (np.diff(stamps_us) <= 0).any():
-        place = DatasetPlace(f"{ANNOTATIONS} scene {sequence.name}")
-        raise DatasetFaultError("DST-035", place, f"the stamps of {name} do not increase from frame to frame")
+        position = DatasetPlace(f"{ANNOTATIONS} scene {sequence.name}")
+        raise DatasetFaultError("DST-035", position, f"the stamps of {name} do not increase from frame to frame")
     endings = ("png" if channel.filename(at).endswith(".png") else "jpg" for at in range(len(stamps_us)))
     return tuple(
         f"samples/{name}/{sequence.name}__{name}__{stamp_us}.{ending}"

@@ -149,9 +149,9 @@ def _links(held: Keys, count: int) -> tuple[Keys, ...]:
 def _dangling(tables: DatasetTables, rows_by_table: Mapping[str, Places]) -> Iterator[DatasetFaultError]:
     for table, rows in rows_by_table.items():
         for row in np.flatnonzero(rows < 0).tolist():
-            place = DatasetPlace(tables.file("sample_data"), row + 1)
+            position = DatasetPlace(tables.file("sample_data"), row + 1)
             what = f"the {table}_token of {quoted(tables.data.names[row])} is not a token of {table}"
-            yield DatasetFaultError("DST-030", place, what)
+            yield DatasetFaultError("DST-030", position, what)
 
 
 def _misnamed(placed: PlacedData) -> Iterator[DatasetFaultError]:
@@ -209,8 +209,8 @@ def _without_sweep(placed: PlacedData, frames: DatasetFrames) -> Iterator[Datase
     is_lidar = np.array([mount.sensor.channel == LIDAR_CHANNEL for mount in placed.mounts], np.bool_)
     with_sweep = placed.frame[placed.is_key & is_lidar[placed.mount]]
     for row in np.setdiff1d(frames.order, with_sweep).tolist():
-        place = DatasetPlace(tables.file("sample"), row + 1, tables.samples.tokens[row])
-        yield DatasetFaultError("DST-036", place, f"it has no key frame of {LIDAR_CHANNEL}")
+        position = DatasetPlace(tables.file("sample"), row + 1, tables.samples.tokens[row])
+        yield DatasetFaultError("DST-036", position, f"it has no key frame of {LIDAR_CHANNEL}")
 
 
 def _changing(placed: PlacedData) -> Iterator[DatasetFaultError]:

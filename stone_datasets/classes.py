@@ -49,31 +49,31 @@ OWN_CLASSES = class_map_of("stone", {0: "free", 1: "T", 2: "P", 3: "N", 255: "un
 
 def read_class_map(path: Path) -> ClassMap:
     """Return the map in a file. Raises `DST-070`."""
-    place = DatasetPlace(path.name)
+    position = DatasetPlace(path.name)
     with path.open("rb") as file:
         content = file.read(MOST_MAP_BYTES + 1)
     if len(content) > MOST_MAP_BYTES:
-        raise DatasetFaultError("DST-070", place, f"it has more than {MOST_MAP_BYTES} bytes")
+        raise DatasetFaultError("DST-070", position, f"it has more than {MOST_MAP_BYTES} bytes")
     try:
         record = YAML(typ="safe", pure=True).load(content.decode("utf-8"))
     except (YAMLError, ValueError, RecursionError, TypeError, AttributeError) as error:
-        raise DatasetFaultError("DST-070", place, "it is not YAML") from error
+        raise DatasetFaultError("DST-070", position, "it is not YAML") from error
     if (
         not isinstance(record, dict)
         or not isinstance(record.get("name"), str)
         or not isinstance(record.get("classes"), dict)
     ):
-        raise DatasetFaultError("DST-070", place, "it has no name, or no classes")
-    return class_map_of(record["name"][:100], dict(_meant(place, *item) for item in record["classes"].items()))
+        raise DatasetFaultError("DST-070", position, "it has no name, or no classes")
+    return class_map_of(record["name"][:100], dict(_meant(position, *item) for item in record["classes"].items()))
 
 
-def _meant(place: DatasetPlace, number: object, meaning: object) -> tuple[int, str]:
+def _meant(position: DatasetPlace, number: object, meaning: object) -> tuple[int, str]:
     if isinstance(number, str) and number.isdecimal() and len(number) < 4:  # JSON keys are text
         number = int(number)
     if type(number) is not int or not 0 <= number < 256:
-        raise DatasetFaultError("DST-070", place, f"{quoted(number)} is not a number from 0 to 255")
+        raise DatasetFaultError("DST-070", position, f"{quoted(number)} is not a number from 0 to 255")
     if not isinstance(meaning, str) or meaning not in MEANINGS:
         raise DatasetFaultError(
-            "DST-070", place, f"{number} is {quoted(meaning)}; expected one of {', '.join(MEANINGS)}"
+            "DST-070", position, f"{number} is {quoted(meaning)}; expected one of {', '.join(MEANINGS)}"
         )
     return number, meaning

@@ -225,8 +225,8 @@ def _refuse(index: DatasetIndex, what: str, returns: int, shares: Mapping[str, f
     measured = (
         f"{stated:.2%} of {returns} returns are in occupied voxels of {('their' if what == 'own' else 'near')} labels"
     )
-    place = DatasetPlace(label_folder(index.sequences[0].name))
-    raise DatasetFaultError("DST-073", place, f"{measured} with the grid {index.grid}{others}")
+    position = DatasetPlace(label_folder(index.sequences[0].name))
+    raise DatasetFaultError("DST-073", position, f"{measured} with the grid {index.grid}{others}")
 
 
 def _is_refuted(stated: float, other: float) -> bool:

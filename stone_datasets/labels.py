@@ -114,19 +114,19 @@ class _Arrays:
 
     def grid_of(self, member: zipfile.ZipInfo, *, is_mask: bool = False) -> Grid:
         """Return the grid of a member. Raises a `DatasetFaultError`: DST-067 if a mask has another shape or type."""
-        packed, place = self._packed(member), DatasetPlace(self.name)
+        packed, position = self._packed(member), DatasetPlace(self.name)
         try:
             shape, is_fortran, dtype, start = known_head(self._begun(member, packed, HEAD_BYTES))
         except NO_NPY as error:
             raise self._damaged(member, "it is not an npy array") from error
         if shape != self.grid.shape:
             what = f"{member.filename} has shape {str(shape)[:60]}; the grid is {self.grid}"
-            raise DatasetFaultError("DST-067" if is_mask else "DST-063", place, what, self._turned(shape))
+            raise DatasetFaultError("DST-067" if is_mask else "DST-063", position, what, self._turned(shape))
         if dtype != np.uint8 or is_fortran:
             order = "Fortran" if is_fortran else "C"
             raise DatasetFaultError(
                 "DST-067" if is_mask else "DST-064",
-                place,
+                position,
                 f"{member.filename} is {dtype} in {order} order",
                 "write numpy.ascontiguousarray(grid)" if is_fortran else "cast with .astype(numpy.uint8) before saving",
             )

@@ -57,8 +57,8 @@ class PlacedFrames:
         if self.archive is None:
             return None if self.folder is None else self.folder.span(name)
         (ranges, root), (number, channel, at) = self.archive, of
-        place = self.places[number][channel][at]
-        return None if place[0] < 0 else placed_span(ranges, (name, root + name), place)
+        span = self.places[number][channel][at]
+        return None if span[0] < 0 else placed_span(ranges, (name, root + name), span)
 
 
 def placed_frames(index: DatasetIndex) -> PlacedFrames:

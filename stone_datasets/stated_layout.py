@@ -48,13 +48,13 @@ class StatedLayout:
 UNSTATED = StatedLayout()
 
 
-def form_of_tokens(written: Sequence[str], place: DatasetPlace) -> bool:
+def form_of_tokens(written: Sequence[str], position: DatasetPlace) -> bool:
     """Return whether these frame tokens are UUIDs with dashes. Raises `DST-043` if only some have dashes."""
     is_dashed = [DASHED_TOKEN.fullmatch(token) is not None for token in written]
     if len(set(is_dashed)) > 1:
         first = written[is_dashed.index(not is_dashed[0])]
         what = f"{sum(is_dashed)} of {len(written)} frame tokens have dashes; {first} differs from {written[0]}"
-        raise DatasetFaultError("DST-043", place, what)
+        raise DatasetFaultError("DST-043", position, what)
     return any(is_dashed)
 
 

@@ -163,16 +163,16 @@ def _check_clocks(tables: DatasetTables, faults: DatasetFaults) -> None:
         rows = order[start:stop]
         for fault in clock_faults(stamps_us[rows], scene.log.date):
             row = int(rows[fault.at])
-            place = DatasetPlace(tables.file("sample"), row + 1, samples.tokens[row])
-            faults.add(DatasetFaultError("DST-028", place, fault.what, fault.likely))
+            position = DatasetPlace(tables.file("sample"), row + 1, samples.tokens[row])
+            faults.add(DatasetFaultError("DST-028", position, fault.what, fault.likely))
         if len(rows):
             has[are_dated(stamps_us[rows])] = True
     for table, column in (("ego_pose", tables.poses.stamp_us), ("sample_data", tables.data.stamp_us)):
         for fault in strangers(
             column.array(np.int64), has_dated=has.get(True, False), has_undated=has.get(False, False)
         ):
-            place = DatasetPlace(tables.file(table), fault.at + 1)
-            faults.add(DatasetFaultError("DST-028", place, fault.what, fault.likely))
+            position = DatasetPlace(tables.file(table), fault.at + 1)
+            faults.add(DatasetFaultError("DST-028", position, fault.what, fault.likely))
 
 
 def _rows(files: DatasetFiles, name: str) -> Iterator[DatasetRow]:

@@ -66,9 +66,9 @@ class DatasetZip:
         return self.root + name in self.folders
 
 
-def placed_span(ranges: ByteRanges, names: tuple[str, str], place: Iterable[int]) -> ExportFileSpan:
+def placed_span(ranges: ByteRanges, names: tuple[str, str], entry: Iterable[int]) -> ExportFileSpan:
     """Return the file at a place of a tar or zip; `names` are its names in the dataset and in the archive."""
-    offset, size, packed, limit, crc32, method = (int(number) for number in place)
+    offset, size, packed, limit, crc32, method = (int(number) for number in entry)
     if method == NOT_ZIPPED:
         return ExportFileSpan(ranges.path, names[0], offset, size)
     member = ZipMember(names[1], method, crc32, packed, size, offset, limit)
