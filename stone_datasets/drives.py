@@ -30,7 +30,7 @@ def torn_drives(index: DatasetIndex) -> Iterator[DatasetFaultError]:
         counts = Counter(split_of[name] for name in drive if name in split_of)
         if len(counts) > 1:
             distribution = " and ".join(f"{count} in {quoted(split)}" for split, count in counts.items())
-            what = f"of the {len(drive)} scenes of the drive that starts with {quoted(drive[0])}, {distribution}"
+            what = f"the {len(drive)} scenes of the drive that starts with {quoted(drive[0])} are {distribution}"
             yield DatasetFaultError("DST-044", DatasetPlace("splits"), what)
 
 

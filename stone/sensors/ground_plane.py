@@ -167,8 +167,8 @@ def footprint_off_ground(ground: GroundFit, ego_from_lidar: SE3, band_m: float) 
     return Refused(
         "footprint_off_ground",
         f"the ground lies {above(ground)} and tilts by {np.rad2deg(ground.tilt_rad):.1f}°, outside the "
-        f"footprint's search band of ±{band_m:g} m: is the LiDAR's mount in the calibration right, and the ego "
-        f"frame on the ground? {entry_of(right)} would correct it; ground auto corrects it for this run",
+        f"footprint's search band of ±{band_m:g} m. Check the LiDAR's mount and the ego frame's height: "
+        f"{entry_of(right)} would correct it; ground auto corrects it for this run",
     )
 
 

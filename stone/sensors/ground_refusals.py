@@ -35,8 +35,8 @@ def _mount_tilted(ground: GroundFit) -> Refused:
     return Refused(
         "footprint_off_ground",
         f"the ground tilts by {math.degrees(ground.tilt_rad):.1f}° in the ego frame, as do the sweeps in the "
-        "map, so the LiDAR's mount differs from the calibration and labels would be wrong; enter the values "
-        "from CAL-433; ground auto corrects it for this run",
+        "map, so the LiDAR's mount differs from the calibration. Labels would be wrong: enter the values from "
+        "CAL-433; ground auto corrects it for this run",
     )
 
 
@@ -48,7 +48,7 @@ def _poses_tilted(ground: GroundFit, calibration: Calibration) -> Refused:
     return Refused(
         "poses_tilted",
         f"according to its poses, the robot drives {abs(math.degrees(climb_rad)):.1f}° "
-        f"{('above' if climb_rad > 0 else 'below')} its heading, although the sweeps show level ground: the "
+        f"{('above' if climb_rad > 0 else 'below')} its heading, although the sweeps show level ground. The "
         "INS is rotated on its mount, its attitude is biased, or its heights drift. Labels would be wrong: "
         f"{way_out}",
     )

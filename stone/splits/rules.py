@@ -66,8 +66,8 @@ def check_drives(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[Rul
                 for part, members_of_part in names.items()
             )
             message = (
-                f"drive {name!r} is divided: of its {len(members)} consecutive sequences, {distribution}; put all of "
-                "them into one split, or remove some so that one split remains"
+                f"drive {name!r} is divided: its {len(members)} consecutive sequences are {distribution}; put "
+                "all of them into one split, or remove some so that one split remains"
             )
             findings.append(_error(DRIVES, message, tuple(entry.id for entry in members)))
     return tuple(findings)

@@ -56,7 +56,7 @@ def checked_region(name: str) -> str:
     if name != UNSAID and not REGION.fullmatch(name):
         raise Refused(
             "bad_region",
-            f"{name[:80]!r} is not a valid region: use 1 to 64 letters, digits, dots, dashes and underscores, "
+            f"{name[:80]!r} is not a valid region. Use 1 to 64 letters, digits, dots, dashes and underscores, "
             "starting with a letter or digit, or '' for unspecified (a space between words? use a dash)",
         )
     return name

@@ -155,7 +155,7 @@ WRONG = {
     ),
     "a torn drive": Wrong(
         "DST-044",
-        "of the 2 scenes of the drive that starts with 'field-0000', 1 in 'train' and 1 in 'test'",
+        "the 2 scenes of the drive that starts with 'field-0000' are 1 in 'train' and 1 in 'test'",
         change=with_splits(train=["field-0000"], test=["field-0001"]),
     ),
     "class 17": Wrong(
