@@ -93,8 +93,8 @@ def recording_table(recordings: Sequence[Mapping[str, Any]]) -> Table:
 def clock_table(record: Mapping[str, Any]) -> Table:
     """Return the clock properties of each topic (`clocks` of the record of `stone inspect --json`).
 
-    "jitter ms" is the robust σ against the sensor's own time if its messages have one, else against record time.
-    "late ms" is the delay of the stamps after the sensor's own time. A camera_info has the stamps of its image
+    "jitter ms" is the robust σ against the sensor's own time if its messages have one, else against record time. The
+    column "late ms" is the delay of the stamps after the sensor's own time. A camera_info has the stamps of its image
     and is left out.
     """
     lag = record["imu_lag"]

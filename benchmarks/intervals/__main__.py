@@ -188,8 +188,8 @@ def _summary(scope: Scope, rows: Sequence[IntervalRow]) -> str:
     beyond = [_name(row.world) for row in rows if _is_beyond(row.of_scope[scope])]
     return (
         f"{scope.replace('_', ' ')}, all rows: {_share(covered, stated)} % of {stated} intervals cover, at the least "
-        f"{100 * least:.1f} % of a row with statements in more than {100 * SPEAKS:.0f} % of trials; "
-        f"{_share(missed, compared)} % of {compared} differences are missed; below 93 % or above 6 % by more than "
+        f"{100 * least:.1f} % of a row with statements in more than {100 * SPEAKS:.0f} % of trials. "
+        f"{_share(missed, compared)} % of {compared} differences are missed. Below 93 % or above 6 % by more than "
         f"chance (p < {CHANCE:g} a row): {', '.join(beyond) or 'none'}"
     )
 

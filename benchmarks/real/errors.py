@@ -21,9 +21,9 @@ class NothingDescribedError(StoneError):
 
     def __init__(self, folder: Path, known: int) -> None:
         if not folder.is_dir():
-            super().__init__(f"{folder} is not an existing folder (is the path right?)")
+            super().__init__(f"{folder} is not an existing folder; check the path")
             return
         super().__init__(
-            f"{folder} holds no file *.real.yaml, and none of the recordings of the {known} descriptions that come "
-            "with the project (is it the folder meant? docs/research/real-ground.md says what a description holds)"
+            f"{folder} holds no file *.real.yaml, and none of the recordings of the {known} descriptions in "
+            "the project. Check the folder; docs/research/real-ground.md defines the descriptions"
         )

@@ -196,6 +196,7 @@ def _none_matched(bag: Path, sequence: Sequence, theirs_ns: NDArray[np.int64]) -
     nearest_s = float(np.abs(theirs_ns[:, None] - ours_ns[[0, -1]]).min()) * 1e-9
     return Refused(
         "no_release",
-        f"{bag.name}: none of its {len(ours_ns)} frames has released labels; the nearest released frame is "
-        f"{nearest_s:.3f} s from its ends, at most {MOST_OFF_NS * 1e-9:g} s are allowed (is it a bag of this dataset?)",
+        f"{bag.name}: none of its {len(ours_ns)} frames has released labels. The nearest released frame is "
+        f"{nearest_s:.3f} s from its ends, at most {MOST_OFF_NS * 1e-9:g} s are allowed: check that the bag is of this "
+        "dataset",
     )

@@ -31,7 +31,7 @@ def show_pair(pair: ReleasedPair) -> None:
     off_us, apart_m = np.abs(pair.off_ns) // 1000, np.median(pair.apart_m)
     print(
         f"\n{pair.name}: {len(pair.rows)} of {len(pair.sequence.frames)} frames have released labels "
-        f"({np.count_nonzero(off_us == 0)} by equal stamps, the others at most {off_us.max() / 1000:.3f} ms off); the "
+        f"({np.count_nonzero(off_us == 0)} by equal stamps, the others at most {off_us.max() / 1000:.3f} ms off). The "
         f"median distance of the LiDAR by the bag and by the tables is {apart_m:.3f} m. "
         f"The released ego origin is {pair.ours_from_theirs.translation_m[2]:.2f} m above the ground."
     )

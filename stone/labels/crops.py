@@ -66,8 +66,9 @@ def _look_up(labelled, placement, table, grid):  # type: ignore[no-untyped-def]
 
 @dataclass(frozen=True, eq=False)
 class CropPlacement:
-    """Fixed-point positions in the window: `start` (3,) is the centre of voxel [0, 0, 0], and the columns of `step` (3,
-    3) are the change per voxel along each ego axis.
+    """Fixed-point positions in the window: `start` (3,) is the centre of voxel [0, 0, 0].
+
+    The columns of `step` (3, 3) are the change per voxel along each ego axis.
     """
 
     start: NDArray[np.int64]

@@ -14,8 +14,9 @@ from stone.sensors.sequence import Sequence
 
 
 def ground_refusal(sequence: Sequence, band_m: float = BAND_M) -> Refused | None:
-    """Return the refusal of a run if its footprint (or one half of it) is off the ground, or if its LiDAR or poses are
-    tilted; otherwise None, also without measured ground.
+    """Return the refusal of a run whose footprint (or one half of it) is off the ground, or whose LiDAR or poses tilt.
+
+    Returns None otherwise, also without measured ground.
 
     The search band for driven ground is `band_m` metres around the footprint.
     """

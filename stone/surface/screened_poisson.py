@@ -5,10 +5,10 @@ The field φ minimises, with ∇φ for the difference along each edge of the lat
     Σ_edges (∇φ − N)² · w²  +  α Σ_patches c · φ(p)²
 
 N is the mean of the patches' normals around the edge, p a patch's point, and φ(p) trilinear between the cell's corners.
-c is its number of points, up to `FULL_POINTS`, over `FULL_POINTS`. The surface is φ = 0. Two things differ from the
-octree solvers. N has unit length throughout the band, so φ is a distance instead of an indicator, and sparse data need
-no coarser cells. The domain ends a cell beyond the data, with the natural boundary (the rest would be trimmed anyway),
-so φ depends only on nearby data, not on distant cells.
+The weight c is its number of points, up to `FULL_POINTS`, over `FULL_POINTS`. The surface is φ = 0. Two things differ
+from the octree solvers. N has unit length throughout the band, so φ is a distance instead of an indicator, and sparse
+data need no coarser cells. The domain ends a cell beyond the data, with the natural boundary (the rest would be trimmed
+anyway), so φ depends only on nearby data, not on distant cells.
 
 **Conventions.** φ in metres, positive on the side from which the data were seen, one value per corner of the band. Sums
 run in patch order, so equal patches give equal bits.

@@ -25,8 +25,9 @@ class TerrainParameters:
 
 
 def terrain_features(mesh: Mesh, normals: NDArray[np.float64], parameters: TerrainParameters) -> NDArray[np.float64]:
-    """Return (V, 3): h = z (Eq. 1), θ = arccos(n·z) (Eq. 2) and the roughness r (Eq. 3). r is the log of the mean
-    squared distance of the k nearest vertices to their best-fit plane.
+    """Return (V, 3): h = z (Eq. 1), θ = arccos(n·z) (Eq. 2) and the roughness r (Eq. 3).
+
+    The roughness is the log of the mean squared distance of the k nearest vertices to their best-fit plane.
 
     `normals` are the `vertex_normals` of the untrimmed mesh.
     """

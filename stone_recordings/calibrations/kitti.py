@@ -4,7 +4,7 @@
 `reference_from_velodyne`, `R0_rect` (`R_rect`) is `rectified_from_reference`. `Tr` of odometry is
 `rectified_from_velodyne`, `Tr_imu_to_velo` is `velodyne_from_imu`. A point of the scanner is at `P_i R0_rect
 Tr_velo_to_cam x` in image i. P_i = K [I | t] is of rectified images: the lens is K without distortion, and camera i is
-`cam_i_from_rectified` = t; if all P_i are equal (View-of-Delft) there is one camera, cam2. Raw: `calib_velo_to_cam.txt`
+`cam_i_from_rectified` = t. If all P_i are equal (View-of-Delft) there is one camera, cam2. Raw: `calib_velo_to_cam.txt`
 and `calib_imu_to_velo.txt` have R and T in the same directions. `calib_cam_to_cam.txt` gives `P_rect_0i`, `R_rect_00`
 and `S_rect_0i`, the size of the rectified images (synced data, as recorded by kitti2bag; the unrectified ones need K
 and D by camera_info). The other files contain no size: a rig.yaml does. View-of-Delft writes its radar's file with the

@@ -154,7 +154,7 @@ def _ars548(cursor: Cursor) -> _Parsed | None:
 
 # Jumps of the recorder's own clock within a recording, such as NTP setting the host while it records. The distance of a
 # message is record time − stamp. A jump of the recorder moves the distances of all topics equally at the same time
-# while their stamps continue; a jump of a sensor moves its own distance and its stamps. A jump ahead leaves an interval
+# while their stamps continue. A jump of a sensor moves its own distance and its stamps. A jump ahead leaves an interval
 # without records; a jump back records an interval twice. Stamps by the clock of the recorder's host jump with it, at
 # one distance throughout. Only the comparison of clocks removes jumps; jumped stamps are reported. TIM-212.
 

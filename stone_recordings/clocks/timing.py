@@ -2,7 +2,7 @@
 
 **Conventions.** A stamp is that of the header if the type starts with one (the first eight bytes of the body) and it is
 set, otherwise the log time. A gap is an interval longer than `GAP_RATIO` median periods, so that one lost message of a
-jittery topic is no gap and two always are; only periodic topics have gaps. Topics with bursts (a log, events, a radar's
+jittery topic is no gap and two always are. Only periodic topics have gaps. Topics with bursts (a log, events, a radar's
 lists) are not periodic: their rate is their count over their time, not the rate within a burst. If a topic of no sensor
 is one short burst (a node's log at its start), its rate is its count over the time of the recording.
 """

@@ -1,8 +1,8 @@
 """Recordings that share a clock, found by their common messages and topics.
 
 **Conventions.** Common messages give the offset exactly: by their stamps if these differ by a constant (a file was
-shifted), else by their log times, whose scatter is that of the transport. If one recording continues the sensors'
-topics of another after its end, the recorder split the run: they share a clock.
+shifted), else by their log times, with the scatter of transport. If one recording continues the sensors' topics of
+another after its end, the recorder split the run: they share a clock.
 """
 
 from collections import Counter

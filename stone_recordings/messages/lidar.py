@@ -25,7 +25,7 @@ class LidarPoints:
     """N returns: (N, 3) float32 metres in the LiDAR frame, and if the cloud contains them, times and lasers.
 
     `offset_ns` is relative to the header stamp; `time_meaning` is how it was read ("absolute s", "relative ns", "none",
-    "another clock", "too coarse"); `rows` (N,) are the records of the returns in the cloud. `beyond` counts the points
+    "another clock", "too coarse"). `rows` (N,) are the records of the returns in the cloud. `beyond` counts the points
     out of any LiDAR's reach. `wrapped`, `filled` and `untimed` (dropped) count times as in `PointTimes`.
     """
 

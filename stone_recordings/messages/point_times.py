@@ -2,7 +2,7 @@
 
 **Conventions.** Names only nominate fields. The core of a sweep decides: the two fifths of its times that lie closest
 together. The unit is the one in which a sweep lasts between 1 ms and 1 s. Times within `NEAR_NS` of 0 are relative to
-the stamp, times that near to the stamp are absolute, and times that near modulo an hour count from the top of the hour
+the stamp, times that near to the stamp are absolute. Times that near modulo an hour count from the top of the hour
 (Velodyne). Unsigned words that wrapped below the stamp are small negative times. A time far from the core is invalid:
 the point gets the time between its neighbours in storage order if these agree, else it is dropped. Source: Hesai ROS
 2.0, Nebula, Velodyne, Ouster and RoboSense drivers.

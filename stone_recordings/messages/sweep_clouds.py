@@ -2,7 +2,7 @@
 points, or the LiDAR's own packets.
 
 **Conventions.** A message is one revolution. Packets are decoded with the maker's default angles of the model that they
-name; all packets of a message are of the model of its first, and the others are left out.
+name. All packets of a message are of the model of its first, and the others are left out.
 """
 
 from collections.abc import Callable

@@ -3,7 +3,7 @@
     R = y + 1.596 v   G = y − 0.392 u − 0.813 v   B = y + 2.017 u   y = 1.164 (Y − 16), u = U − 128, v = V − 128
 
 **Conventions.** Eight bits per sample, ITU-R BT.601 of limited range (Y 16 to 235), as in cv_bridge. Two pixels of a
-row share a colour in 4:2:2, four of a square in 4:2:0, none in 4:4:4; the last pixel of an odd row or column has a
+row share a colour in 4:2:2, four of a square in 4:2:0, none in 4:4:4. The last pixel of an odd row or column has a
 colour alone. In planar formats, rows of U and V (or V and U) alternate after the rows of Y. Source: sensor_msgs
 image_encodings, V4L2 pixel formats (YUYV, UYVY, NV12, NV21, NV24), ITU-R BT.601-7, 2.5.
 """

@@ -27,8 +27,8 @@ Points = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Trust:
-    """Limits for accepting a registration: overlap of the source within `FINE_M` of the target, the typical distance
-    from its planes, and the spread (m, rad) of the results of displaced starts.
+    """Limits for accepting a registration: overlap within `FINE_M` of the target, typical distance from its planes, and
+    the spread (m, rad) of the results of displaced starts.
 
     Displaced starts are tried only if the position matters and not the turn alone. Measured on the KITTI piece: right
     results 0.028 to 0.037 m, wrong ones from 0.082 m.

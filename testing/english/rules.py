@@ -77,7 +77,7 @@ OF_CELLS: Mapping[str, Callable[[str], bool]] = {
 }
 """Rules for table cells and for the help of options."""
 OF_NAMES: Mapping[str, Callable[[str], bool]] = {
-    "name without a noun": lambda name: name in {"found", "one", "ones", "told", "said", "asked", "place"},
+    "name without a noun": lambda name: name in {"found", "one", "told", "said", "asked", "place"},
 }
 """Rules for the names of variables."""
 RULES = (*ANYWHERE, *FIRST, *OF_FUNCTIONS, *OF_CELLS, *OF_NAMES)

@@ -22,7 +22,7 @@ OTHERS = ("tests/", "web/libraries/", "testing/english/")
 """Folders that are not read: tests, libraries by others, and this check, which quotes what it finds."""
 LEAST_WORDS = 4
 NO_PROSE = re.compile(
-    r"\b(?:SELECT|INSERT|CREATE TABLE|UPDATE|DELETE FROM|PRAGMA)\b|\(\?[P:!=<]|\\[dwsb(]|=>|&&"
+    r"\b(?:SELECT|INSERT|CREATE TABLE|UPDATE|DELETE FROM|PRAGMA)\b|\bpython -c|\(\?[P:!=<]|\\[dwsb(]|=>|&&"
     r"|[{}<>]\S*[{}<>]\S*[{}<>]|^\s*[-.#$]"
 )
 DIRECTIVE = re.compile(r"#\s*(?:type:|noqa|fmt:|pragma|!|ruff|mypy)")
@@ -86,9 +86,8 @@ def _python_texts(path: str, content: str) -> Iterator[Text]:
     fields = {part for node in ast.walk(tree) if isinstance(node, ast.ClassDef) for part in _targets(node)}
     for part in ast.walk(tree):
         if isinstance(part, ast.JoinedStr | ast.Constant) and part not in inside and part not in docstrings:
-            words = _spelled(part)
-            if is_prose(words):
-                yield Text(path, part.lineno, Source.STRING, words)
+            paragraphs = re.split(r"\n\s*\n|\n#+ |\n[-*] ", _spelled(part))
+            yield from (Text(path, part.lineno, Source.STRING, words) for words in paragraphs if is_prose(words))
         elif isinstance(part, ast.Name) and isinstance(part.ctx, ast.Store) and part not in fields:
             yield Text(path, part.lineno, Source.NAME, part.id)
 

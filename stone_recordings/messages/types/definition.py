@@ -1,7 +1,7 @@
 """Message definitions (`.msg`, ros2msg) as values: strict, bounded, nothing executed.
 
 **Conventions.** A type is "package/msg/Name". A field is one value, a fixed array or a sequence of a primitive or of
-another type; bounds of strings and sequences are read and dropped, since they do not change the wire. Definitions are
+another type. Bounds of strings and sequences are read and dropped, since they do not change the wire. Definitions are
 untrusted: syntax, names and every size are checked. Source: ROS 2 interface definition, REP 9 (rosidl).
 """
 

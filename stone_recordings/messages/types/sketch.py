@@ -42,7 +42,7 @@ class PayloadPiece(NamedTuple):
 @dataclass
 class Sketch:
     """The layout of a payload: `counts` holds, for every repetition of unknown length, its number of elements in each
-    enclosing element; `lengths` are the offsets of all words that this layout depends on.
+    enclosing element. `lengths` are the offsets of all words that this layout depends on.
     """
 
     pieces: list[PayloadPiece] = field(default_factory=list)

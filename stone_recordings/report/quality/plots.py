@@ -22,7 +22,7 @@ SERIES_COLOURS = 8
 # Placeholders that no drawing would contain by chance, by the name of the page's variable.
 COLOURS = {
     "ink": "#010203", "soft": "#010204", "line": "#010205", "bad": "#010206", "ok": "#010207", "warn": "#010208",
-    **{f"c{place}": f"#01030{place}" for place in range(SERIES_COLOURS)},
+    **{f"c{index}": f"#01030{index}" for index in range(SERIES_COLOURS)},
 }  # fmt: skip
 WIDTH_IN, HEIGHT_IN = 4.5, 2.2
 LEAST_SIDE_MS = 2.0
