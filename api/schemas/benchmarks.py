@@ -179,7 +179,7 @@ class CreatedBenchmark(BenchmarkShown[PhaseDetail]):
 
 
 class MetricItem(Answer):
-    """A version of the metric: `definition` is Markdown and never changes; golden vectors prove it."""
+    """A version of the metric: `definition` is Markdown and never changes; test vectors verify it."""
 
     model_config = example(
         version="stone-iou-2", title="IoU over all evaluated voxels", definition="# …", is_active=True
