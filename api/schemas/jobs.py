@@ -80,7 +80,7 @@ class JobItem(Answer):
 
     model_config = example(
         kind="sequence.process",
-        title="Labelling",
+        title="Label the sequence",
         queue="",
         state="running",
         priority=0,

@@ -374,7 +374,7 @@ def test_the_list_names_owner_and_sequence_and_says_when_a_run_will_end(
     told = {one["progress"]["eta_s"] for one in (item, detail, own[0]["items"][0], own[1])}
     assert len(told) == 1, "one run, several estimates"
     assert {child["progress"]["eta_s"] for child in detail["children"]} == {None}
-    assert item["title"] == "Labelling"
+    assert item["title"] == "Label the sequence"
 
 
 def test_a_queue_says_how_long_its_oldest_waits_and_what_it_achieved(api: httpx.Client, platform: Platform) -> None:

@@ -96,4 +96,4 @@ def test_images_for_the_viewer_that_nobody_asked_for_are_no_export(
         html = reading.html(f"/sequences/{shown['id']}/exports", curator)
         assert "playback" not in html
         assert html.count('<li class="card">') == int(finished)
-        assert "Write the export" not in reading.html(f"/sequences/{shown['id']}", curator)
+        assert "Export the labels" not in reading.html(f"/sequences/{shown['id']}", curator)
