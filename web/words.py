@@ -92,6 +92,32 @@ def state_word(state: str) -> str:
     return STATE_WORDS.get(state, state.replace("_", " "))
 
 
+STAGE_WORDS: Mapping[str, str] = {
+    "check": "checking",
+    "compare": "comparing",
+    "copy": "copying",
+    "fetch": "downloading",
+    "index": "reading tables",
+    "inspect": "reading",
+    "keep": "saving",
+    "labels": "labelling",
+    "map": "drawing the map",
+    "measure": "measuring",
+    "part": "counting",
+    "publish": "saving",
+    "score": "scoring",
+    "store": "saving",
+    "synchronise": "synchronising",
+    "truth": "packing the ground truth",
+}
+"""The words of the steps within a job."""
+
+
+def stage_word(stage: str) -> str:
+    """Return the title of a stage of a run, or the word of a step within a job."""
+    return STAGE_WORDS.get(stage) or title_of(stage)
+
+
 # The reader's class colours, from the switch in the footer of every page.
 #
 # **Conventions.** The cookie holds a palette's name of `stone/labels/class_colours.py`; anything else counts as the
@@ -221,6 +247,7 @@ FILTERS: Mapping[str, Callable[..., Any]] = {
     "short": short,
     "state_word": state_word,
     "job_title": title_of,
+    "stage_word": stage_word,
     "by_harm": by_harm,
     "coloured": coloured,
     "counted": counted,

@@ -31,6 +31,8 @@ SAID: tuple[tuple[Callable[[Any], str], Any, str], ...] = (
     (words.span, 61, "1 min 1 s"), (words.span, 3600, "1 h"), (words.span, 90_061, "1 d 1 h"),
     (words.span, 86_460, "1 d"),
     (words.percent, 0.2913, "29.1 %"), (words.percent, 1.0, "100.0 %"),
+    (words.stage_word, "store", "saving"), (words.stage_word, "labeler.fuse", "Fuse sweeps"),
+    (words.stage_word, "another", "another"),
     (words.size, None, "–"), (words.span, None, "–"), (words.percent, None, "–"),
 )  # fmt: skip
 
