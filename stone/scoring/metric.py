@@ -64,8 +64,8 @@ _COUNTED = """\
   of the robot (x forward, y left, z up), C order, uint8. Classes: 0 free, 1 traversable (T), 2 potentially traversable
   (P), 3 non-traversable (N). *Occupied* means T, P or N. There is no class "unknown": a prediction that holds any other
   value (such as 255) in any voxel, evaluated or not, is refused as `label_out_of_range` and not scored.
-- The phase's mask selects the *evaluated* voxels: `all` – every voxel, so the ground truth's 0 means free or never
-  seen; `lidar`, `camera` – voxels whose `mask_lidar` or `mask_camera` in the ground truth is not 0. Predictions have no
+- The phase's mask selects the *evaluated* voxels. `all` selects every voxel, so the ground truth's 0 means free or never
+  seen. `lidar` and `camera` select voxels whose `mask_lidar` or `mask_camera` in the ground truth is not 0. Predictions have no
   masks. Other voxels are never counted.
 - Evaluated voxels are counted in a 4 × 4 confusion matrix (rows ground truth, columns prediction, in class order) per
   frame and per ring. A ring is a range of horizontal distance from the robot to the voxel's centre (0–10, 10–20, from
@@ -103,8 +103,8 @@ _SPECTRAL_INTERVALS = """\
 ## Intervals
 
 A 95 % interval is given if it is reliable; otherwise the reason is given. Neighbouring frames overlap, so their
-correlation is estimated. *These places*: the variance of a ratio, or of a difference of two ratios, is estimated from
-the low-frequency cosine coefficients of its frames' influences in each sequence, with critical values of Student's t.
+correlation is estimated. *These places*: the variance of a ratio (or of a difference of two) is estimated from the
+low-frequency cosine coefficients of its frames' influences in each sequence. Critical values are those of Student's t.
 At least five coefficients below the frequency of the assumed correlation time are required. *Unseen places*: the
 variance over at least five whole sequences. Rank intervals and tie groups compare all pairs of the board jointly
 (Tukey): the family-wise error rate is at most 5 %.

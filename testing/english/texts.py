@@ -86,7 +86,7 @@ def _python_texts(path: str, content: str) -> Iterator[Text]:
     fields = {part for node in ast.walk(tree) if isinstance(node, ast.ClassDef) for part in _targets(node)}
     for part in ast.walk(tree):
         if isinstance(part, ast.JoinedStr | ast.Constant) and part not in inside and part not in docstrings:
-            paragraphs = re.split(r"\n\s*\n|\n#+ |\n[-*] ", _spelled(part))
+            paragraphs = re.split(r"\n\s*\n|\n#+ |\n[-*] |(?:\n {4}.*)+|\n\|.*", _spelled(part))
             yield from (Text(path, part.lineno, Source.STRING, words) for words in paragraphs if is_prose(words))
         elif isinstance(part, ast.Name) and isinstance(part.ctx, ast.Store) and part not in fields:
             yield Text(path, part.lineno, Source.NAME, part.id)
