@@ -64,9 +64,9 @@ _COUNTED = """\
   of the robot (x forward, y left, z up), C order, uint8. Classes: 0 free, 1 traversable (T), 2 potentially traversable
   (P), 3 non-traversable (N). *Occupied* means T, P or N. There is no class "unknown": a prediction that holds any other
   value (such as 255) in any voxel, evaluated or not, is refused as `label_out_of_range` and not scored.
-- The phase's mask selects the *evaluated* voxels. `all` selects every voxel, so the ground truth's 0 means free or never
-  seen. `lidar` and `camera` select voxels whose `mask_lidar` or `mask_camera` in the ground truth is not 0. Predictions have no
-  masks. Other voxels are never counted.
+- The phase's mask selects the *evaluated* voxels. `all` selects every voxel, so the ground truth's 0 means free or
+  never seen. `lidar` and `camera` select voxels whose `mask_lidar` or `mask_camera` in the ground truth is not 0.
+  Predictions have no masks. Other voxels are never counted.
 - Evaluated voxels are counted in a 4 × 4 confusion matrix (rows ground truth, columns prediction, in class order) per
   frame and per ring. A ring is a range of horizontal distance from the robot to the voxel's centre (0–10, 10–20, from
   20 m, half-open).

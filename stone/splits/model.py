@@ -27,8 +27,8 @@ from stone.splits.splits import (
     twins_of,
 )
 
-# The cost of violating a rule, per unit: a sequence more or fewer than requested, a sequence too short or
-# duplicated, a region in both train and test, a missing condition. Sizes were requested by the user, so
+# The cost of violating a rule, per unit. Units are a sequence more or fewer than requested, a sequence too
+# short or duplicated, a region in both train and test, and a missing condition. Sizes were requested by the user, so
 # they are violated last.
 COSTS: Mapping[str, int] = {SIZES: 1000, LENGTH: 300, WHOLE: 300, REGIONS: 100, LIGHT: 10, SEPARATED_PLACES: 10}
 TRAIN, TEST = PARTS.index("train"), PARTS.index("test")
