@@ -76,7 +76,7 @@ def test_the_verdict_names_who_is_late(tmp_path: Path) -> None:
     HeartbeatFile(tmp_path).beat()
     assert silence(live_processes(tmp_path), HOUR_S) == ""
     ages(tmp_path)
-    assert silence(live_processes(tmp_path), 60.0).startswith(f"process {os.getpid()} ")
+    assert silence(live_processes(tmp_path), 60.0).startswith(f"process {os.getpid()}: ")
 
 
 def test_a_server_is_well_while_it_answers_with_success(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -124,7 +124,7 @@ def test_what_was_collected_before_it_was_added_is_not_said_to_be_here(stored: P
     with stored.database.transaction() as session:
         session.execute(update(LooseObject).values(expected_ns=0))
     collect_garbage(stored)
-    with refused_as("offset_mismatch", match=r"^0 "):
+    with refused_as("offset_mismatch", match=r"^the server has 0 "):
         reception.end()
     reception.close()
     assert kept(stored, upload) == b""

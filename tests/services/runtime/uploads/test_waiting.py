@@ -47,7 +47,7 @@ def test_an_owner_has_so_many_waiting_uploads_and_one_more_leaves_no_trace(place
     made(small, owner, b"1")
     complete(small, owner)
     before = used(small, owner)
-    with refused_as("too_many_uploads", match=r"^2 uploads"):
+    with refused_as("too_many_uploads", match=r"^you have 2 unfinished"):
         made(small, owner, b"2")
     assert (waiting(small), used(small, owner)) == (2, before)
     folder = small.settings.uploads_folder
@@ -83,7 +83,7 @@ def test_of_several_creations_at_once_one_takes_the_owners_last_place(placed_on:
 def test_a_participant_has_a_bound_of_their_own(platform: Platform) -> None:
     entrant = entrant_on(having(platform, submissions={"participant_waiting": 1}))
     begun(entrant, drafted(entrant))
-    with refused_as("too_many_uploads", match=r"^1 uploads"):
+    with refused_as("too_many_uploads", match=r"^you have 1 unfinished"):
         begun(entrant, drafted(entrant))
 
 
@@ -96,7 +96,7 @@ def test_a_draft_has_so_many_waiting_uploads_whoever_of_its_team_made_them(platf
     begun(entrant, draft_id)
     begun(entrant, draft_id, by=member)
     for who in (entrant.captain, member):
-        with refused_as("too_many_uploads_of_draft", match=r"^2 uploads"):
+        with refused_as("too_many_uploads_of_draft", match=r"has 2 unfinished"):
             begun(entrant, draft_id, by=who)
     begun(entrant, drafted(entrant))
 
