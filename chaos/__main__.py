@@ -46,9 +46,7 @@ def main() -> int:
             made = played[-1].made
     Console(width=max(Console().width, 130)).print(table_of(played, options.seed, time.monotonic() - begun_s))
     if code != _code():
-        CONSOLE.print(
-            "the code was changed meanwhile; processes that were started again ran the new one: this proves nothing"
-        )
+        CONSOLE.print("the code changed during the run, and restarted processes ran the new code: the result is void")
         return 1
     return 0 if all(series.is_proven for series in played) else 1
 
@@ -67,8 +65,8 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--rounds", type=int, default=50, help="of each kind")
     parser.add_argument("--only", nargs="+", choices=[kind.name for kind in KINDS], default=[])
     parser.add_argument("--seed", type=int, default=random.SystemRandom().randrange(2**31))
-    parser.add_argument("--minutes", type=float, default=60.0, help="no round begins later than this")
-    parser.add_argument("--folder", type=Path, help="a temporary one unless named")
+    parser.add_argument("--minutes", type=float, default=60.0, help="start no round after this time")
+    parser.add_argument("--folder", type=Path, help="folder of the rounds (default: a temporary folder)")
     options = parser.parse_args()
     options.folder = (options.folder or Path(tempfile.mkdtemp(prefix="stone-chaos-"))).absolute()
     return options

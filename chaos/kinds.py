@@ -62,7 +62,7 @@ KINDS = (
     ),
     Kind("client", "kill −9 the client mid-upload", kill_client),
     Kind("redis", "kill −9 Redis with wake-ups queued", lambda turn: _during_run(turn, kill_redis)),
-    Kind("sweeper", "kill −9 the sweeper, with lost work to take up", lambda turn: _during_run(turn, kill_sweeper)),
+    Kind("sweeper", "kill −9 the sweeper, with lost work to resume", lambda turn: _during_run(turn, kill_sweeper)),
     Kind("postgres", "restart PostgreSQL under load", _under_load, on_postgres=True),
     Kind("s3", "kill −9 the S3 store", lambda turn: _during_run(turn, restart_s3), on_postgres=True, on_s3=True),
 )

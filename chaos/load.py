@@ -82,6 +82,6 @@ def _judge(turn: OwnerRound, load: _Load) -> Iterator[Violation]:
     for name in load.acknowledged:
         if names[name] != 1:
             sort: Sort = "doubled" if names[name] else "lost"
-            yield Violation(sort, f"sequence {name} was acknowledged and is there {names[name]} times")
+            yield Violation(sort, f"sequence {name} was acknowledged and exists {names[name]} times")
     if not load.acknowledged:
-        yield Violation("lost", "nobody wrote anything, so there was no load")
+        yield Violation("lost", "there were no writes, so there was no load")

@@ -93,7 +93,7 @@ def _violated(there: DeployedPlatform, made: RunArtefacts, name: str, strike: Ca
     with there.platform.database.reading() as session:
         of_run = select(func.count()).select_from(JobAttempt).join(Job, Job.id == JobAttempt.job_id)
         lost = session.scalar(of_run.where(Job.root_id == brought.run_id, JobAttempt.outcome == "lost"))
-    CONSOLE.print(f"  {lost} attempts were lost and made again")
+    CONSOLE.print(f"  {lost} attempts were lost and repeated")
     return judge(there.platform, brought, made)
 
 
@@ -107,7 +107,7 @@ def _run(there: DeployedPlatform, name: str, strike: Callable[[], None]) -> Owne
         done = await_jobs(api, brought.run_id, AFTER_JOBS)
         strike()
         state = await_run(api, brought.run_id, PATIENCE_S)
-    CONSOLE.print(f"{name}: brought in {brought_s}, struck after {done} jobs, {state} after {seconds_since(begun_s)}")
+    CONSOLE.print(f"{name}: uploaded in {brought_s}, struck after {done} jobs, {state} after {seconds_since(begun_s)}")
     return brought
 
 
@@ -193,7 +193,7 @@ def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m chaos.machines", description=__doc__)
     parser.add_argument("--cut-s", type=float, default=60.0)
     parser.add_argument("--bytes-per-s", type=int, default=10**6)
-    parser.add_argument("--folder", type=Path, help="a temporary one unless named")
+    parser.add_argument("--folder", type=Path, help="folder of the drill (default: a temporary folder)")
     options = parser.parse_args()
     options.folder = (options.folder or Path(tempfile.mkdtemp(prefix="stone-machines-"))).absolute()
     return options

@@ -77,14 +77,14 @@ def kill_sweeper(turn: OwnerRound, run_id: str) -> None:
 def restart_s3(turn: OwnerRound, run_id: str) -> None:
     """Kill the store's server, and start it again after a while."""
     if (server := turn.target.s3) is None:
-        raise ValueError("this place has no S3 store")
+        raise ValueError("this platform has no S3 store")
     _restart(turn, run_id, server, server.kill)
 
 
 def restart_postgres(turn: OwnerRound, run_id: str) -> None:
     """Stop it at once, as a crash would, and start it again after a while."""
     if (server := turn.target.postgres) is None:
-        raise ValueError("this place has no PostgreSQL")
+        raise ValueError("this platform has no PostgreSQL")
     _restart(turn, run_id, server, server.stop)
 
 

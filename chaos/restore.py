@@ -144,19 +144,19 @@ def go_on(ground: RestoreTarget, before: BackedUpState) -> list[Violation]:
         platform = running.platform
         with Api(replace(before.owner.server, url=running.url)) as api:
             if offset_of(api, before.half) == 0:
-                found.append(Violation("lost", "nothing is left of the file that was half sent"))
+                found.append(Violation("lost", "the half-sent file has no bytes left"))
             if (state := send_rest(api, before.half)) != "complete":
-                found.append(Violation("lost", f"the file that was half sent is {state}"))
+                found.append(Violation("lost", f"the half-sent file is {state}"))
             await_run(api, before.under_way.run_id)
         _await_scored(running, before.scoring_id)
         if made_by(platform, before.done) != before.made:
-            found.append(Violation("differing", "what was labelled before is not what it was"))
+            found.append(Violation("differing", "the labels differ from those before the backup"))
         if came_of(platform, before.scored_id) != before.came:
-            found.append(Violation("differing", "what was scored before is not what it was"))
+            found.append(Violation("differing", "the scores differ from those before the backup"))
         if (state := came_of(platform, before.scoring_id).state) != before.came.state:
-            found.append(Violation("lost", f"the submission that was being scored is {state}"))
+            found.append(Violation("lost", f"the submission in scoring is {state}"))
         judged = judge(platform, before.under_way, before.made)
-        found += [one for one in judged if "beside the one that was used" not in one.sentence]
+        found += [one for one in judged if "beside the used upload" not in one.sentence]
         return [*found, *judge_blobs(platform)]
 
 
@@ -169,7 +169,7 @@ def _back_up(running: RunningPlatform, folder: BackupFolder) -> None:
             jobs = session.scalars(select(Job.state).where(Job.state == "running", Job.queue != "")).all()
         CONSOLE.print(
             f"backup of {taken.blobs} blobs in {seconds_since(begun_s)}: {taken.brought} files, "
-            f"{taken.brought_bytes / MIB:.1f} MiB new; {len(jobs)} jobs run now; {len(taken.snapshot.flaws)} flaws"
+            f"{taken.brought_bytes / MIB:.1f} MiB new; {len(jobs)} jobs running; {len(taken.snapshot.flaws)} flaws"
         )
 
 
@@ -216,8 +216,8 @@ def _ground(options: argparse.Namespace) -> Iterator[RestoreTarget]:
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m chaos.restore", description=__doc__)
     parser.add_argument("--postgres", action="store_true", help="on PostgreSQL instead of SQLite")
-    parser.add_argument("--s3", action="store_true", help="with the store in a bucket instead of a folder")
-    parser.add_argument("--folder", type=Path, help="a temporary one unless named")
+    parser.add_argument("--s3", action="store_true", help="store objects in a bucket instead of a folder")
+    parser.add_argument("--folder", type=Path, help="folder of the drill (default: a temporary folder)")
     options = parser.parse_args()
     options.folder = (options.folder or Path(tempfile.mkdtemp(prefix="stone-restore-"))).absolute()
     return options

@@ -153,7 +153,7 @@ def kill_one(arena: ScoringPlatform, submission_id: str, name: str, chance: Rand
 
 def lines_of_round(number: int, rounds: int, ended: ScoringRound) -> str:
     """A line for each round, and one for each violation."""
-    what = f"{ended.struck.victim} in {ended.struck.kind}" if ended.struck.kind else "nothing was under way"
+    what = f"{ended.struck.victim} in {ended.struck.kind}" if ended.struck.kind else "no work was running"
     said = f"{number}/{rounds}: {what}; ended {ended.recovered_s:.1f} s later"
     return "\n".join([said, *(f"  {one.sort}: {one.sentence}" for one in ended.violations)])
 
@@ -213,7 +213,7 @@ def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m chaos.scoring", description=__doc__)
     parser.add_argument("--rounds", type=int, default=50)
     parser.add_argument("--seed", type=int, default=SystemRandom().randrange(2**31))
-    parser.add_argument("--folder", type=Path, help="a temporary one unless named")
+    parser.add_argument("--folder", type=Path, help="folder of the rounds (default: a temporary folder)")
     options = parser.parse_args()
     options.folder = (options.folder or Path(tempfile.mkdtemp(prefix="stone-scoring-"))).absolute()
     return options

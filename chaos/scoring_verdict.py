@@ -57,7 +57,7 @@ def judge(platform: Platform, submission_id: str, expected: SubmissionOutcome) -
         row = session.get_one(SubmissionRow, submission_id)
         found += [*_judge_jobs(session, row), *_judge_left(session, row)]
     if upload_file(platform.settings, row.upload_id or "").exists():
-        found.append(Violation("doubled", f"the upload of submission {row.id} lies beside its blob"))
+        found.append(Violation("doubled", f"the upload of submission {row.id} still exists beside its blob"))
     if row.blob_sha256 != row.declared_sha256:
         found.append(Violation("lost", f"submission {row.id} is kept as {row.blob_sha256}"))
     return found

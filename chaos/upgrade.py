@@ -105,17 +105,17 @@ def drill(drill: Drill) -> list[Violation]:
     found: list[Violation] = []
     begun_s = time.monotonic()
     with serving(drill.data, STONE, **drill.environment, PYTHONPATH=str(ROOT)) as new, new.api() as api:
-        CONSOLE.print(f"this release answers after {seconds_since(begun_s)}")
+        CONSOLE.print(f"this release responds after {seconds_since(begun_s)}")
         if (offset := offset_of(api, half)) == 0:
-            found.append(Violation("lost", "nothing is left of the file that was half sent"))
+            found.append(Violation("lost", "the half-sent file has no bytes left"))
         state = await_run(api, brought.run_id)
         if newer_id := run_in_place_of(api, brought):
-            CONSOLE.print(f"the run is {state} after {seconds_since(begun_s)}, and begun again")
+            CONSOLE.print(f"the run is {state} after {seconds_since(begun_s)}, and started again")
             brought = replace(brought, run_id=newer_id, replaced_id=brought.run_id)
             state = await_run(api, newer_id)
-        CONSOLE.print(f"the run is {state} after {seconds_since(begun_s)}; the file goes on at byte {offset}")
+        CONSOLE.print(f"the run is {state} after {seconds_since(begun_s)}; the file continues at byte {offset}")
         if (state := send_rest(api, half)) != "complete":
-            found.append(Violation("lost", f"the file that was half sent is {state}"))
+            found.append(Violation("lost", f"the half-sent file is {state}"))
     return [*found, *_lost(before, keys_of(drill.settings)), *_judged(drill, brought)]
 
 
@@ -172,7 +172,7 @@ def _judged(drill: Drill, brought: OwnerRun) -> list[Violation]:
 
 
 def _is_of_half(violation: Violation) -> bool:
-    return "beside the one that was used" in violation.sentence
+    return "beside the used upload" in violation.sentence
 
 
 def _counted(keys: Keys) -> str:
@@ -190,10 +190,10 @@ def _database(is_postgres: bool) -> Iterator[str]:
 
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m chaos.upgrade", description=__doc__)
-    parser.add_argument("--previous", default=PREVIOUS, help="the commit of the release that is replaced")
+    parser.add_argument("--previous", default=PREVIOUS, help="commit of the previous release")
     parser.add_argument("--postgres", action="store_true", help="on PostgreSQL instead of SQLite")
     parser.add_argument("--kill", action="store_true", help="kill −9 the previous release instead of draining it")
-    parser.add_argument("--folder", type=Path, help="a temporary one unless named")
+    parser.add_argument("--folder", type=Path, help="folder of the drill (default: a temporary folder)")
     options = parser.parse_args()
     options.folder = (options.folder or Path(tempfile.mkdtemp(prefix="stone-upgrade-"))).absolute()
     return options

@@ -33,7 +33,7 @@ class ClientFailedError(Exception):
 
     def __init__(self, exit_code: int, said: bytes) -> None:
         super().__init__(
-            f"`stone sequence upload`, run again, ended with {exit_code}: {said.decode(errors='replace')[-2000:]}"
+            f"the second `stone sequence upload` ended with {exit_code}: {said.decode(errors='replace')[-2000:]}"
         )
 
 

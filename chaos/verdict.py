@@ -67,7 +67,7 @@ def judge_blobs(platform: Platform) -> Iterator[Violation]:
         if content is None:
             yield Violation("lost", f"blob {blob.sha256} has no object {blob.object_key}")
         elif sha256(content).hexdigest() != blob.sha256:
-            yield Violation("differing", f"object {blob.object_key} is not what its row says")
+            yield Violation("differing", f"object {blob.object_key} differs from its row")
 
 
 def _judge_jobs(session: Session, brought: OwnerRun, max_attempts: int) -> Iterator[Violation]:
@@ -91,13 +91,13 @@ def _judge_attempts(job: Job, attempts: Sequence[JobAttempt], max_attempts: int)
     if succeeded > 1:
         yield Violation("doubled", f"{name} was done {succeeded} times")
     if succeeded == 0:
-        yield Violation("lost", f"{name} was never done: {len(attempts)} attempts")
+        yield Violation("lost", f"{name} never succeeded: {len(attempts)} attempts")
     if len(attempts) > max_attempts:
         yield Violation("doubled", f"{name} was tried {len(attempts)} times, {max_attempts} are allowed")
     if [attempt.number for attempt in attempts] != list(range(1, job.attempt + 1)):
-        yield Violation("lost", f"{name} has had {job.attempt} attempts and keeps {len(attempts)}")
+        yield Violation("lost", f"{name} had {job.attempt} attempts, but has rows of {len(attempts)}")
     if others not in ([], ["lost"]):
-        yield Violation("lost", f"{name} has attempts that ended {others}; a kill makes them lost, nothing else")
+        yield Violation("lost", f"{name} has attempts that ended {others}; a kill can only make them lost")
 
 
 def _judge_label_sets(session: Session, brought: OwnerRun) -> Iterator[Violation]:
@@ -130,7 +130,7 @@ def _judge_quota(session: Session, brought: OwnerRun) -> Iterator[Violation]:
     held = held_bytes(session, brought.owner_id)
     if counted != held:
         sort: Sort = "doubled" if counted > held else "lost"
-        yield Violation(sort, f"{counted} bytes are counted, the rows hold {held} bytes")
+        yield Violation(sort, f"{counted} bytes are counted, the rows contain {held} bytes")
 
 
 def held_bytes(session: Session, owner_id: str) -> int:
@@ -161,11 +161,13 @@ def _judge_uploads(platform: Platform, brought: OwnerRun) -> Iterator[Violation]
         if upload.state == "open" and not content:
             continue
         if upload.state != "consumed":
-            yield Violation("doubled", f"upload {upload.id} is {upload.state} beside the one that was used: {states}")
+            yield Violation("doubled", f"upload {upload.id} is {upload.state} beside the used upload: {states}")
         elif upload.sha256 != brought.sha256:
-            yield Violation("differing", f"upload {upload.id} says {upload.sha256}, sent was {brought.sha256}")
+            yield Violation(
+                "differing", f"upload {upload.id} has the sha256 {upload.sha256}, but {brought.sha256} was sent"
+            )
         elif content is not None and sha256(content).hexdigest() != brought.sha256:
-            yield Violation("differing", f"upload {upload.id} is kept as something else than what was sent")
+            yield Violation("differing", f"the stored bytes of upload {upload.id} differ from the sent bytes")
 
 
 def _content(platform: Platform, upload: Upload) -> bytes | None:
@@ -181,7 +183,7 @@ def _content(platform: Platform, upload: Upload) -> bytes | None:
 def _judge_made(made: RunArtefacts, undisturbed: RunArtefacts) -> Iterator[Violation]:
     """The same artefacts, the same frames, by as many jobs."""
     if not undisturbed.artefacts or not undisturbed.frames:
-        yield Violation("lost", "the undisturbed run made nothing to compare with")
+        yield Violation("lost", "the undisturbed run produced no results to compare with")
     yield from (Violation("differing", flaw) for flaw in made.flaws)
     yield from _judge_same("artefact", made.artefacts, undisturbed.artefacts)
     yield from _judge_same("frame", made.frames, undisturbed.frames)
@@ -193,9 +195,9 @@ def _judge_made(made: RunArtefacts, undisturbed: RunArtefacts) -> Iterator[Viola
 
 def _judge_same(noun: str, made: Mapping[Name, str], expected: Mapping[Name, str]) -> Iterator[Violation]:
     for name in sorted(expected.keys() - made.keys(), key=str):
-        yield Violation("lost", f"{noun} {name} is not there")
+        yield Violation("lost", f"{noun} {name} is missing")
     for name in sorted(made.keys() - expected.keys(), key=str):
-        yield Violation("differing", f"{noun} {name} is not of the undisturbed run")
+        yield Violation("differing", f"{noun} {name} is missing from the undisturbed run")
     for name in sorted(made.keys() & expected.keys(), key=str):
         if made[name] != expected[name]:
             yield Violation("differing", f"{noun} {name} is {made[name]}, undisturbed {expected[name]}")

@@ -24,12 +24,12 @@ def read_description(content: bytes) -> None:
         members = read_joined(Path(folder))
         (Path(folder) / JOINED).write_bytes(joined_bytes(members))
         if read_joined(Path(folder)) != members:
-            raise AssertionError("what is written is read as something else")
+            raise AssertionError("the written description reads back differently")
     member_findings(members)
     for member in members:
         for places in ("header", "transforms"):
             if len(moved(memoryview(message), places, member.offset_ns)) != len(message):
-                raise AssertionError("a moved message has another length")
+                raise AssertionError("a message with a moved stamp has another length")
 
 
 def joined_seeds() -> Iterator[tuple[str, bytes]]:

@@ -65,7 +65,7 @@ def checked(run: LabelRun) -> LabelReport:
     if not 0 < labels == len(run.sequence.frames):
         raise WrongLabelsError(f"{labels} labels of {len(run.sequence.frames)} frames")
     if not all(math.isfinite(number) for number in _numbers(report.as_record())):
-        raise WrongLabelsError(f"a number of the report is none: {report.text()}")
+        raise WrongLabelsError(f"the report contains an invalid number: {report.text()}")
     return report
 
 

@@ -41,7 +41,7 @@ def read_points(content: bytes) -> None:
         lidar_points(sweep_cloud(payload, type_name))
     except StoneError as error:
         if is_sound:
-            raise AssertionError(f"called sound by its head: {error}") from error
+            raise AssertionError(f"its head is sound, but reading failed: {error}") from error
         raise
 
 

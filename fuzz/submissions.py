@@ -106,10 +106,10 @@ class _Pipe(BytesIO):
         return False
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        raise OSError(f"a pipe cannot go to {offset}, {whence}")
+        raise OSError(f"a pipe cannot seek to {offset}, {whence}")
 
     def tell(self) -> int:
-        raise OSError("a pipe does not know where it is")
+        raise OSError("a pipe has no position")
 
 
 def _archive(file: BytesIO, method: int, folder: str, *, wide: bool = False) -> bytes:

@@ -102,7 +102,7 @@ def _hearing(world: World) -> Iterator[None]:
         is_lost = lose_silent(session, seen, lease_s)
         since_s = world.scheduler.now_s - world.database.heard.get((seen.id, seen.attempt), -1e9)
         if is_lost and since_s < lease_s:
-            raise ViolationError(f"lost: job {seen.id} was heard {since_s:.1f} s ago, and taken away as silent")
+            raise ViolationError(f"lost: job {seen.id} sent a heartbeat {since_s:.1f} s ago, and was ended as silent")
         return is_lost
 
     with mock.patch.object(lease_sweep, "lose_silent", heard):

@@ -83,7 +83,7 @@ def _judge_effects(rows: Rows) -> Iterator[str]:
         if effects != is_done:
             yield f"{'doubled' if effects > is_done else 'lost'}: job {row.id} is {row.state}, with {effects} effects"
         if is_done and followers[row.id] != row.brings:
-            yield f"lost: job {row.id} brings {row.brings} jobs, but {followers[row.id]} exist"
+            yield f"lost: job {row.id} adds {row.brings} jobs, but {followers[row.id]} exist"
 
 
 def _judge_needs(rows: Rows) -> Iterator[str]:

@@ -52,7 +52,7 @@ def test_lines_that_are_inserted_again_after_a_lost_answer_are_found(monkeypatch
 
     monkeypatch.setattr(leases, "write_lines", insert_again)
     monkeypatch.setattr(leases, "_renew_apart", refuse)
-    assert "taken away as silent" in found_from(1032).violation
+    assert "ended as silent" in found_from(1032).violation
 
 
 def test_what_follows_a_success_and_is_left_out_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
