@@ -1,7 +1,7 @@
 """The kill suite: `python -m chaos [--rounds 50] [--only worker …] [--seed N] [--minutes M] [--folder DIR]`.
 
-Ends with 1 when anything was lost, doubled or different, or when a kind never hit work under way: then nothing is
-proven. What was violated stays in the folder, with the command that plays the round again.
+It exits with 1 if anything was lost, doubled or different, or if a kind never hit running work, which proves nothing.
+The folder keeps the data of violations, with the command that repeats the round.
 """
 
 import argparse
@@ -52,7 +52,7 @@ def main() -> int:
 
 
 def _code() -> str:
-    """sha256 of the project's own sources; a platform of two versions fails for reasons of its own."""
+    """Return the sha256 of the project's sources: a platform of two versions fails for other reasons."""
     whole = sha256()
     for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("*.py")):

@@ -1,6 +1,6 @@
 """API helpers of the drills: upload a recording, start its run, and send half of a file.
 
-**Conventions.** Everything goes over HTTP, by the client's own functions, so the platform may be of another release, on
+**Conventions.** All calls go over HTTP by the client's own functions, so the platform may be of another release, on
 another machine, or both.
 """
 
@@ -25,13 +25,13 @@ ENDED = ("succeeded", "failed", "cancelled")
 
 @dataclass(frozen=True)
 class HalfSent:
-    """An upload of twice `HALF`, of which the first is there."""
+    """An upload of twice `HALF` bytes, with the first half sent."""
 
     address: str
 
 
 def upload_sequence(api: Api, inputs: Inputs, name: str = SEQUENCE) -> dict[str, Any]:
-    """The recording with its calibration, read and kept."""
+    """Upload the recording with its calibration, and wait until it is registered."""
     sequence: dict[str, Any] = dict(ensure_sequence(api, name))
     pin_calibration(api, sequence, inputs.calibration)
     add_recording(api, sequence, hashed_bag(inputs.bag, _silent), _silent)
@@ -44,7 +44,7 @@ def begin_run(api: Api, sequence: dict[str, Any], inputs: Inputs, **request: str
 
 
 def await_jobs(api: Api, run_id: str, jobs: int, within_s: float = 600.0) -> int:
-    """Until so many jobs of the run ended, or all; how many. Long: fresh sources compile their kernels first."""
+    """Wait until `jobs` jobs of the run ended, or all; return their number. Fresh sources compile kernels first."""
     done: list[int] = []
 
     def are_done() -> bool:
@@ -57,7 +57,7 @@ def await_jobs(api: Api, run_id: str, jobs: int, within_s: float = 600.0) -> int
 
 
 def await_run(api: Api, run_id: str, within_s: float = 300.0) -> str:
-    """The state in which the run ended."""
+    """Return the state in which the run ended."""
     states: list[str] = []
 
     def has_ended() -> bool:
@@ -69,7 +69,7 @@ def await_run(api: Api, run_id: str, within_s: float = 300.0) -> str:
 
 
 def run_in_place_of(api: Api, brought: OwnerRun) -> str:
-    """The newest run of the sequence, where that is another one; else ""."""
+    """Return the newest run of the sequence if it is another one; else ""."""
     runs = api.pages("/jobs", kind="sequence.process", sequence_id=brought.sequence_id)
     newest: str = max(run["id"] for run in runs)
     return "" if newest == brought.run_id else newest
@@ -86,7 +86,7 @@ def send_half(api: Api) -> HalfSent:
 
 
 def send_rest(api: Api, upload: HalfSent) -> str:
-    """Send what is missing from where the server says; the state it is in then. The server checks the whole's hash."""
+    """Send the missing bytes from the server's offset; return the final state. The server checks the whole hash."""
     offset = int(api.send("HEAD", upload.address, headers=TUS).headers["Upload-Offset"])
     rest = (HALF * 2)[offset:]
     if rest:
@@ -104,4 +104,4 @@ def seconds_since(begun_s: float) -> str:
 
 
 def _silent(stage: str, done: int, total: int) -> None:
-    """Nobody watches."""
+    """Ignore progress."""

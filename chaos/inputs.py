@@ -1,7 +1,8 @@
 """The input of every round: one simulated recording.
 
-**Conventions.** The drive is just longer than a part of frames, its world wide enough for several tiles: a run then has
-every stage of a long one, some of them side by side, in a few seconds. Few rays: what costs is their number.
+**Conventions.** The drive is slightly longer than one part of frames, and its world spans several tiles. A run
+therefore has every stage of a long run, partly in parallel, in a few seconds. It uses few rays, since their number
+determines the cost.
 """
 
 from dataclasses import dataclass
@@ -29,7 +30,7 @@ class Inputs:
 
 
 def simulated(folder: Path) -> Inputs:
-    """The recording, from an earlier run in this folder where there is one."""
+    """Return the recording, reusing that of an earlier run in this folder."""
     folder.mkdir(parents=True, exist_ok=True)
     bag = folder / f"{SEQUENCE}.mcap"
     if not bag.exists():

@@ -1,7 +1,7 @@
 """The kinds of kills: each plays one round and returns the owner's run.
 
-**Conventions.** A kind draws its moment and its victim by the round's chance, notes right before the kill whether work
-is under way there, and waits until the owner has what they came for. A kill that hits nothing is told, not hidden.
+**Conventions.** A kind draws its moment and its victim from the round's random numbers. Right before the kill it notes
+whether work is running there; then it waits for the owner's result. A kill that hits no work is reported.
 """
 
 from collections.abc import Callable
@@ -18,7 +18,7 @@ Kill = Callable[[OwnerRound, str], None]
 
 @dataclass(frozen=True)
 class Kind:
-    """`name` is said on the command line, `title` in the table; `play` is one round."""
+    """`name` is the word for the command line, `title` for the table; `play` plays one round."""
 
     name: str
     title: str
@@ -29,12 +29,12 @@ class Kind:
 
 
 def undisturbed(turn: OwnerRound) -> OwnerRun:
-    """The same without a kill."""
+    """Play a round without a kill."""
     return _during_run(turn, lambda turn, run_id: None)
 
 
 def _during_run(turn: OwnerRound, strike: Kill) -> OwnerRun:
-    """Bring the recording, start the run, strike at some moment, wait for the end."""
+    """Upload the recording, start the run, strike at a random moment, wait for the end."""
     with turn.connected() as api:
         sequence = turn.announce(api)
         turn.send(api, sequence)

@@ -1,8 +1,8 @@
 """Background load for the kill suite: readers of lists, and a writer whose writes must not be lost.
 
-**Conventions.** They use the client, which asks again where that is safe; an answer that an outage does not excuse (a
-fault of the server's, a refusal) is a violation. A write is acknowledged once its answer has arrived, or the server
-says that it took effect though its answer is lost.
+**Conventions.** They use the client, which repeats requests if that is safe. An error without an outage (a server
+fault, a refusal) is a violation. A write is acknowledged when its answer arrives, or when the server reports later that
+it took effect.
 """
 
 from collections import Counter
@@ -28,7 +28,7 @@ REPLY_NOT_KEPT = "reply_not_kept"
 
 @dataclass
 class _Load:
-    """What the others have been told."""
+    """Shared state of the load: its owner, acknowledged writes and errors."""
 
     owner: RoundOwner
     over: Event = field(default_factory=Event)
@@ -49,7 +49,7 @@ class _Load:
         self.acknowledged.append(name)
 
     def repeat(self, act: Callable[[Api], None]) -> None:
-        """Again and again until it is over, or has gone wrong."""
+        """Repeat an act until the load ends or an error occurs."""
         with Api(self.owner.server, patience_s=PATIENCE_S) as api:
             try:
                 while not self.over.wait(PAUSE_S):
@@ -60,7 +60,7 @@ class _Load:
 
 @contextmanager
 def under_load(turn: OwnerRound) -> Iterator[None]:
-    """Others are busy inside; afterwards each of their acknowledged writes is looked for."""
+    """Run the load during the block; afterwards check that every acknowledged write exists."""
     load = _Load(turn.target.welcome(f"load-{turn.owner.user_id}"))
     acts = [load.read] * READERS + [load.write]
     threads = [Thread(target=load.repeat, args=(act,), name=f"load {act.__name__}") for act in acts]
@@ -76,7 +76,7 @@ def under_load(turn: OwnerRound) -> Iterator[None]:
 
 
 def _judge(turn: OwnerRound, load: _Load) -> Iterator[Violation]:
-    """Each acknowledged sequence is there, once."""
+    """Yield a violation unless each acknowledged sequence exists exactly once."""
     with turn.target.platform.database.reading() as session:
         names = Counter(session.scalars(select(SequenceRow.name).where(SequenceRow.owner_id == load.owner.user_id)))
     for name in load.acknowledged:

@@ -1,9 +1,9 @@
 """Two machines on a link that is cut and slowed: `python -m chaos.machines [--cut-s 60] [--bytes-per-s 1000000]`.
 
-On one (a network namespace of its own) PostgreSQL, Redis, the S3 store, API and sweeper; on the other the workers, with
-a disk of their own. After an undisturbed run the link is cut in the middle of a second one for so long, and in the
-middle of a third it is slowed until the run is over. Each must end right: the same bytes, nothing lost, nothing twice.
-Ends with 1 otherwise, with 77 where no namespaces may be made (Linux, root, iproute2).
+One machine (a network namespace of its own) runs PostgreSQL, Redis, the S3 store, API and sweeper; the other runs the
+workers with a disk of their own. After an undisturbed run, the link is cut in the middle of a second run for `--cut-s`.
+In the middle of a third run it is slowed until the run is over. Each run must end with the same bytes, nothing lost,
+nothing doubled. Otherwise the exit code is 1; it is 77 if namespaces are unavailable (Linux, root, iproute2).
 """
 
 import argparse
@@ -55,7 +55,7 @@ CONSOLE = Console(highlight=False, markup=False, soft_wrap=True)
 
 @dataclass(frozen=True)
 class DeployedPlatform:
-    """A platform on two machines, as whoever sits at the first one sees it."""
+    """A platform on two machines, seen from the first."""
 
     platform: Platform
     url: str
@@ -98,7 +98,7 @@ def _violated(there: DeployedPlatform, made: RunArtefacts, name: str, strike: Ca
 
 
 def _run(there: DeployedPlatform, name: str, strike: Callable[[], None]) -> OwnerRun:
-    """Bring the recording as a new owner, strike in the middle of the run, wait for its end."""
+    """Upload the recording as a new owner, strike in the middle of the run, wait for its end."""
     begun_s = time.monotonic()
     with there.owner(name) as api:
         brought = begin_run(api, upload_sequence(api, there.inputs), there.inputs)
@@ -119,7 +119,7 @@ def _cut(link: Link, cut_s: float) -> None:
 
 @contextmanager
 def deployed(link: Link, folder: Path, inputs: Inputs) -> Iterator[DeployedPlatform]:
-    """Servers, API and sweeper on the first machine, a worker with two processes on the second."""
+    """Run servers, API and sweeper on the first machine, a worker with two processes on the second."""
     first, second = link.ends
     with ExitStack() as stack:
         with first.entered():
@@ -139,7 +139,7 @@ def deployed(link: Link, folder: Path, inputs: Inputs) -> Iterator[DeployedPlatf
 
 @contextmanager
 def _servers(space: Space, folder: Path) -> Iterator[Settings]:
-    """The settings by which both machines reach the servers of `space`; called within it."""
+    """Yield settings with which both machines reach the servers of `space`; call it within `space`."""
     rules = Path(tempfile.mkdtemp(prefix="stone-hba-")) / "hba.conf"
     rules.write_text(f"host all all {space.address}/24 trust\nhost all all 127.0.0.1/32 trust\n")
     rules.parent.chmod(0o755)
@@ -177,7 +177,7 @@ MODULES: Mapping[str, str] = {
 def _process(
     settings: Settings, folder: Path, role: str, is_ready: Callable[[], bool], words: tuple[str, ...] = ()
 ) -> Iterator[None]:
-    """A process of the platform on the machine that this thread is on; its log is `<folder>/<role>/log`."""
+    """Run a process of the platform on the machine of this thread; its log is `<folder>/<role>/log`."""
     place = folder / role
     place.mkdir(parents=True)
     command = [sys.executable, "-P", "-m", MODULES[role], *words]

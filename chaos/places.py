@@ -1,8 +1,8 @@
 """The platform under test: real server processes that stay up between rounds and can be killed.
 
-**Conventions.** Leases are short, so that recovery is seen in seconds; the grace of garbage collection is too, so that
-it runs among the rounds. A child that was killed on purpose is not punished with a longer pause each time. PostgreSQL
-tells every commit to the operating system before it answers: it may be killed, the machine may not.
+**Conventions.** Short leases make recovery visible in seconds; a short grace lets garbage collection run between
+rounds. The supervisor restarts a child killed on purpose without a growing pause. PostgreSQL flushes every commit to
+the operating system before it answers: the process may be killed, but not the machine.
 """
 
 import os
@@ -36,8 +36,8 @@ WORKERS = 2
 BUCKET = "chaos"
 JOBS = JobSettings(lease_s=2.0, heartbeat_s=0.4, progress_s=0.2, sweep_s=0.25)
 STORE = StoreSettings(grace_s=5.0)
-UPLOADS_IN_STORE = UploadSettings(backend="store", part_bytes=2**20)  # of a short recording there are several
-VIEWING = ViewingSettings(makes_playback=False)  # a round is the run that was asked for, and over with it
+UPLOADS_IN_STORE = UploadSettings(backend="store", part_bytes=2**20)  # a short recording then has several parts
+VIEWING = ViewingSettings(makes_playback=False)  # a round ends with the requested run
 API = ApiSettings(port=0, requests_per_minute=10**6)
 SCOPES = ("read", "upload", "submit")
 DAY_S = 86_400.0
@@ -45,7 +45,7 @@ DAY_S = 86_400.0
 
 @dataclass(frozen=True)
 class RoundOwner:
-    """A user of one round, and how the platform is reached as them."""
+    """A user of one round, and the server for their requests."""
 
     user_id: str
     server: Server
@@ -53,7 +53,7 @@ class RoundOwner:
 
 @dataclass(frozen=True)
 class PlatformUnderTest:
-    """A platform that is up; `postgres` where that is its database, `s3` where that is its store."""
+    """A running platform; `postgres` is its database and `s3` its store, if it has these servers."""
 
     running: RunningPlatform
     inputs: Inputs
@@ -66,7 +66,7 @@ class PlatformUnderTest:
 
     @property
     def evidence(self) -> Path:
-        """The file that says why the folder stays."""
+        """The file with the reason why the folder stays."""
         return self.platform.settings.root / "violations.txt"
 
     @property
@@ -74,11 +74,11 @@ class PlatformUnderTest:
         return self.evidence.exists()
 
     def keep(self, why: str) -> None:
-        """Have the folder stay when the platform is closed."""
+        """Keep the folder when the platform is closed."""
         self.evidence.write_text(why, "utf-8")
 
     def child(self, name: str) -> Child:
-        """redis, worker, api or sweeper."""
+        """Return redis, worker, api or sweeper."""
         return next(child for child in self.running.children if child.program.name == name)
 
     def kill(self, name: str) -> None:
@@ -88,7 +88,7 @@ class PlatformUnderTest:
         os.killpg(child.pid, signal.SIGKILL)
 
     def welcome(self, name: str) -> RoundOwner:
-        """A new curator with a token of their own."""
+        """Create a curator with a token."""
         with self.platform.database.transaction() as session:
             user = create_user(session, name, "curator")
             return RoundOwner(user.id, Server(self.running.url, issue(session, user, "chaos", SCOPES, DAY_S)))
@@ -104,7 +104,7 @@ def platform_under_test(
     on_s3: bool = False,
     uploads_in_store: bool = False,
 ) -> Iterator[PlatformUnderTest]:
-    """A platform in `folder`, drained at the end; the folder goes unless it is to be kept, or something was raised."""
+    """Run a platform in `folder`, drained at the end; delete the folder unless it must stay or the block raised."""
     with ExitStack() as stack:
         postgres = stack.enter_context(_postgres(folder)) if on_postgres else None
         url = postgres.url() if postgres else ""
@@ -127,7 +127,7 @@ def platform_under_test(
 
 @contextmanager
 def _postgres(folder: Path) -> Iterator[PostgresServer]:
-    """A server that stops as if it had crashed (an immediate shutdown); its cluster is kept where the folder is."""
+    """Run a server that stops as in a crash (an immediate shutdown); its cluster stays with the folder."""
     with running_postgres(synchronous_commit="on") as server:
         server.stop_signal = signal.SIGQUIT
         yield server
@@ -137,7 +137,7 @@ def _postgres(folder: Path) -> Iterator[PostgresServer]:
 
 @contextmanager
 def _s3(folder: Path) -> Iterator[S3Server]:
-    """A server whose bucket is kept where the folder is."""
+    """Run a server whose bucket stays with the folder."""
     with running_s3() as server:
         yield server
         shutil.copytree(server.buckets / BUCKET, folder / BUCKET)

@@ -18,13 +18,12 @@ from testing.process_states import children_of
 from testing.process_tree import fork_servers_of, sandboxed_children_of
 from testing.servers.process import ServerProcess
 
-MOST_WAKE_UPS_RATIO = 0.7  # what comes later is one job after the other, and their wake-ups are received at once
+MOST_WAKE_UPS_RATIO = 0.7  # later jobs run one after another, and their wake-ups are received at once
 APPEND_ONLY = ("appendonlydir", "appendonly.aof")  # since Redis 7, and before
 
 
 def kill_worker(turn: OwnerRound, run_id: str) -> None:
-    """One process of the pool, one that works if any does; the worker with its whole pool; the process that sandboxed
-    children are forked from; or one of these."""
+    """Kill a pool process (a busy one, if any), the worker with its pool, the fork server, or one of its children."""
     victim_of = turn.chance.choice(["worker and pool", "pool process", "fork server", "sandboxed child"])
     turn.wait_for_moment(run_id)
     at_work = _await_work(turn, run_id)
@@ -48,7 +47,7 @@ def kill_worker(turn: OwnerRound, run_id: str) -> None:
 
 
 def kill_redis(turn: OwnerRound, run_id: str) -> None:
-    """As soon as a wake-up is not received yet, from some moment on; in every second round it forgets all of them."""
+    """Kill Redis while a wake-up is queued, after a random moment; in every second round it forgets all of them."""
     is_wiped = turn.chance.random() < 0.5
     turn.wait_for_moment(run_id, MOST_WAKE_UPS_RATIO)
     wake_ups = _waiting_wake_ups(turn)
@@ -62,7 +61,7 @@ def kill_redis(turn: OwnerRound, run_id: str) -> None:
 
 
 def kill_sweeper(turn: OwnerRound, run_id: str) -> None:
-    """A process of the pool that works, and a moment later, before or while its job is taken up, the sweeper."""
+    """Kill a busy process of the pool and soon after, before or while its job is resumed, the sweeper."""
     later_s = turn.chance.uniform(0.0, 1.5) * turn.target.platform.settings.jobs.lease_s
     turn.wait_for_moment(run_id)
     pool = children_of(turn.target.child("worker").pid)
@@ -82,14 +81,14 @@ def restart_s3(turn: OwnerRound, run_id: str) -> None:
 
 
 def restart_postgres(turn: OwnerRound, run_id: str) -> None:
-    """Stop it at once, as a crash would, and start it again after a while."""
+    """Stop it immediately, as in a crash, and start it again after a while."""
     if (server := turn.target.postgres) is None:
         raise ValueError("this platform has no PostgreSQL")
     _restart(turn, run_id, server, server.stop)
 
 
 def _restart(turn: OwnerRound, run_id: str, server: ServerProcess, end: Callable[[], None]) -> None:
-    """`end` it while work is under way, and start it again after a while."""
+    """Stop a server by `end` while work is running, and start it again after a while."""
     away_s = turn.chance.uniform(0.0, 2.0)
     turn.wait_for_moment(run_id)
     turn.note(f"away for {away_s:.1f} s", is_hit=bool(_await_work(turn, run_id)))
@@ -99,7 +98,7 @@ def _restart(turn: OwnerRound, run_id: str, server: ServerProcess, end: Callable
 
 
 def _await_work(turn: OwnerRound, run_id: str) -> list[int]:
-    """The processes at work as soon as there are any; none when the run was over first."""
+    """Return the busy processes once there are any; an empty list if the run ended first."""
     while not (busy := turn.busy_processes()) and _is_running(turn, run_id):
         time.sleep(LOOK_S / 4)
     return busy

@@ -1,9 +1,9 @@
 """A drill of backup and restore under load: `python -m chaos.restore [--postgres] [--s3] [--folder DIR]`.
 
-One recording is labelled and one submission scored; then, while a second owner's recording is half labelled, a second
-submission is being scored, a file is half sent and others read and write, backups are taken one after another. The
-platform is killed, its data, database and bucket are emptied, the newest backup is restored onto them, and work goes
-on. Every artefact and score must be equal, what was under way must end as it would have. Ends with 1 otherwise.
+First, one recording is labelled and one submission scored. Then backups are taken one after another during other work:
+a second owner's run, a second scoring, a half-sent file, readers and writers. The platform is killed, its data,
+database and bucket are emptied, the newest backup is restored, and work continues. Every artefact and score must be
+equal, and unfinished work must end as it would have. Otherwise the exit code is 1.
 """
 
 import argparse
@@ -61,13 +61,13 @@ CONSOLE = Console(highlight=False, markup=False, soft_wrap=True)
 
 @dataclass(frozen=True)
 class RestoreTarget:
-    """What can be emptied: settings on which a platform stands, and its servers."""
+    """A platform that can be emptied: its settings and its servers."""
 
     settings: Settings
     postgres: PostgresServer | None
 
     def empty(self) -> Settings:
-        """Nothing is left: a fresh database and bucket, no data folder."""
+        """Return settings of a fresh database and bucket, without a data folder."""
         shutil.rmtree(self.settings.root)
         if self.postgres is not None:
             self.postgres.run("DROP DATABASE stone WITH (FORCE)")
@@ -81,7 +81,7 @@ class RestoreTarget:
 
 @dataclass(frozen=True)
 class BackedUpState:
-    """What was there, and what was on its way, when the last backup was taken."""
+    """The finished and unfinished work at the last backup."""
 
     done: OwnerRun
     made: RunArtefacts
@@ -115,7 +115,7 @@ def main() -> int:
 
 
 def work(ground: RestoreTarget, inputs: Inputs, folder: BackupFolder) -> BackedUpState:
-    """Fill the platform, and back it up in the middle of things; killed at the end."""
+    """Fill the platform, back it up during work, and kill it at the end."""
     world = build_scoring_world(ground.settings)
     contents = sorted(files(world).items())
     with running_platform(ground.settings, CONSOLE.print) as running:
@@ -138,7 +138,7 @@ def work(ground: RestoreTarget, inputs: Inputs, folder: BackupFolder) -> BackedU
 
 
 def go_on(ground: RestoreTarget, before: BackedUpState) -> list[Violation]:
-    """Start again and hold what is there, and what comes of the rest, against what was."""
+    """Start again; compare results, and the ends of unfinished work, with the state before."""
     found: list[Violation] = []
     with running_platform(ground.settings, CONSOLE.print) as running:
         platform = running.platform
@@ -161,7 +161,7 @@ def go_on(ground: RestoreTarget, before: BackedUpState) -> list[Violation]:
 
 
 def _back_up(running: RunningPlatform, folder: BackupFolder) -> None:
-    """Several in a row, so that the first is large and others meet what moves."""
+    """Take several backups in a row: the first is large, the others run during changes."""
     for _ in range(BACKUPS):
         begun_s = time.monotonic()
         taken = make_backup(running.platform, folder)

@@ -1,7 +1,7 @@
 """Hashes of everything that a run stored, to compare runs of the same inputs.
 
-**Conventions.** Hashes are taken of what is read back, never copied from a row; where a row says another hash, or the
-bytes are not there, that is a `Flaw`.
+**Conventions.** Hashes are computed from the stored bytes, never copied from a row. If a row has another hash, or the
+bytes are missing, that is a flaw.
 """
 
 from collections import Counter
@@ -20,7 +20,7 @@ from services.runtime.store.protocol import Store
 
 @dataclass(frozen=True)
 class RunArtefacts:
-    """sha256 of every artefact by name, of every frame's labels by (ordinal, token), and how many jobs of each kind."""
+    """The sha256 of artefacts by name and of frames' labels by (ordinal, token), and the jobs of each kind."""
 
     artefacts: Mapping[str, str] = field(default_factory=dict)
     frames: Mapping[tuple[int, str], str] = field(default_factory=dict)
@@ -30,9 +30,9 @@ class RunArtefacts:
 
 @dataclass(frozen=True)
 class OwnerRun:
-    """What the owner of a round brought to the platform, and the run that was to be made of it.
+    """A round's upload by its owner, and the run that processes it.
 
-    `replaced_id` is the run that an upgrade ended, and in whose place `run_id` was begun.
+    `replaced_id` is a run ended by an upgrade and replaced by `run_id`.
     """
 
     owner_id: str
@@ -44,7 +44,7 @@ class OwnerRun:
 
 
 def made_by(platform: Platform, brought: OwnerRun) -> RunArtefacts:
-    """What lies in the store under the label sets of the run, and every job of its sequence but a replaced run's."""
+    """Return the stored label sets of the run, and every job of its sequence except those of a replaced run."""
     counted = (Job.sequence_id == brought.sequence_id, Job.root_id != brought.replaced_id)
     with platform.database.reading() as session:
         kinds = session.scalars(select(Job.kind).where(*counted)).all()
@@ -63,7 +63,7 @@ def made_by(platform: Platform, brought: OwnerRun) -> RunArtefacts:
 
 
 def object_bytes(store: Store, key: str) -> bytes | None:
-    """The object, or None where there is none."""
+    """Return the object's bytes, or None if there is no object."""
     try:
         return b"".join(store.read(key))
     except ObjectMissingError:
@@ -87,12 +87,12 @@ def _content(store: Store, artefact: Artefact, blob: Blob, flaws: list[str]) -> 
         flaws.append(f"artefact {artefact.name} has no object {blob.object_key}")
         return b""
     if sha256(content).hexdigest() != artefact.blob_sha256:
-        flaws.append(f"artefact {artefact.name} is not what its row says: {artefact.blob_sha256}")
+        flaws.append(f"artefact {artefact.name} differs from its row: {artefact.blob_sha256}")
     return content
 
 
 def _frame_hash(row: LabelledFrameRow, pack: bytes, flaws: list[str]) -> str:
     found = sha256(pack[row.offset_bytes : row.offset_bytes + row.length_bytes]).hexdigest()
     if found != row.sha256:
-        flaws.append(f"frame {row.ordinal} is not what its row says: {row.sha256}")
+        flaws.append(f"frame {row.ordinal} differs from its row: {row.sha256}")
     return found

@@ -1,8 +1,8 @@
-"""The rounds of a kind: undisturbed runs to compare with, then a kill each, and the verdict on each.
+"""The rounds of a kind: undisturbed runs for comparison, then one kill per round and its verdict.
 
-**Conventions.** Round `n` of a kind under a seed draws the same moments and victims every time. A place in which
-something was violated is closed and its folder stays; the next round opens another. What goes wrong while a round is
-played is a violation of that round, with its reason, never the end of the suite.
+**Conventions.** Round `n` of a kind draws the same moments and victims for the same seed. After a violation the
+platform is closed and its folder stays; the next round starts another platform. An error during a round is a violation
+of that round, with its reason, and never ends the suite.
 """
 
 import time
@@ -24,7 +24,7 @@ from services.runtime.orm import Job
 
 @dataclass(frozen=True)
 class Suite:
-    """What is asked for. No round begins after `until_s` of the monotonic clock."""
+    """The parameters of the suite. No round starts after `until_s` of the monotonic clock."""
 
     seed: int
     rounds: int
@@ -37,7 +37,7 @@ class Suite:
 
 @dataclass(frozen=True)
 class KillRound:
-    """How one ended. `recovered_s` is from the kill until the owner had what they came for; None: never."""
+    """A finished round. `recovered_s` is the time from the kill to the owner's result; None without a result."""
 
     number: int
     struck: tuple[RoundKill, ...]
@@ -46,13 +46,13 @@ class KillRound:
 
     @property
     def is_hit(self) -> bool:
-        """Whether the kill hit work that was under way."""
+        """Whether the kill hit running work."""
         return any(struck.is_hit for struck in self.struck)
 
 
 @dataclass
 class RoundSeries:
-    """The rounds of one kind so far, what undisturbed runs make, and what they take."""
+    """The finished rounds of one kind, and the results and times of undisturbed runs."""
 
     kind: Kind
     made: RunArtefacts | None = None
@@ -61,22 +61,22 @@ class RoundSeries:
 
     @property
     def is_proven(self) -> bool:
-        """Work was hit, and nothing was lost, doubled or different for it."""
+        """Whether work was hit, and nothing was lost, doubled or different."""
         is_hit = any(ended.is_hit for ended in self.rounds)
         return is_hit and not any(ended.violations for ended in self.rounds)
 
 
 class UndisturbedError(Exception):
-    """Runs that nobody disturbed are not as they should be, so nothing can be compared with them."""
+    """Undisturbed runs failed or differ, so there is no result to compare with."""
 
     def __init__(self, kind: str, violations: list[Violation]) -> None:
         super().__init__(f"undisturbed, before the rounds of {kind!r}: {'; '.join(v.sentence for v in violations)}")
 
 
 def play(suite: Suite, kind: Kind, made: RunArtefacts | None = None) -> RoundSeries:
-    """All rounds of a kind, in as many places as it takes: one, unless something is violated.
+    """Play all rounds of a kind, on one platform unless a violation occurs.
 
-    `made` is what undisturbed runs made elsewhere. Raises `UndisturbedError`.
+    `made` are the results of undisturbed runs elsewhere. Raises `UndisturbedError`.
     """
     series, opened = RoundSeries(kind, made), 0
     while _goes_on(suite, series):
@@ -90,7 +90,7 @@ def play(suite: Suite, kind: Kind, made: RunArtefacts | None = None) -> RoundSer
 
 
 def play_in(suite: Suite, series: RoundSeries, target: PlatformUnderTest) -> None:
-    """Rounds in a place that stands and has been run in, until all are played or something is violated."""
+    """Play rounds on a warm platform until all are played or a violation occurs."""
     while _goes_on(suite, series) and not target.is_kept:
         ended = _play_round(suite, series, target)
         series.rounds.append(ended)
@@ -104,7 +104,7 @@ def _goes_on(suite: Suite, series: RoundSeries) -> bool:
 
 
 def run_undisturbed(suite: Suite, series: RoundSeries, target: PlatformUnderTest) -> None:
-    """The first run of a place warms it up, the last one's time counts, and all must make the same.
+    """Play undisturbed runs: the first warms the platform up, the last is timed, and all must agree.
 
     Raises `UndisturbedError`.
     """
@@ -122,7 +122,7 @@ def run_undisturbed(suite: Suite, series: RoundSeries, target: PlatformUnderTest
 
 
 def _jobs_of(made: RunArtefacts) -> int:
-    """Of the run itself."""
+    """Return the number of jobs of the run itself."""
     return sum(count for kind, count in made.jobs.items() if kind not in (PROCESS, REGISTER))
 
 

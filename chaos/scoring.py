@@ -1,8 +1,9 @@
 """kill −9 while submissions are scored: `python -m chaos.scoring [--rounds 50] [--seed N] [--folder DIR]`.
 
-Each round sends a file in, strikes at some moment of its scoring (a process of the pool, the worker with its whole
-pool, or the sandboxed child that reads the file), waits for the end and holds everything against what an undisturbed
-submission of the same file came to. Ends with 1 when anything was lost, doubled or different, or too little was hit.
+Each round submits a file and strikes at a random moment of its scoring. The victim is a process of the pool, the worker
+with its whole pool, or the sandboxed child that reads the file. Then it waits for the end and compares everything with
+an undisturbed submission of the same file. The exit code is 1 if anything was lost, doubled or different, or if too few
+kills hit work.
 """
 
 import argparse
@@ -36,15 +37,15 @@ from testing.process_tree import sandboxed_children_of
 from testing.worlds.benchmark_world import World
 from testing.worlds.sending import send
 
-VICTIMS = {"pool process": 2, "sandboxed child": 2, "worker and pool": 1}  # how often of five
-MOST_TRIES = 3  # a round in which nothing was under way is played again, so many times as many in all
+VICTIMS = {"pool process": 2, "sandboxed child": 2, "worker and pool": 1}  # how often out of five
+MOST_TRIES = 3  # a round without a hit is repeated, up to this multiple of all rounds
 LOOK_S = 0.002
 CONSOLE = Console(highlight=False, markup=False, soft_wrap=True)
 
 
 @dataclass(frozen=True)
 class ScoringKill:
-    """Who was killed, and in what kind of job; empty where nothing was under way."""
+    """The victim, and the kind of its job; empty if no work was running."""
 
     victim: str
     kind: str
@@ -53,7 +54,7 @@ class ScoringKill:
 
 @dataclass(frozen=True)
 class ScoringRound:
-    """How one ended; `recovered_s` is from the kill to the end of the run."""
+    """A finished round; `recovered_s` is from the kill to the end of the run."""
 
     struck: ScoringKill
     recovered_s: float
@@ -62,7 +63,7 @@ class ScoringRound:
 
 @dataclass(frozen=True, eq=False)
 class ScoringPlatform:
-    """A platform that is up, what is sent in, and what it comes to undisturbed, with how long that takes."""
+    """A running platform, the files to submit, and their undisturbed results and times."""
 
     running: RunningPlatform
     world: World
@@ -79,7 +80,7 @@ class ScoringPlatform:
         return next(child for child in self.running.children if child.program.name == "worker")
 
     def state(self, submission_id: str) -> str:
-        """Of the run."""
+        """Return the state of the run."""
         with self.platform.database.reading() as session:
             run = select(Job.state).join(SubmissionRow, SubmissionRow.job_id == Job.id)
             return session.scalars(run.where(SubmissionRow.id == submission_id)).one()
@@ -88,7 +89,7 @@ class ScoringPlatform:
         await_true(f"the end of submission {submission_id}", lambda: self.state(submission_id) in TERMINAL)
 
     def at_work(self, submission_id: str) -> tuple[str, int] | None:
-        """The kind of a running job of the submission and the process that has it."""
+        """Return the kind of a running job of the submission and the process that has it."""
         running = (
             select(Job.kind, JobAttempt.worker)
             .join(JobAttempt, (JobAttempt.job_id == Job.id) & (JobAttempt.number == Job.attempt))
@@ -107,7 +108,7 @@ class ScoringPlatform:
 
 
 def rehearse(arena: ScoringPlatform) -> None:
-    """What each file comes to when nobody is killed; the second time counts, when the workers are warm."""
+    """Record the undisturbed results of each file; the second run is timed, with warm workers."""
     for name, content in arena.contents.items():
         for _ in range(2):
             begun_s = time.monotonic()
@@ -121,7 +122,7 @@ def rehearse(arena: ScoringPlatform) -> None:
 
 
 def play(arena: ScoringPlatform, chance: Random) -> ScoringRound:
-    """One round: send, strike, wait, judge."""
+    """Play one round: submit, strike, wait, judge."""
     name, team = chance.choice(sorted(arena.contents)), chance.randrange(2)
     submission_id = send(arena.world, arena.contents[name], team=team)
     struck = kill_one(arena, submission_id, name, chance)
@@ -132,9 +133,9 @@ def play(arena: ScoringPlatform, chance: Random) -> ScoringRound:
 
 
 def kill_one(arena: ScoringPlatform, submission_id: str, name: str, chance: Random) -> ScoringKill:
-    """Kill somebody at work for the submission, some time after so many of its jobs have ended."""
+    """Kill a victim that works on the submission, a while after a random number of its jobs have ended."""
     (victim,), jobs = chance.choices(list(VICTIMS), list(VICTIMS.values())), sum(arena.expected[name].jobs.values())
-    is_reading = victim == "sandboxed child"  # no join reads the file again, and no child reads for long
+    is_reading = victim == "sandboxed child"  # joins do not read the file again, and children read only briefly
     after = chance.randrange(jobs - is_reading)
     await_true("so many jobs", lambda: arena.ended_jobs(submission_id) >= after, every_s=LOOK_S)
     time.sleep(0.0 if is_reading else chance.random() * arena.run_s[name] / jobs / 2)
@@ -152,14 +153,14 @@ def kill_one(arena: ScoringPlatform, submission_id: str, name: str, chance: Rand
 
 
 def lines_of_round(number: int, rounds: int, ended: ScoringRound) -> str:
-    """A line for each round, and one for each violation."""
+    """Return a line for the round, and one for each violation."""
     what = f"{ended.struck.victim} in {ended.struck.kind}" if ended.struck.kind else "no work was running"
     said = f"{number}/{rounds}: {what}; ended {ended.recovered_s:.1f} s later"
     return "\n".join([said, *(f"  {one.sort}: {one.sentence}" for one in ended.violations)])
 
 
 def summary(played: list[ScoringRound], blobs: list[Violation]) -> str:
-    """What was hit how often, what was violated, how long it took."""
+    """Return the hits, the violations and the recovery times in words."""
     hits = Counter(f"{ended.struck.victim} in {ended.struck.kind}" for ended in played if ended.struck.kind)
     violations = [one for ended in played for one in ended.violations] + blobs
     sorts = Counter(one.sort for one in violations)
@@ -197,7 +198,7 @@ def _hits(played: list[ScoringRound]) -> int:
 
 
 def _await_work(arena: ScoringPlatform, submission_id: str, *, is_reading: bool) -> tuple[str, int] | None:
-    """The kind and the process of a job at work, or the child by which it reads the file; None once the run is over."""
+    """Return the kind and the process of a running job, or its reading child; None once the run is over."""
     while arena.state(submission_id) not in TERMINAL:
         found = arena.at_work(submission_id)
         if found is not None and not is_reading:

@@ -1,7 +1,7 @@
-"""What must be true of a submission when its jobs have ended, whoever was killed meanwhile.
+"""Invariants of a submission after its jobs have ended, whatever process was killed meanwhile.
 
-**Conventions.** Everything is read from the database and the store; what an undisturbed submission of the same file
-came to is what it is held against.
+**Conventions.** Everything is read from the database and the store, and compared with an undisturbed submission of the
+same file.
 """
 
 from collections import Counter
@@ -23,7 +23,7 @@ SCORE_COLUMNS = ("metric", "signature", "miou", "confusions_sha256", "spectra_sh
 
 @dataclass(frozen=True)
 class SubmissionOutcome:
-    """What a submission came to: its state and problems, its scores, its entries in the ledger, its jobs by kind."""
+    """The results of a submission: its state and problems, scores, entries in the ledger, jobs by kind."""
 
     state: str
     failure: str
@@ -34,7 +34,7 @@ class SubmissionOutcome:
 
 
 def came_of(platform: Platform, submission_id: str) -> SubmissionOutcome:
-    """As the rows have it now."""
+    """Return the results from the current rows."""
     with platform.database.reading() as session:
         row = session.get_one(SubmissionRow, submission_id)
         scores = session.scalars(select(Score).where(Score.submission_id == row.id).order_by(Score.id)).all()
@@ -51,7 +51,7 @@ def came_of(platform: Platform, submission_id: str) -> SubmissionOutcome:
 
 
 def judge(platform: Platform, submission_id: str, expected: SubmissionOutcome) -> list[Violation]:
-    """Every way in which the submission is not what an undisturbed one came to."""
+    """Return every difference between the submission and an undisturbed one."""
     found = list(_differences(came_of(platform, submission_id), expected))
     with platform.database.reading() as session:
         row = session.get_one(SubmissionRow, submission_id)
@@ -64,7 +64,7 @@ def judge(platform: Platform, submission_id: str, expected: SubmissionOutcome) -
 
 
 def judge_quota(platform: Platform, phase_id: str, team_id: str) -> Iterator[Violation]:
-    """What the team has used is what is scored, and nothing is reserved when nothing is under way."""
+    """Yield a violation unless the team's quota equals its scored submissions, without a reservation for ended work."""
     with platform.database.reading() as session:
         ours = (SubmissionRow.phase_id == phase_id, SubmissionRow.team_id == team_id, SubmissionRow.state == "scored")
         scored = session.scalar(select(func.count()).select_from(SubmissionRow).where(*ours)) or 0
@@ -81,7 +81,7 @@ def _differences(came: SubmissionOutcome, expected: SubmissionOutcome) -> Iterat
 
 
 def _judge_jobs(session: Session, row: SubmissionRow) -> Iterator[Violation]:
-    """Each job was done once; other attempts were lost to kills."""
+    """Yield a violation unless each job succeeded once and its other attempts were lost to kills."""
     of_run = select(Job).where(Job.root_id == row.job_id)
     for job in session.scalars(of_run):
         if job.state != "succeeded":

@@ -1,8 +1,8 @@
 """Inputs of the scoring rounds: an open phase of two parts' worth of frames, and three files to submit.
 
-**Conventions.** Laid down before the platform starts, by the functions that routes and workers call. A few grids take
-turns in the frames, so that the world is made in seconds; two files are sound, one holds a label that is none in each
-of its parts.
+**Conventions.** The world is created before the platform starts, by the functions that routes and workers call. A few
+grids alternate in the frames, so creating the world takes seconds. Two files are sound, one contains an invalid label
+in each of its parts.
 """
 
 from collections.abc import Mapping
@@ -26,13 +26,13 @@ from testing.worlds import made, published
 from testing.worlds.benchmark_world import Grid, World, ground, labelled, run_eval
 from testing.worlds.sending import zipped
 
-FRAMES = PART_FRAMES * 6 // 10  # of each of two sequences
+FRAMES = PART_FRAMES * 6 // 10  # in each of two sequences
 GRIDS = 6
 NAMES = ("north", "south")
 
 
 def build_scoring_world(settings: Settings) -> World:
-    """The phase with its ground truth in force, and two teams; on a database that nobody else has open."""
+    """Create the phase with its active ground truth, and two teams, in a database that no other process uses."""
     upgrade(settings)
     platform = Platform(settings, Database(settings), open_store(settings))
     administrator, curator = person(platform, "administrator"), person(platform, "curator")
@@ -50,7 +50,7 @@ def build_scoring_world(settings: Settings) -> World:
 
 
 def files(world: World) -> Mapping[str, bytes]:
-    """What is sent in, by name."""
+    """Return the files to submit, by name."""
     truth = world.truth("val")
     guesses = {f"shifted by {by}": {token: np.roll(grid, by, axis=0) for token, grid in truth.items()} for by in (1, 3)}
     tokens = list(truth)

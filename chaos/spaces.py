@@ -1,8 +1,8 @@
 """Two machines simulated as Linux network namespaces, with a link that can be cut and slowed.
 
-**Conventions.** Linux, as root. A thread enters a namespace and what it starts stays there; other threads are where
-they were. The link is a veth pair; both of its ends are shaped alike, so that a rate holds both ways. A cut link loses
-every packet and tells nobody, as a pulled cable does. Nothing outside of the namespaces is touched.
+**Conventions.** It requires Linux and root. A thread enters a namespace, and its child processes stay there; other
+threads are unaffected. The link is a veth pair; both ends are shaped alike, so a rate applies in both directions. A cut
+link drops every packet silently, as a pulled cable does. Nothing outside the namespaces changes.
 """
 
 import ctypes
@@ -29,7 +29,7 @@ class Space:
 
     @contextmanager
     def entered(self) -> Iterator[None]:
-        """This thread, and what it starts, is on that machine."""
+        """Move this thread, and the processes it starts, to that machine during the block."""
         before = os.open("/proc/thread-self/ns/net", os.O_RDONLY)
         there = os.open(f"/run/netns/{self.name}", os.O_RDONLY)
         try:
@@ -43,12 +43,12 @@ class Space:
 
 @dataclass(frozen=True)
 class Link:
-    """What joins two spaces."""
+    """The link between two namespaces."""
 
     ends: tuple[Space, Space]
 
     def cut(self) -> None:
-        """Each end sends to a station that is not there: no kernel needs a module for that (netem is often missing)."""
+        """Send the packets of both ends to a missing station, which needs no kernel module (netem is often missing)."""
         for end, other in self._both_ways():
             where = ("neigh", "replace", other.address, "lladdr", NOBODY, "dev", end.interface, "nud", "permanent")
             _run("ip", "-n", end.name, *where)
@@ -69,7 +69,7 @@ class Link:
 
 
 def why_not() -> str:
-    """Why there can be no namespaces here; empty where there can."""
+    """Return why namespaces are unavailable here; empty if they are available."""
     if os.geteuid() != 0:
         return "network namespaces need root"
     if missing := [tool for tool in ("ip", "tc") if shutil.which(tool) is None]:
@@ -82,7 +82,7 @@ def why_not() -> str:
 
 @contextmanager
 def two_machines() -> Iterator[Link]:
-    """Two namespaces and a link between them; all of it is gone at the end."""
+    """Yield two namespaces and a link between them; delete all of it at the end."""
     number = os.getpid() % 10**5
     spaces = tuple(
         Space(f"stone-{number}-{side}", f"stone{number}{side}", f"10.77.0.{host}") for host, side in enumerate("ab", 1)

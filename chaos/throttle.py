@@ -1,7 +1,7 @@
-"""A slow line between a client and the API, so that a request lasts long enough to be struck in its middle.
+"""A slow line between a client and the API, so that a kill can hit the middle of a request.
 
-**Conventions.** Bytes towards the API are let through at a rate, those back at once; a connection that breaks on one
-side is broken on the other. Nothing is read or changed on the way.
+**Conventions.** Bytes towards the API are forwarded at a limited rate, replies at once; a connection that breaks on one
+side is broken on the other. No byte is read or changed on the way.
 """
 
 import socket
@@ -36,7 +36,7 @@ def _accept(listener: socket.socket, address: tuple[str, int], bytes_per_s: floa
 
 
 def _carry(source: socket.socket, sink: socket.socket, bytes_per_s: float) -> None:
-    """Until either side ends or breaks; then neither is of use to the other."""
+    """Forward bytes until either side ends or breaks; then close both."""
     with suppress(OSError):
         while piece := source.recv(PIECE_BYTES):
             sink.sendall(piece)

@@ -1,7 +1,7 @@
 """One round of the kill suite: an owner uploads, processes and waits while processes are killed.
 
-**Conventions.** The owner uses what users have, the client's own functions over HTTP. Moments are drawn by `chance`,
-which knows the seed, the kind and the round.
+**Conventions.** The owner uses the client's own functions over HTTP, as users do. `chance`, seeded with the seed, the
+kind and the round, draws the moments.
 """
 
 import time
@@ -28,7 +28,7 @@ Item = Mapping[str, Any]
 
 
 class StuckError(Exception):
-    """What was waited for did not come to be."""
+    """An awaited condition did not come true."""
 
     def __init__(self, what: str, within_s: float) -> None:
         super().__init__(f"{what} did not happen within {within_s:g} s")
@@ -36,7 +36,7 @@ class StuckError(Exception):
 
 @dataclass(frozen=True)
 class RoundKill:
-    """A kill: when (monotonic), whether it hit work that was under way, and what was hit."""
+    """A kill: its time (monotonic), whether it hit running work, and its victim."""
 
     at_s: float
     is_hit: bool
@@ -45,7 +45,7 @@ class RoundKill:
 
 @dataclass(frozen=True)
 class UndisturbedRun:
-    """A run that nobody disturbs: how long it takes, and of how many jobs."""
+    """An undisturbed run: its duration, and its number of jobs."""
 
     run_s: float = 1.0
     jobs: int = 1
@@ -53,7 +53,7 @@ class UndisturbedRun:
 
 @dataclass(frozen=True)
 class OwnerRound:
-    """An owner's round in a place."""
+    """An owner's round on a platform."""
 
     target: PlatformUnderTest
     owner: RoundOwner
@@ -63,47 +63,49 @@ class OwnerRound:
     violations: list[Violation] = field(default_factory=list)
 
     def connected(self, url: str = "") -> Api:
-        """The owner's connection, directly or by a detour."""
+        """Return the owner's connection, directly or by a detour."""
         server = self.owner.server
         return Api(replace(server, url=url or server.url), patience_s=PATIENCE_S)
 
     def announce(self, api: Api) -> Item:
-        """A sequence with its calibration."""
+        """Create a sequence with its calibration."""
         sequence = ensure_sequence(api, SEQUENCE)
         pin_calibration(api, sequence, self.target.inputs.calibration)
         return sequence
 
     def send(self, api: Api, sequence: Item) -> None:
-        """The recording, read and kept when this returns."""
+        """Upload the recording and wait until it is registered."""
         add_recording(api, sequence, hashed_bag(self.target.inputs.bag, _silent), _silent)
 
     def process(self, api: Api, sequence: Item) -> OwnerRun:
-        """Start the run; what was brought is complete with it."""
+        """Start the run; the upload is complete by then."""
         run = start_run(api, sequence, {})
         inputs = self.target.inputs
         return OwnerRun(self.owner.user_id, sequence["id"], run["id"], inputs.sha256, inputs.size_bytes)
 
     def wait_for_moment(self, run_id: str, latest_ratio: float = 0.95) -> None:
-        """Some time within a run: when so many of its jobs are done, and then a bit. Counted in jobs, not in seconds,
-        a moment is the same on a slow day."""
+        """Wait for a random moment within the run: some number of ended jobs, then a short pause.
+
+        Counting jobs instead of seconds makes the moment independent of the machine's speed.
+        """
         after_jobs = int(self.chance.uniform(0.0, latest_ratio) * self.undisturbed.jobs)
         pause_s = self.chance.random() * self.undisturbed.run_s / self.undisturbed.jobs
         await_true(f"{after_jobs} jobs of run {run_id}", lambda: self._ended_jobs(run_id) >= after_jobs)
         time.sleep(pause_s)
 
     def note(self, what: str, *, is_hit: bool) -> None:
-        """Right before the kill."""
+        """Note the victim right before the kill."""
         self.struck.append(RoundKill(time.monotonic(), is_hit, what))
 
     def _ended_jobs(self, run_id: str) -> int:
-        """How many jobs of the run have ended; all that there are ever to be, once it has failed."""
+        """Return the number of ended jobs of the run; all of its jobs, once it has failed."""
         run_ended = select(Job.id).where(Job.id == run_id, Job.state.in_(TERMINAL))
         ended = select(func.count()).where(Job.root_id == run_id, Job.id != run_id, Job.state.in_(TERMINAL))
         with self.target.platform.database.reading() as session:
             return self.undisturbed.jobs if session.scalar(run_ended) else session.scalar(ended) or 0
 
     def busy_processes(self) -> list[int]:
-        """The pids that have a job of this owner's in hand."""
+        """Return the pids that run a job of this owner."""
         mine = (Job.owner_id == self.owner.user_id, Job.state == "running", JobAttempt.number == Job.attempt)
         statement = select(JobAttempt.worker).join(Job, Job.id == JobAttempt.job_id).where(*mine)
         with self.target.platform.database.reading() as session:
@@ -111,7 +113,7 @@ class OwnerRound:
 
 
 def await_end(api: Api, run_id: str) -> Item:
-    """The run once it has ended, however. Raises `StuckError`."""
+    """Return the run once it has ended in any state. Raises `StuckError`."""
     found: list[Item] = []
 
     def has_ended() -> bool:
@@ -123,7 +125,7 @@ def await_end(api: Api, run_id: str) -> Item:
 
 
 def await_true(what: str, is_true: Callable[[], bool], every_s: float = LOOK_S, within_s: float = PATIENCE_S) -> None:
-    """Look until it is so. Raises `StuckError`."""
+    """Wait until the condition is true. Raises `StuckError`."""
     until_s = time.monotonic() + within_s
     while not is_true():
         if time.monotonic() > until_s:
@@ -132,4 +134,4 @@ def await_true(what: str, is_true: Callable[[], bool], every_s: float = LOOK_S, 
 
 
 def _silent(stage: str, done: int, total: int) -> None:
-    """Nobody watches."""
+    """Ignore progress."""

@@ -1,11 +1,14 @@
-"""An upgrade drill: the previous release is stopped at work, this one goes on: `python -m chaos.upgrade`.
+"""An upgrade drill: the previous release is stopped during work, and this release continues: `python -m chaos.upgrade`.
 
 `[--previous COMMIT] [--postgres] [--kill] [--folder DIR]`. The sources of COMMIT serve a platform (`stone serve`, with
-its pages off) that labels a recording and has a file half sent; in the middle of the run it is drained, or killed with
-`--kill`, and this checkout's `stone serve` starts on the same folder and database, which it migrates if COMMIT is of an
-earlier revision. Then every row must still be there, the run, or the one that the platform begins in its place if the
-code of labels changed, must end with the bytes that an undisturbed run of this release makes, and the file must go on
-where it stood. The default COMMIT has the schema of the first release and other code versions. Ends with 1 otherwise.
+its pages off) that labels a recording and has received half of a file. In the middle of the run it is drained, or
+killed with `--kill`. Then this checkout's `stone serve` starts on the same folder and database, and migrates it if
+COMMIT has an earlier revision.
+
+Afterwards every row must still exist, and the file must continue at its offset. The run must end with the bytes of an
+undisturbed run of this release. If the code of labels changed, the platform starts a run in its place, which must end
+with these bytes. The default COMMIT has the schema of the first release and other code versions. On a failure the exit
+code is 1.
 """
 
 import argparse
@@ -42,7 +45,7 @@ from testing.stone_serve import RESERVE, serving
 
 ROOT = Path(__file__).resolve().parents[1]
 PREVIOUS = "4fe94cb7"
-PROFILE = "paper"  # a run that is begun again keeps the profile of its request, and the default has changed
+PROFILE = "paper"  # a restarted run keeps the profile of its request, and the default has changed
 STONE = (sys.executable, "-P", "-m", "stone_client.main")
 AFTER_JOBS = 6
 FAST = {
@@ -51,7 +54,7 @@ FAST = {
     "STONE_JOBS__LEASE_S": "3",
     "STONE_JOBS__HEARTBEAT_S": "0.5",
 }
-# Rows of processes, and of bytes on their way, go when these do.
+# Rows of processes, and of unfinished transfers, end with these.
 PASSING = {"workers", "loose_objects", "score_parts", "alembic_version", "sqlite_stat1", "idempotent_replies"}
 CONSOLE = Console(highlight=False, markup=False, soft_wrap=True)
 
@@ -72,7 +75,7 @@ def main() -> int:
 
 
 class Drill:
-    """Where, with which code before, and what is to come of it."""
+    """The folders, the previous sources, and the expected results."""
 
     def __init__(
         self, folder: Path, url: str, previous: Path, inputs: Inputs, made: RunArtefacts, *, is_killed: bool
@@ -88,7 +91,7 @@ class Drill:
 
 
 def drill(drill: Drill) -> list[Violation]:
-    """Every way in which something was lost, doubled or different."""
+    """Return everything lost, doubled or different."""
     # Until 30 November 2026 releases refused this setting as unknown, and kept no reserve.
     before_it = {**drill.environment, "PYTHONPATH": str(drill.previous), RESERVE: None}
     with serving(drill.data, STONE, **before_it) as old, old.api() as api:
@@ -120,7 +123,7 @@ def drill(drill: Drill) -> list[Violation]:
 
 
 def undisturbed(folder: Path, inputs: Inputs) -> RunArtefacts:
-    """What this release makes of the recording."""
+    """Return the results of this release for the recording."""
     data = folder / "data"
     data.mkdir(parents=True)
     with serving(data, STONE, **FAST, PYTHONPATH=str(ROOT)) as new, new.api() as api:
@@ -134,7 +137,7 @@ def undisturbed(folder: Path, inputs: Inputs) -> RunArtefacts:
 
 
 def sources(commit: str, folder: Path) -> Path:
-    """The packages as they were at the commit."""
+    """Return the packages of the commit."""
     folder.mkdir(parents=True)
     archive = subprocess.run(["git", "archive", commit], cwd=ROOT, check=True, capture_output=True).stdout
     subprocess.run(["tar", "-x", "-C", folder], input=archive, check=True)
@@ -142,7 +145,7 @@ def sources(commit: str, folder: Path) -> Path:
 
 
 def keys_of(settings: Settings) -> Keys:
-    """The primary keys of all rows, whatever release made the tables."""
+    """Return the primary keys of all rows, for tables of any release."""
     url = make_url(settings.database_url)
     engine = create_engine(url if url.get_backend_name() == "sqlite" else url.set(drivername="postgresql+psycopg"))
     metadata = MetaData()
@@ -162,7 +165,7 @@ def _lost(before: Keys, after: Keys) -> Iterator[Violation]:
 
 
 def _judged(drill: Drill, brought: OwnerRun) -> list[Violation]:
-    """The run as the kill suite judges one; the file half sent is no recording of it and is left out."""
+    """Judge the run as the kill suite does, ignoring the half-sent file, which is no recording of it."""
     platform = open_platform(drill.settings)
     try:
         found = judge(platform, brought, drill.made)

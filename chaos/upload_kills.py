@@ -1,7 +1,7 @@
-"""Kills during an upload: of the API that receives the file, or of the client that sends it.
+"""Kills during an upload: the API that receives the file, or the client that sends it.
 
-**Conventions.** A slow line makes a request last; the kill comes when as many bytes are on the server's disk, or in
-the store, as the round's chance said. It hits when the upload is then neither untouched nor whole.
+**Conventions.** A slow line prolongs the request. The kill happens when a random number of bytes is on the server's
+disk, or in the store. It is a hit if the upload is then neither empty nor whole.
 """
 
 import json
@@ -29,7 +29,7 @@ BYTES_PER_S = 24e6
 
 
 class ClientFailedError(Exception):
-    """The command that was run again did not do it."""
+    """The repeated command failed."""
 
     def __init__(self, exit_code: int, said: bytes) -> None:
         super().__init__(
@@ -38,7 +38,7 @@ class ClientFailedError(Exception):
 
 
 def kill_api(turn: OwnerRound) -> OwnerRun:
-    """kill −9 the API while it takes in a PATCH; the client goes on by itself."""
+    """kill −9 the API during a PATCH; the client resumes automatically."""
     with turn.connected() as direct, _detour(turn) as url, turn.connected(url) as api:
         sequence = turn.announce(direct)
         with ThreadPoolExecutor(1) as client:
@@ -71,14 +71,14 @@ def kill_client(turn: OwnerRound) -> OwnerRun:
 
 @contextmanager
 def _detour(turn: OwnerRound) -> Iterator[str]:
-    """The API's URL by the slow line."""
+    """Yield the API's URL by the slow line."""
     settings = turn.target.platform.settings.api
     with slow_line((settings.host, settings.port), BYTES_PER_S) as port:
         yield f"http://{settings.host}:{port}"
 
 
 def _wait_for_share(turn: OwnerRound, is_over: Callable[[], bool]) -> None:
-    """Until some share of the file has come, or it is too late; note what is being hit."""
+    """Wait until a random share of the file has arrived, or the upload is over; note the victim."""
     size_bytes = turn.target.inputs.size_bytes
     wanted_bytes = int(turn.chance.uniform(0.02, 0.98) * size_bytes)
     await_true(f"{wanted_bytes} bytes on disk", lambda: is_over() or _bytes_here(turn) >= wanted_bytes, every_s=0.01)
@@ -87,7 +87,7 @@ def _wait_for_share(turn: OwnerRound, is_over: Callable[[], bool]) -> None:
 
 
 def _bytes_here(turn: OwnerRound) -> int:
-    """How much of the owner's upload lies on the server's disk or in the store, verified or not."""
+    """Return the bytes of the owner's upload on the server's disk or in the store, verified or not."""
     platform = turn.target.platform
     with platform.database.reading() as session:
         upload_id = session.scalar(select(Upload.id).where(Upload.owner_id == turn.owner.user_id))

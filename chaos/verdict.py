@@ -1,7 +1,7 @@
-"""What must be true after a round; each way in which it is not is a violation with its reason.
+"""Invariants after a round; each violation is reported with its reason.
 
-**Conventions.** Everything is read from the database and the store behind the API's back, once the round has ended. A
-check that finds nothing to look at is a violation too: silence proves nothing.
+**Conventions.** Everything is read directly from the database and the store, once the round has ended. A check without
+anything to check is a violation too, since it would prove nothing.
 """
 
 from collections import Counter
@@ -38,14 +38,14 @@ Name = TypeVar("Name", str, tuple[int, str])
 
 @dataclass(frozen=True)
 class Violation:
-    """Something that must not be."""
+    """A violated invariant."""
 
     sort: Sort
     sentence: str
 
 
 def judge(platform: Platform, brought: OwnerRun, undisturbed: RunArtefacts) -> list[Violation]:
-    """Every violation of a round that has ended; none is what is hoped for."""
+    """Return every violation of a finished round."""
     with platform.database.reading() as session:
         found = [
             *_judge_jobs(session, brought, platform.settings.jobs.max_attempts),
@@ -59,7 +59,7 @@ def judge(platform: Platform, brought: OwnerRun, undisturbed: RunArtefacts) -> l
 
 
 def judge_blobs(platform: Platform) -> Iterator[Violation]:
-    """No blob row without its object, and each object is what its row says."""
+    """Yield blobs without an object, and objects that differ from their row."""
     with platform.database.reading() as session:
         blobs = session.scalars(select(Blob)).all()
     for blob in blobs:
@@ -71,7 +71,7 @@ def judge_blobs(platform: Platform) -> Iterator[Violation]:
 
 
 def _judge_jobs(session: Session, brought: OwnerRun, max_attempts: int) -> Iterator[Violation]:
-    """Every job succeeded, by one attempt, within the attempts it has; the others were lost to kills, nothing else."""
+    """Yield a violation unless every job succeeded once within its attempts, and all others were lost to kills."""
     judged = (Job.owner_id == brought.owner_id, Job.root_id != brought.replaced_id)
     jobs = session.scalars(select(Job).where(*judged)).all()
     if not any(job.id == brought.run_id for job in jobs):
@@ -101,7 +101,7 @@ def _judge_attempts(job: Job, attempts: Sequence[JobAttempt], max_attempts: int)
 
 
 def _judge_label_sets(session: Session, brought: OwnerRun) -> Iterator[Violation]:
-    """One label set, made by the run."""
+    """Yield a violation unless the run made exactly one label set."""
     made_by_run = session.scalars(select(LabelSet.job_id).where(LabelSet.sequence_id == brought.sequence_id)).all()
     if not made_by_run:
         yield Violation("lost", f"sequence {brought.sequence_id} has no label set")
@@ -110,7 +110,7 @@ def _judge_label_sets(session: Session, brought: OwnerRun) -> Iterator[Violation
 
 
 def _judge_recordings(session: Session, brought: OwnerRun) -> Iterator[Violation]:
-    """One recording, registered, of the bytes that were brought."""
+    """Yield a violation unless there is one registered recording with the uploaded bytes."""
     recordings = session.scalars(select(Recording).where(Recording.sequence_id == brought.sequence_id)).all()
     if not recordings:
         yield Violation("lost", f"sequence {brought.sequence_id} has no recording")
@@ -125,7 +125,7 @@ def _judge_recordings(session: Session, brought: OwnerRun) -> Iterator[Violation
 
 
 def _judge_quota(session: Session, brought: OwnerRun) -> Iterator[Violation]:
-    """The quota counts each upload that is under way or kept, and each file made of it, once."""
+    """Yield a violation unless the quota counts each unfinished or stored upload, and each file made of it, once."""
     counted = storage_quota.balance(session, brought.owner_id)
     held = held_bytes(session, brought.owner_id)
     if counted != held:
@@ -136,7 +136,7 @@ def _judge_quota(session: Session, brought: OwnerRun) -> Iterator[Violation]:
 def held_bytes(session: Session, owner_id: str) -> int:
     """Return the bytes of an owner's uploads, label sets, previews and exports, by their rows.
 
-    Bags in place, comparisons and imported datasets are not among them.
+    Bags in place, comparisons and imported datasets do not count.
     """
     mine = SequenceRow.owner_id == owner_id
     uploads = select(Upload.length_bytes).where(
@@ -150,7 +150,7 @@ def held_bytes(session: Session, owner_id: str) -> int:
 
 
 def _judge_uploads(platform: Platform, brought: OwnerRun) -> Iterator[Violation]:
-    """One upload is whole and used; of an upload that a killed client forgot nothing has come."""
+    """Yield a violation unless one upload is used and whole; an upload that a killed client forgot has no bytes."""
     with platform.database.reading() as session:
         uploads = session.scalars(select(Upload).where(Upload.owner_id == brought.owner_id)).all()
     states = [upload.state for upload in uploads]
@@ -171,7 +171,7 @@ def _judge_uploads(platform: Platform, brought: OwnerRun) -> Iterator[Violation]
 
 
 def _content(platform: Platform, upload: Upload) -> bytes | None:
-    """What there is of it in the folder or in the store; None when it is gone."""
+    """Return the upload's bytes in the folder or in the store; None if it is gone."""
     if upload.backend == "folder":
         path = upload_file(platform.settings, upload.id)
         return path.read_bytes() if path.exists() else None
@@ -181,7 +181,7 @@ def _content(platform: Platform, upload: Upload) -> bytes | None:
 
 
 def _judge_made(made: RunArtefacts, undisturbed: RunArtefacts) -> Iterator[Violation]:
-    """The same artefacts, the same frames, by as many jobs."""
+    """Yield a violation unless artefacts, frames and numbers of jobs equal those of the undisturbed run."""
     if not undisturbed.artefacts or not undisturbed.frames:
         yield Violation("lost", "the undisturbed run produced no results to compare with")
     yield from (Violation("differing", flaw) for flaw in made.flaws)

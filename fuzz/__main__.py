@@ -1,9 +1,9 @@
 """Fuzz parsers and labelling: `python -m fuzz [--minutes 10] [--only mcap db3 messages labels …] [--folder DIR]`.
 
-`--minutes` is of each target; two run side by side. Ends with 1 when an input crashed a parser, hung it for ten seconds
-or cost it more than 64 MiB; labelling, whose kernels check their indices here, may take a minute and 512 MiB. Such an
-input lies in the folder; once repaired it belongs into `tests/fuzz/cases/<target>/`, where every test run plays it
-again.
+`--minutes` applies to each target; two run in parallel. The exit code is 1 if an input crashed a parser, took it ten
+seconds or cost it more than 64 MiB. Labelling, whose kernels check their indices here, may take a minute and 512 MiB.
+The folder contains such inputs. After the repair, move the input to `tests/fuzz/cases/<target>/`, where every test run
+plays it again.
 """
 
 import argparse
@@ -32,7 +32,7 @@ CONSOLE = Console(highlight=False, markup=False, soft_wrap=True)
 
 @dataclass(frozen=True)
 class FuzzResult:
-    """What a target took: inputs tried, branches met, the inputs that broke it."""
+    """The results of a target: inputs tried, branches reached, the inputs that broke it."""
 
     name: str
     inputs: int
@@ -83,7 +83,7 @@ def _fuzz(name: str, options: argparse.Namespace) -> FuzzResult:
 
 
 def _environment(options: argparse.Namespace, folder: Path, may: FuzzLimits) -> dict[str, str]:
-    """Numba takes what it finds in its cache, checked or not: what is checked has one of its own."""
+    """Return the environment with a separate numba cache: numba takes unchecked code from a cache for checked."""
     checked = {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(folder / "kernels")} if may.is_checked else {}
     return {**os.environ, "TMPDIR": options.scratch, **checked}
 
@@ -107,7 +107,7 @@ def _options() -> argparse.Namespace:
     options = parser.parse_args()
     options.folder = (options.folder or Path(tempfile.mkdtemp(prefix="stone-fuzz-"))).absolute()
     options.folder.mkdir(parents=True, exist_ok=True)
-    memory = Path("/dev/shm")  # inputs are files for a moment; on a disk that moment is the longest part
+    memory = Path("/dev/shm")  # input files are short-lived; on a disk, writing them takes longest
     options.scratch = str(memory) if memory.is_dir() else tempfile.gettempdir()
     return options
 

@@ -1,4 +1,4 @@
-"""One small file of each format of calibration, and the ending it comes with."""
+"""One small file of each calibration format, with its suffix."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -167,7 +167,7 @@ TEXTS = {
 
 
 def calibrations() -> Mapping[str, tuple[int, bytes]]:
-    """By name: which of the endings, and the file."""
+    """Return the index of the suffix and the file, by name."""
     found = {name: (ENDINGS.index(ending), text.encode()) for name, (ending, text) in TEXTS.items()}
     with TemporaryDirectory() as folder:
         path = Path(folder) / "rig.yaml"

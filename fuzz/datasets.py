@@ -1,9 +1,9 @@
 """The reader of published datasets as a function of bytes: tables, splits, annotations, class map and labels, or a tar.
 
-**Conventions.** The first byte says what the rest is: a dataset of tables, one of annotations.json alone, or a tar
-(checksums of its heads repaired). The parts of a dataset are parted by two zeros, labels last; an empty part is the
-good one, so that one mutated part is read with all others sound. Without a part for them there are no
-labels and no class map: grids and YAML would be most of the time.
+**Conventions.** The first byte selects the kind of the rest: a dataset of tables, one of annotations.json alone, or a
+tar (with repaired checksums of its heads). Two zeros separate the parts of a dataset, labels last; an empty part stands
+for the sound part, so one mutated part is read with sound others. Without a part for them there are no labels and no
+class map: parsing grids and YAML would take most of the time.
 """
 
 from collections.abc import Iterator, Mapping
@@ -42,7 +42,7 @@ PARTS: Mapping[int, tuple[str, ...]] = {
 
 
 def read_published(content: bytes) -> None:
-    """Everything in it, which is sound, or has faults that are named."""
+    """Read everything in it, which must be sound or have named faults."""
     kind = content[0] % 3 if content else TABLES
     with TemporaryDirectory() as folder:
         path = Path(folder) / "dataset"
@@ -61,7 +61,7 @@ def read_published(content: bytes) -> None:
 
 
 def published_seeds() -> Iterator[tuple[str, bytes]]:
-    """All parts, and each alone."""
+    """Yield all parts together, and each alone."""
     for kind, names in PARTS.items():
         parts = [_good(kind)[name] for name in names]
         yield f"{kind}-all", bytes([kind]) + b"\0\0".join(parts)
@@ -80,7 +80,7 @@ def published_seeds() -> Iterator[tuple[str, bytes]]:
 
 @cache
 def _good(kind: int) -> Mapping[str, bytes]:
-    """The files of a good dataset of this kind by name."""
+    """Return the files of a sound dataset of this kind by name."""
     write = write_published if kind == TABLES else write_annotated
     with TemporaryDirectory() as folder:
         path = write(Path(folder) / "good", WHAT)

@@ -1,7 +1,7 @@
-"""The readers of what models are trained on, as functions of bytes: frames' tables, labels, radar scans, pictures.
+"""The readers of training data as functions of bytes: frames' tables, labels, radar scans, pictures.
 
-**Conventions.** Tables are six in one, parted by two zeros, beside the files that they name. Of `read_picture` the
-first byte chooses the lens.
+**Conventions.** An input contains six tables, separated by two zeros, beside the files that they name. For
+`read_picture`, the first byte selects the lens.
 """
 
 import json
@@ -59,7 +59,7 @@ SCAN_HEAD = "FIELDS x y z rcs vx_comp vy_comp\nSIZE 4 4 4 4 4 4\nTYPE F F F F F 
 
 
 def read_frames(content: bytes) -> None:
-    """Every frame, and the picture of it where its lens is small."""
+    """Read every frame, and its picture if its lens is small."""
     if not content:
         return
     with TemporaryDirectory() as folder:
@@ -81,7 +81,7 @@ def read_labels(content: bytes) -> None:
 
 
 def read_scan(content: bytes) -> None:
-    """Its detections, which are numbers."""
+    """Read its detections, which must be numbers."""
     if not content:
         return
     sensor = ExportedSensor("RADAR_FRONT", "radar", SE3.identity(), None)
@@ -102,7 +102,7 @@ def frames_seeds() -> Iterator[tuple[str, bytes]]:
 
 
 def exported_labels_seeds() -> Iterator[tuple[str, bytes]]:
-    """As we write them, and stored, with an array that is small: what is mutated is not all zeros."""
+    """Yield labels as written by the platform and stored uncompressed, with a small array of few zeros."""
     free = np.zeros(PAPER.shape, np.uint8)
     yield "ours", npz_bytes({"semantics": free, "mask_lidar": free})
     file, small = BytesIO(), BytesIO()

@@ -1,7 +1,7 @@
 """The readers of exported data as functions of bytes: tars, and the tables of the nuScenes layout.
 
-**Conventions.** Checksums of a tar's heads are repaired before it is read, since a mutation must get past the door.
-Tables are four in one, parted by two zeros, beside one sweep of a few returns.
+**Conventions.** Checksums of a tar's heads are repaired before reading, since mutations would fail there otherwise. An
+input contains four tables, separated by two zeros, beside one sweep of a few returns.
 """
 
 import io
@@ -35,7 +35,7 @@ ROWS = {
 
 
 def read_tar(content: bytes) -> None:
-    """Every export in it, and the points of its frame."""
+    """Read every export in it, and the points of its frame."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "some.tar"
         path.write_bytes(mended(content))
@@ -57,7 +57,7 @@ def read_tables(content: bytes) -> None:
 
 
 def tar_seeds() -> Iterator[tuple[str, bytes]]:
-    """Each way to write names, of a short export and of one below a long folder."""
+    """Yield each way to write names, for a short export and one below a long folder."""
     for name, form in (("ustar", tarfile.USTAR_FORMAT), ("gnu", tarfile.GNU_FORMAT), ("pax", tarfile.PAX_FORMAT)):
         for root in ("", f"{'r' * 90}/" * 3 if form != tarfile.USTAR_FORMAT else "r/"):
             content = io.BytesIO()
@@ -82,7 +82,7 @@ def _table(name: str) -> bytes:
 
 
 def mended(content: bytes) -> bytes:
-    """The checksum of every block that calls itself a head is right."""
+    """Return the tar with a correct checksum in every block that looks like a head."""
     mended = bytearray(content)
     for at in range(0, len(mended) - BLOCK_BYTES + 1, BLOCK_BYTES):
         block = mended[at : at + BLOCK_BYTES]

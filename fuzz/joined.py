@@ -1,6 +1,6 @@
-"""Fuzzing of the description of a joined recording, and of messages whose stamps are moved as it says.
+"""Fuzzing of the description of a joined recording, and of messages whose stamps it moves.
 
-**Conventions.** Up to two zero bytes the description, then a message.
+**Conventions.** The description ends at two zero bytes, a message follows.
 """
 
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ TRANSFORM = (
 
 
 def read_description(content: bytes) -> None:
-    """What is read is written as it was understood, and a message is as long as it was."""
+    """Read a description: writing it back must preserve it, and moving a message's stamp its length."""
     text, _, message = content.partition(b"\0\0")
     with TemporaryDirectory() as folder:
         (Path(folder) / JOINED).write_bytes(text)
@@ -33,7 +33,7 @@ def read_description(content: bytes) -> None:
 
 
 def joined_seeds() -> Iterator[tuple[str, bytes]]:
-    """One of two members, with a message of each kind."""
+    """Yield a description of two members, with a message of each kind."""
     members = [JoinedMember("a.mcap"), JoinedMember("b.bag", -80_000_000, 500, (GIVEN,), ("/imu",), {"/tf": ((0, 2),)})]
     for name, message in (("header", STAMPED), ("transforms", b"\0\1\0\0" + TRANSFORM + bytes(60))):
         yield name, joined_bytes(members) + b"\0\0" + message

@@ -1,7 +1,7 @@
-"""Labelling as a target: a short drive with whatever values the bytes put into it, through all that `stone label` does.
+"""Labelling as a target: a short drive with values from the bytes, through all steps of `stone label`.
 
-**Conventions.** In one process, with the indices of all kernels checked: `NUMBA_BOUNDSCHECK` must be set before numba
-is loaded, and beside it a cache of its own, since numba takes unchecked code from a cache for checked.
+**Conventions.** It runs in one process, with the indices of all kernels checked. `NUMBA_BOUNDSCHECK` must be set before
+numba is loaded, with a cache of its own, since numba takes unchecked code from a cache for checked.
 """
 
 import math
@@ -23,25 +23,25 @@ from testing.worlds.hostile_drive import ATTACKS, Arrays, attacked, edit_bytes, 
 
 
 class WrongLabelsError(AssertionError):
-    """Labels that were made, and are none."""
+    """The labels are invalid."""
 
 
 def label_seeds() -> Iterator[tuple[str, bytes]]:
-    """The sound drive, and one in which each kind of value stands where it once did harm, or would."""
+    """Yield the sound drive, and a drive with each kind of value in a position that once caused a fault, or could."""
     yield "sound", b""
     for name, edits in ATTACKS.items():
         yield name.replace(" ", "-"), edit_bytes(*edits)
 
 
 def read_and_label(content: bytes) -> None:
-    """A drive with the edits that the bytes are; a calculation that numpy warns of is a crash."""
+    """Label a drive with the edits of the bytes; a calculation with a numpy warning is a crash."""
     with TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
         labelled(attacked(*edits_in(content)), Path(folder))
 
 
 def labelled(arrays: Arrays, folder: Path) -> LabelReport:
-    """The report of the drive's labels, made in this process. Raises whatever refuses it."""
+    """Return the report of the drive's labels, made in this process. Raises any refusal."""
     bag, calibration = write_drive(arrays, folder)
     with opened_sequence(bag, calibration, "run", SynchroniseOptions(ground="given")) as opened:
         if len(opened.sequence.frames) == 0:
@@ -59,7 +59,7 @@ def parameters() -> LabelParameters:
 
 
 def checked(run: LabelRun) -> LabelReport:
-    """The report. Raises `WrongLabelsError` where a number of it is none, or its labels are not of its frames."""
+    """Return the report. Raises `WrongLabelsError` if a number is invalid or labels and frames do not match."""
     report = report_of(run)
     labels = sum(len(load_pack(run, part)[0].ends_bytes) for part in parts_of(run))
     if not 0 < labels == len(run.sequence.frames):

@@ -38,7 +38,7 @@ def main() -> None:
     name = sys.argv.pop(1)
     target, limits = TARGETS[name], limits_of(name)
     with suppress(StoneError):
-        target(b"")  # compiles what it uses: no input's cost
+        target(b"")  # compiles before the first input
     atheris.Setup(sys.argv, lambda content: check(target, content, limits))
     atheris.Fuzz()
 

@@ -1,8 +1,8 @@
 """Limits that every fuzzed input must keep: coded exceptions only, bounded memory.
 
-**Conventions.** A target is a function of bytes that reads them as a hostile file would be read. `StoneError` is the
-only exception it may end with. Growth is the kernel's peak of this process above what it held before the input; the
-peak is reset before each, or one that cost much would hide all after it.
+**Conventions.** A target is a function of bytes that reads them as a hostile file. Its only permitted exception is
+`StoneError`. Growth is the kernel's peak of this process above its memory before the input. The peak is reset before
+each input, or one costly input would hide later ones.
 """
 
 from collections.abc import Callable
@@ -20,10 +20,9 @@ Target = Callable[[bytes], None]
 
 @dataclass(frozen=True)
 class FuzzLimits:
-    """What an input may take: growth of the process, time, and what the process may hold at all.
+    """Limits of an input: growth of the process, time, and total memory of the process.
 
-    `longest_bytes` is tried from the beginning where it is short. `is_checked` where kernels check their indices
-    meanwhile.
+    libFuzzer starts with inputs of up to `longest_bytes`. `is_checked`: kernels check their indices.
     """
 
     growth_bytes: int
@@ -39,7 +38,7 @@ OF_LABELLING = FuzzLimits(512 * 2**20, 60, 3072, longest_bytes=1 << 8, is_checke
 
 
 class GrowthError(AssertionError):
-    """An input cost more memory than any may."""
+    """An input cost more memory than the limit."""
 
     def __init__(self, growth_bytes: int, input_bytes: int, limit_bytes: int) -> None:
         limit = f"the limit is {limit_bytes >> 20} MiB"
@@ -47,7 +46,7 @@ class GrowthError(AssertionError):
 
 
 class UncodedError(AssertionError):
-    """A refusal that no program can tell from another."""
+    """A refusal without a code."""
 
     def __init__(self, error: StoneError) -> None:
         super().__init__(f"{type(error).__name__} has no code, or more than one line: {str(error)[:300]!r}")
@@ -55,7 +54,7 @@ class UncodedError(AssertionError):
 
 @dataclass(frozen=True)
 class Memory:
-    """What the process holds and the most it held since its peak was reset, bytes."""
+    """The current and the peak memory of the process, bytes."""
 
     held: int
     peak: int
@@ -67,7 +66,7 @@ def memory() -> Memory:
 
 
 def check(target: Target, content: bytes, limits: FuzzLimits = OF_PARSERS) -> None:
-    """Raises `GrowthError`, `UncodedError`, and whatever the target lets through."""
+    """Run a target. Raises `GrowthError`, `UncodedError`, and other exceptions of the target."""
     CLEAR_REFS.write_text(RESET_PEAK)
     before = memory()
     try:

@@ -1,4 +1,4 @@
-"""All message decoders in a stable order: new ones are added at the end."""
+"""All message decoders in a stable order: add new ones at the end."""
 
 from collections.abc import Callable, Sequence
 from functools import partial

@@ -1,6 +1,6 @@
 """Fuzzing of LiDAR packets and of files of poses.
 
-**Conventions.** Of `packets` the first byte chooses the message type; the rest is the message.
+**Conventions.** For `packets` the first byte selects the message type; the rest is the message.
 """
 
 import struct
@@ -18,7 +18,7 @@ HEAD = b"\0\1\0\0" + struct.pack("<iII4s", 1_700_000_000, 0, 4, b"bag\0")
 
 
 def read_packets(content: bytes) -> None:
-    """The problem its head tells, and its points."""
+    """Read the problem that the head reveals, and the points."""
     if content:
         payload, type_name = memoryview(content[1:]), TYPES[content[0] % len(TYPES)]
         sweep_problem(payload[:8192], type_name)
@@ -34,7 +34,7 @@ def read_poses(content: bytes) -> None:
 
 
 def packet_seeds() -> Iterator[tuple[str, bytes]]:
-    """Two packets of each model, in each message that can hold them."""
+    """Yield two packets of each model, in each message type that can contain them."""
     for name, packet in _packets().items():
         yield f"nebula-{name}", b"\2" + _message(packet, 4)
         yield f"hesai-{name}", b"\3" + _message(packet, 4, struct.pack("<I", len(packet)))

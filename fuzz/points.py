@@ -1,7 +1,7 @@
 """Fuzzing of messages of points and of raw pictures.
 
-**Conventions.** Of `points` the first byte chooses the message type; the rest is the message, as all of `pictures` is.
-A message that its head calls sound is read.
+**Conventions.** For `points` the first byte selects the message type; the rest is the message. For `pictures` all bytes
+are the message. A message with a sound head must be readable.
 """
 
 from collections.abc import Iterator
@@ -53,7 +53,7 @@ def read_raw_picture(content: bytes) -> None:
 
 
 def point_seeds() -> Iterator[tuple[str, bytes]]:
-    """A few points in each message and compression."""
+    """Yield a few points in each message and compression."""
     drive = FieldDrive(definitions=(*livox_definitions(), (COMPRESSED, COMPRESSED_FIELDS)))
     message = livox_message(drive, 0.0)
     message.points = message.points[:SEED_POINTS]
@@ -64,7 +64,7 @@ def point_seeds() -> Iterator[tuple[str, bytes]]:
 
 
 def raw_picture_seeds() -> Iterator[tuple[str, bytes]]:
-    """A small picture of each encoding."""
+    """Yield a small picture of each encoding."""
     drive = FieldDrive()
     steps = {"mono8": WIDTH_PX, "bgr8": 3 * WIDTH_PX, "bayer_rggb8": WIDTH_PX}
     for encoding in (*steps, *sorted(ENCODINGS)):

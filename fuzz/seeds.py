@@ -1,6 +1,6 @@
 """Seed inputs for fuzzing: a tiny simulated drive, written by third-party libraries.
 
-**Conventions.** Without checksums, since a mutation must get past the door; libFuzzer takes the inputs apart.
+**Conventions.** Inputs have no checksums, since mutations would fail there; libFuzzer mutates the rest.
 """
 
 import sqlite3
@@ -56,14 +56,14 @@ class Sample:
 
 
 def write_seeds(target: str, corpus: Path) -> None:
-    """The inputs that the fuzzing of `target` begins from, a file each."""
+    """Write the first inputs for the fuzzing of `target`, one file each."""
     for name, content in SEEDS[target]():
         (corpus / f"seed-{name}").write_bytes(content)
 
 
 @cache
 def samples() -> tuple[Sample, ...]:
-    """The first messages of every topic, the small ones."""
+    """Return the first messages of every topic, if they are small."""
     found: list[Sample] = []
     with TemporaryDirectory() as folder:
         path = Path(folder) / "tiny.mcap"
@@ -76,7 +76,7 @@ def samples() -> tuple[Sample, ...]:
 
 
 def mcap_seeds() -> Iterator[tuple[str, bytes]]:
-    """Each way to lay out a file, whole and cut."""
+    """Yield each file layout, whole and cut."""
     for name, layout in CONTAINERS.items():
         content = _mcap(layout)
         yield name, content
@@ -84,7 +84,7 @@ def mcap_seeds() -> Iterator[tuple[str, bytes]]:
 
 
 def ros1_seeds() -> Iterator[tuple[str, bytes]]:
-    """Each compression, closed, unclosed and cut."""
+    """Yield each compression, closed, unclosed and cut."""
     with TemporaryDirectory() as folder:
         source = Path(folder) / "tiny.mcap"
         source.write_bytes(_mcap(CONTAINERS["plain"]))
@@ -108,13 +108,13 @@ def db3_seeds() -> Iterator[tuple[str, bytes]]:
                 writer.write(channels[sample.topic], sample.log_time_ns, sample.payload)
         for file in sorted(path.glob("*.db3")):
             with closing(sqlite3.connect(file, isolation_level=None)) as database:
-                database.execute("PRAGMA page_size = 512")  # small inputs are mutated where it matters
+                database.execute("PRAGMA page_size = 512")  # small inputs concentrate the mutations
                 database.execute("VACUUM")
             yield file.stem, file.read_bytes()
 
 
 def message_seeds() -> Iterator[tuple[str, bytes]]:
-    """Every message to every decoder: most refuse it, which is also worth seeing."""
+    """Yield every message for every decoder: most decoders refuse it, which is also worth testing."""
     for choice, _decoder in enumerate(DECODERS):
         for sample in {sample.type: sample for sample in samples()}.values():
             yield f"{choice}-{sample.type.replace('/', '-')}", bytes([choice]) + sample.payload

@@ -1,8 +1,8 @@
-"""The readers of submissions as functions of bytes, and small whole inputs to begin from.
+"""The readers of submissions as functions of bytes, and small whole inputs as seeds.
 
-**Conventions.** An archive is read for two frames, `TOKENS`. Whatever is read without a problem must be what Python's
-`zipfile` reads from the same bytes: where two readers could see different files, ours has to refuse. Seeds hold files
-of a few bytes and an all-free grid, which deflates to 2 kB.
+**Conventions.** An archive is read for two frames, `TOKENS`. If our reader accepts an archive, Python's `zipfile` must
+read the same files from it: if two readers could see different files, ours must refuse. Seeds contain files of a few
+bytes and an all-free grid, which deflates to 2 kB.
 """
 
 import json
@@ -33,7 +33,7 @@ class DifferenceError(AssertionError):
 
 
 def read_archive(content: bytes) -> None:
-    """The directory, and each frame's bytes."""
+    """Read the directory, and each frame's bytes."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "sub.zip"
         path.write_bytes(content)
@@ -55,7 +55,7 @@ def read_header(content: bytes) -> None:
 
 
 def read_manifest_file(content: bytes) -> None:
-    """What is read survives being written."""
+    """Read a manifest: writing it back must preserve it."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "manifest.json"
         path.write_bytes(content)
@@ -66,7 +66,7 @@ def read_manifest_file(content: bytes) -> None:
 
 
 def archive_seeds() -> Iterator[tuple[str, bytes]]:
-    """As `zipfile` writes them: plain, packed, wide, into a pipe, with a folder, with a comment."""
+    """Yield archives written by `zipfile`: plain, packed, wide, into a pipe, with a folder, with a comment."""
     for name, method, folder in (
         ("stored", zipfile.ZIP_STORED, ""),
         ("deflated", zipfile.ZIP_DEFLATED, ""),
@@ -100,7 +100,7 @@ def manifest_seeds() -> Iterator[tuple[str, bytes]]:
 
 
 class _Pipe(BytesIO):
-    """Something that cannot seek, so that sizes follow the data."""
+    """A file without seeking, so that sizes follow the data."""
 
     def seekable(self) -> bool:
         return False
@@ -131,7 +131,7 @@ def _read(submission: SubmissionZip, token: str) -> bytes | None:
 
 
 def _compare(content: bytes, found: dict[str, bytes | None]) -> None:
-    """Raises `DifferenceError`. What `zipfile` refuses it does not see otherwise: versions above 6.3, say."""
+    """Raise `DifferenceError` if `zipfile` reads other bytes; files that it refuses pass (versions above 6.3)."""
     for name, ours in found.items():
         try:
             with zipfile.ZipFile(BytesIO(content)) as opened:

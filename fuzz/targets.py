@@ -1,8 +1,7 @@
-"""What is fuzzed: the readers of recordings, messages, calibrations, submissions and exports, and labelling, each as
-one function of bytes.
+"""The fuzzed targets: the readers of untrusted bytes, and labelling, each as one function of bytes.
 
-**Conventions.** A target ends normally or with a `StoneError`. Of `messages`, `packets` and `points` the first byte
-chooses the type, of `calibration` the ending of its name; the rest is the content.
+**Conventions.** A target ends normally or with a `StoneError`. For `messages`, `packets` and `points` the first byte
+selects the type, for `calibration` the suffix of its name; the rest is the content.
 """
 
 from collections.abc import Mapping
@@ -35,7 +34,7 @@ ENDINGS = (".yaml", ".json", ".zip", ".txt", ".urdf")
 
 
 def read_recording(path: Path) -> None:
-    """Everything that touches bytes: the catalogue, every payload, the inspection."""
+    """Run everything that reads bytes: the catalogue, every payload, the inspection."""
     with open_bag(path) as bag:
         for topic in bag.topics:
             if topic.encoding == "cdr":
@@ -45,7 +44,7 @@ def read_recording(path: Path) -> None:
 
 
 def read_mcap(content: bytes) -> None:
-    """As it is; and cut where it ends, what can be recovered of it."""
+    """Read it as it is; if it is cut off, also recover its readable part."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "run.mcap"
         path.write_bytes(content)
@@ -57,7 +56,7 @@ def read_mcap(content: bytes) -> None:
 
 
 def read_ros1(content: bytes) -> None:
-    """As it is, and what can be recovered of it."""
+    """Read it as it is, and recover its readable part."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "run.bag"
         path.write_bytes(content)
@@ -75,7 +74,7 @@ def read_db3(content: bytes) -> None:
 
 
 def read_messages(content: bytes) -> None:
-    """One message, twice, for what compares a message with the one before it."""
+    """Read one message twice, for code that compares it with its predecessor."""
     if content:
         payload: StampedMessage = OwnMessage(memoryview(content[1:]))
         DECODERS[content[0] % len(DECODERS)]([payload, payload])
@@ -90,7 +89,7 @@ def read_calibration_file(content: bytes) -> None:
 
 
 def read_definition(content: bytes) -> None:
-    """A type as a recording describes it, and one message by that description, cut from the same bytes."""
+    """Read a type's definition as a recording contains it, and one message of this type from the same bytes."""
     text, _, payload = content.partition(b"\0\0")
     known = resolved(DESCRIBED, text.decode("utf-8", "replace")).registry
     decode_table(DESCRIBED, [OwnMessage(memoryview(payload))], known)
@@ -124,5 +123,5 @@ TARGETS: Mapping[str, Target] = {
 
 
 def limits_of(name: str) -> FuzzLimits:
-    """What an input of this target may take."""
+    """Return the limits for an input of this target."""
     return OF_LABELLING if name == "labels" else OF_PARSERS

@@ -216,7 +216,7 @@ def hold(world: World) -> None:
 
 
 def stop_worker(world: World) -> None:
-    """Stop a worker in an orderly way; its parent gives the child's jobs back."""
+    """Stop a worker in an orderly way; its parent returns the child's jobs."""
     if alive := _alive(world):
         process = world.dice.choice(alive)
         world.scheduler.kill(process)
@@ -224,7 +224,7 @@ def stop_worker(world: World) -> None:
 
 
 def restart_platform(world: World) -> None:
-    """End all workers, orderly or not, and give their jobs back before new workers start."""
+    """End all workers, orderly or not, and return their jobs before new workers start."""
     wanted, world.wanted = world.wanted, 0
     for process in _alive(world):
         world.scheduler.kill(process)

@@ -1,8 +1,10 @@
 """A database in memory whose transactions fail at random and start when the scheduler picks them.
 
-**Conventions.** *away*: the transaction is refused at its start. *cut*: the connection ends at a statement, or at
-COMMIT before it takes effect. *unanswered*: COMMIT takes effect, but its answer and the following wake-ups are lost.
-*calm* ends all faults.
+**Conventions.** Faults have three kinds; a calm world has none.
+
+- *away*: the transaction is refused at its start.
+- *cut*: the connection ends at a statement, or at COMMIT before it takes effect.
+- *unanswered*: COMMIT takes effect, but its answer and the following wake-ups are lost.
 """
 
 from collections.abc import Callable, Iterator
