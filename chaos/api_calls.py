@@ -77,8 +77,8 @@ def run_in_place_of(api: Api, brought: OwnerRun) -> str:
 
 def send_half(api: Api) -> HalfSent:
     digest = sha256(HALF * 2).hexdigest()
-    said = {"filename": "half.mcap", "purpose": "recording", "sha256": digest}
-    metadata = ",".join(f"{key} {base64.b64encode(value.encode()).decode('ascii')}" for key, value in said.items())
+    fields = {"filename": "half.mcap", "purpose": "recording", "sha256": digest}
+    metadata = ",".join(f"{key} {base64.b64encode(value.encode()).decode('ascii')}" for key, value in fields.items())
     headers = {**TUS, "Upload-Length": str(2 * len(HALF)), "Upload-Metadata": metadata}
     address = "/uploads/" + api.send("POST", "/uploads", headers=headers).headers["Location"].rpartition("/")[2]
     api.send("PATCH", address, content=HALF, headers={**BYTES, "Upload-Offset": "0"})

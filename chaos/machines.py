@@ -77,15 +77,15 @@ def main() -> int:
     inputs = simulated(options.folder / "inputs")
     with two_machines() as link, deployed(link, options.folder, inputs) as there, link.ends[0].entered():
         made = made_by(there.platform, _run(there, "undisturbed", lambda: None))
-        found = [
+        violations = [
             *_violated(there, made, "cut", lambda: _cut(link, options.cut_s)),
             *_violated(there, made, "slowed", lambda: link.slow(options.bytes_per_s)),
         ]
         link.mend()
-    for violation in found:
+    for violation in violations:
         CONSOLE.print(f"{violation.sort}: {violation.sentence}")
-    CONSOLE.print(f"{len(found)} violations; folder {options.folder}")
-    return 1 if found else 0
+    CONSOLE.print(f"{len(violations)} violations; folder {options.folder}")
+    return 1 if violations else 0
 
 
 def _violated(there: DeployedPlatform, made: RunArtefacts, name: str, strike: Callable[[], None]) -> list[Violation]:
@@ -178,10 +178,10 @@ def _process(
     settings: Settings, folder: Path, role: str, is_ready: Callable[[], bool], words: tuple[str, ...] = ()
 ) -> Iterator[None]:
     """Run a process of the platform on the machine of this thread; its log is `<folder>/<role>/log`."""
-    place = folder / role
-    place.mkdir(parents=True)
+    logs = folder / role
+    logs.mkdir(parents=True)
     command = [sys.executable, "-P", "-m", MODULES[role], *words]
-    server = ServerProcess(command, place, is_ready, environment=environment_of(settings), patience_s=START_S)
+    server = ServerProcess(command, logs, is_ready, environment=environment_of(settings), patience_s=START_S)
     server.start()
     try:
         yield

@@ -98,7 +98,7 @@ class PlatformUnderTest:
 def platform_under_test(
     folder: Path,
     inputs: Inputs,
-    told: Callable[[str], None],
+    report: Callable[[str], None],
     *,
     on_postgres: bool,
     on_s3: bool = False,
@@ -119,9 +119,9 @@ def platform_under_test(
             api=API,
             viewing=VIEWING,
         )
-        place = PlatformUnderTest(stack.enter_context(running_platform(settings, told)), inputs, postgres, s3)
-        yield place
-    if not place.is_kept:
+        target = PlatformUnderTest(stack.enter_context(running_platform(settings, report)), inputs, postgres, s3)
+        yield target
+    if not target.is_kept:
         shutil.rmtree(folder)
 
 

@@ -107,11 +107,11 @@ def main() -> int:
             f"restored {restored.rows} rows, {restored.objects} objects, {restored.uploads} uploads in "
             f"{seconds_since(begun_s)}; {restored.queued_again} running jobs queued again"
         )
-        found = go_on(ground, before)
-    for violation in found:
+        violations = go_on(ground, before)
+    for violation in violations:
         CONSOLE.print(f"{violation.sort}: {violation.sentence}")
-    CONSOLE.print(f"{len(found)} violations; folder {options.folder}")
-    return 1 if found else 0
+    CONSOLE.print(f"{len(violations)} violations; folder {options.folder}")
+    return 1 if violations else 0
 
 
 def work(ground: RestoreTarget, inputs: Inputs, folder: BackupFolder) -> BackedUpState:
@@ -139,25 +139,25 @@ def work(ground: RestoreTarget, inputs: Inputs, folder: BackupFolder) -> BackedU
 
 def go_on(ground: RestoreTarget, before: BackedUpState) -> list[Violation]:
     """Start again; compare results, and the ends of unfinished work, with the state before."""
-    found: list[Violation] = []
+    violations: list[Violation] = []
     with running_platform(ground.settings, CONSOLE.print) as running:
         platform = running.platform
         with Api(replace(before.owner.server, url=running.url)) as api:
             if offset_of(api, before.half) == 0:
-                found.append(Violation("lost", "the half-sent file has no bytes left"))
+                violations.append(Violation("lost", "the half-sent file has no bytes left"))
             if (state := send_rest(api, before.half)) != "complete":
-                found.append(Violation("lost", f"the half-sent file is {state}"))
+                violations.append(Violation("lost", f"the half-sent file is {state}"))
             await_run(api, before.under_way.run_id)
         _await_scored(running, before.scoring_id)
         if made_by(platform, before.done) != before.made:
-            found.append(Violation("differing", "the labels differ from those before the backup"))
+            violations.append(Violation("differing", "the labels differ from those before the backup"))
         if came_of(platform, before.scored_id) != before.came:
-            found.append(Violation("differing", "the scores differ from those before the backup"))
+            violations.append(Violation("differing", "the scores differ from those before the backup"))
         if (state := came_of(platform, before.scoring_id).state) != before.came.state:
-            found.append(Violation("lost", f"the submission in scoring is {state}"))
+            violations.append(Violation("lost", f"the submission in scoring is {state}"))
         judged = judge(platform, before.under_way, before.made)
-        found += [one for one in judged if "beside the used upload" not in one.sentence]
-        return [*found, *judge_blobs(platform)]
+        violations += [violation for violation in judged if "beside the used upload" not in violation.sentence]
+        return [*violations, *judge_blobs(platform)]
 
 
 def _back_up(running: RunningPlatform, folder: BackupFolder) -> None:

@@ -92,7 +92,7 @@ def _content(store: Store, artefact: Artefact, blob: Blob, flaws: list[str]) -> 
 
 
 def _frame_hash(row: LabelledFrameRow, pack: bytes, flaws: list[str]) -> str:
-    found = sha256(pack[row.offset_bytes : row.offset_bytes + row.length_bytes]).hexdigest()
-    if found != row.sha256:
+    digest = sha256(pack[row.offset_bytes : row.offset_bytes + row.length_bytes]).hexdigest()
+    if digest != row.sha256:
         flaws.append(f"frame {row.ordinal} differs from its row: {row.sha256}")
-    return found
+    return digest

@@ -31,7 +31,7 @@ class Suite:
     folder: Path
     inputs: Inputs
     until_s: float
-    told: Callable[[str], None]
+    report: Callable[[str], None]
     undisturbed_runs: int = 2
 
 
@@ -83,7 +83,7 @@ def play(suite: Suite, kind: Kind, made: RunArtefacts | None = None) -> RoundSer
         opened += 1
         folder = suite.folder / f"{kind.name}-{opened}"
         where = {name: getattr(kind, name) for name in ("on_postgres", "on_s3", "uploads_in_store")}
-        with platform_under_test(folder, suite.inputs, suite.told, **where) as target:
+        with platform_under_test(folder, suite.inputs, suite.report, **where) as target:
             run_undisturbed(suite, series, target)
             play_in(suite, series, target)
     return series
@@ -94,7 +94,7 @@ def play_in(suite: Suite, series: RoundSeries, target: PlatformUnderTest) -> Non
     while _goes_on(suite, series) and not target.is_kept:
         ended = _play_round(suite, series, target)
         series.rounds.append(ended)
-        suite.told(_sentence(suite, series, ended))
+        suite.report(_sentence(suite, series, ended))
         if ended.violations:
             target.keep(_evidence(suite, series, ended))
 
@@ -134,18 +134,20 @@ def _play_round(suite: Suite, series: RoundSeries, target: PlatformUnderTest) ->
     try:
         brought = series.kind.play(turn)
         recovered_s = time.monotonic() - turn.struck[-1].at_s
-        found = [*turn.violations, *judge(target.platform, brought, series.made or RunArtefacts())]
+        violations = [*turn.violations, *judge(target.platform, brought, series.made or RunArtefacts())]
     except Exception as error:
         reason = "".join(traceback.format_exception(error, limit=-6)).strip()
-        found = [*turn.violations, Violation("lost", f"the round did not end: {reason}")]
-    return KillRound(number, tuple(turn.struck), tuple(found), recovered_s)
+        violations = [*turn.violations, Violation("lost", f"the round did not end: {reason}")]
+    return KillRound(number, tuple(turn.struck), tuple(violations), recovered_s)
 
 
 def _sentence(suite: Suite, series: RoundSeries, ended: KillRound) -> str:
-    struck = ", ".join(f"{one.what}{'' if one.is_hit else ' (idle)'}" for one in ended.struck) or "nothing was struck"
+    struck = (
+        ", ".join(f"{entry.what}{'' if entry.is_hit else ' (idle)'}" for entry in ended.struck) or "nothing was struck"
+    )
     after = "never" if ended.recovered_s is None else f"after {ended.recovered_s:.1f} s"
-    said = f"{series.kind.name} {ended.number}/{suite.rounds}: {struck}; recovered {after}"
-    return "\n".join([said, *(f"  {one.sort}: {one.sentence}" for one in ended.violations)])
+    line = f"{series.kind.name} {ended.number}/{suite.rounds}: {struck}; recovered {after}"
+    return "\n".join([line, *(f"  {entry.sort}: {entry.sentence}" for entry in ended.violations)])
 
 
 def _evidence(suite: Suite, series: RoundSeries, ended: KillRound) -> str:

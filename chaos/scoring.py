@@ -97,8 +97,8 @@ class ScoringPlatform:
             .where(SubmissionRow.id == submission_id, Job.state == "running", Job.queue != "")
         )
         with self.platform.database.reading() as session:
-            found = session.execute(running.limit(1)).first()
-        return (found[0], int(found[1].rpartition(":")[2])) if found else None
+            row = session.execute(running.limit(1)).first()
+        return (row[0], int(row[1].rpartition(":")[2])) if row else None
 
     def ended_jobs(self, submission_id: str) -> int:
         with self.platform.database.reading() as session:
@@ -139,10 +139,10 @@ def kill_one(arena: ScoringPlatform, submission_id: str, name: str, chance: Rand
     after = chance.randrange(jobs - is_reading)
     await_true("so many jobs", lambda: arena.ended_jobs(submission_id) >= after, every_s=LOOK_S)
     time.sleep(0.0 if is_reading else chance.random() * arena.run_s[name] / jobs / 2)
-    found = _await_work(arena, submission_id, is_reading=is_reading)
-    if found is None:
+    work = _await_work(arena, submission_id, is_reading=is_reading)
+    if work is None:
         return ScoringKill(victim, "", time.monotonic())
-    kind, pid = found
+    kind, pid = work
     if victim == "worker and pool":
         arena.worker.forgive()
         os.killpg(arena.worker.pid, signal.SIGKILL)
@@ -155,15 +155,15 @@ def kill_one(arena: ScoringPlatform, submission_id: str, name: str, chance: Rand
 def lines_of_round(number: int, rounds: int, ended: ScoringRound) -> str:
     """Return a line for the round, and one for each violation."""
     what = f"{ended.struck.victim} in {ended.struck.kind}" if ended.struck.kind else "no work was running"
-    said = f"{number}/{rounds}: {what}; ended {ended.recovered_s:.1f} s later"
-    return "\n".join([said, *(f"  {one.sort}: {one.sentence}" for one in ended.violations)])
+    line = f"{number}/{rounds}: {what}; ended {ended.recovered_s:.1f} s later"
+    return "\n".join([line, *(f"  {violation.sort}: {violation.sentence}" for violation in ended.violations)])
 
 
 def summary(played: list[ScoringRound], blobs: list[Violation]) -> str:
     """Return the hits, the violations and the recovery times in words."""
     hits = Counter(f"{ended.struck.victim} in {ended.struck.kind}" for ended in played if ended.struck.kind)
-    violations = [one for ended in played for one in ended.violations] + blobs
-    sorts = Counter(one.sort for one in violations)
+    violations = [violation for ended in played for violation in ended.violations] + blobs
+    sorts = Counter(violation.sort for violation in violations)
     seconds = sorted(ended.recovered_s for ended in played if ended.struck.kind) or [0.0]
     counted = ", ".join(f"{count} × {what}" for what, count in sorted(hits.items()))
     return (
@@ -200,12 +200,12 @@ def _hits(played: list[ScoringRound]) -> int:
 def _await_work(arena: ScoringPlatform, submission_id: str, *, is_reading: bool) -> tuple[str, int] | None:
     """Return the kind and the process of a running job, or its reading child; None once the run is over."""
     while arena.state(submission_id) not in TERMINAL:
-        found = arena.at_work(submission_id)
-        if found is not None and not is_reading:
-            return found
+        work = arena.at_work(submission_id)
+        if work is not None and not is_reading:
+            return work
         children = sandboxed_children_of(arena.worker.pid)
-        if found is not None and children:
-            return found[0], children[0]
+        if work is not None and children:
+            return work[0], children[0]
         time.sleep(LOOK_S)
     return None
 

@@ -52,15 +52,15 @@ def came_of(platform: Platform, submission_id: str) -> SubmissionOutcome:
 
 def judge(platform: Platform, submission_id: str, expected: SubmissionOutcome) -> list[Violation]:
     """Return every difference between the submission and an undisturbed one."""
-    found = list(_differences(came_of(platform, submission_id), expected))
+    violations = list(_differences(came_of(platform, submission_id), expected))
     with platform.database.reading() as session:
         row = session.get_one(SubmissionRow, submission_id)
-        found += [*_judge_jobs(session, row), *_judge_left(session, row)]
+        violations += [*_judge_jobs(session, row), *_judge_left(session, row)]
     if upload_file(platform.settings, row.upload_id or "").exists():
-        found.append(Violation("doubled", f"the upload of submission {row.id} still exists beside its blob"))
+        violations.append(Violation("doubled", f"the upload of submission {row.id} still exists beside its blob"))
     if row.blob_sha256 != row.declared_sha256:
-        found.append(Violation("lost", f"submission {row.id} is kept as {row.blob_sha256}"))
-    return found
+        violations.append(Violation("lost", f"submission {row.id} is kept as {row.blob_sha256}"))
+    return violations
 
 
 def judge_quota(platform: Platform, phase_id: str, team_id: str) -> Iterator[Violation]:
@@ -75,9 +75,9 @@ def judge_quota(platform: Platform, phase_id: str, team_id: str) -> Iterator[Vio
 
 def _differences(came: SubmissionOutcome, expected: SubmissionOutcome) -> Iterator[Violation]:
     for name, value in vars(expected).items():
-        found = getattr(came, name)
-        if found != value:
-            yield Violation("differing", f"{name}: {str(found)[:200]}, undisturbed {str(value)[:200]}")
+        actual = getattr(came, name)
+        if actual != value:
+            yield Violation("differing", f"{name}: {str(actual)[:200]}, undisturbed {str(value)[:200]}")
 
 
 def _judge_jobs(session: Session, row: SubmissionRow) -> Iterator[Violation]:

@@ -114,14 +114,14 @@ class OwnerRound:
 
 def await_end(api: Api, run_id: str) -> Item:
     """Return the run once it has ended in any state. Raises `StuckError`."""
-    found: list[Item] = []
+    runs: list[Item] = []
 
     def has_ended() -> bool:
-        found[:] = [api.read(f"/jobs/{run_id}")]
-        return found[0]["state"] in TERMINAL
+        runs[:] = [api.read(f"/jobs/{run_id}")]
+        return runs[0]["state"] in TERMINAL
 
     await_true(f"the end of run {run_id}", has_ended, every_s=0.1)
-    return found[0]
+    return runs[0]
 
 
 def await_true(what: str, is_true: Callable[[], bool], every_s: float = LOOK_S, within_s: float = PATIENCE_S) -> None:

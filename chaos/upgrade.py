@@ -67,11 +67,11 @@ def main() -> int:
     made = undisturbed(options.folder / "undisturbed", inputs)
     CONSOLE.print(f"undisturbed, this release makes {len(made.artefacts)} artefacts, {len(made.frames)} frames")
     with _database(options.postgres) as url:
-        found = drill(Drill(options.folder / "drill", url, previous, inputs, made, is_killed=options.kill))
-    for violation in found:
+        violations = drill(Drill(options.folder / "drill", url, previous, inputs, made, is_killed=options.kill))
+    for violation in violations:
         CONSOLE.print(f"{violation.sort}: {violation.sentence}")
-    CONSOLE.print(f"{len(found)} violations; folder {options.folder}")
-    return 1 if found else 0
+    CONSOLE.print(f"{len(violations)} violations; folder {options.folder}")
+    return 1 if violations else 0
 
 
 class Drill:
@@ -105,12 +105,12 @@ def drill(drill: Drill) -> list[Violation]:
             old.stop()
     before = keys_of(drill.settings)
     CONSOLE.print(f"the previous release ended after {done} jobs, in {seconds_since(begun_s)}; {_counted(before)}")
-    found: list[Violation] = []
+    violations: list[Violation] = []
     begun_s = time.monotonic()
     with serving(drill.data, STONE, **drill.environment, PYTHONPATH=str(ROOT)) as new, new.api() as api:
         CONSOLE.print(f"this release responds after {seconds_since(begun_s)}")
         if (offset := offset_of(api, half)) == 0:
-            found.append(Violation("lost", "the half-sent file has no bytes left"))
+            violations.append(Violation("lost", "the half-sent file has no bytes left"))
         state = await_run(api, brought.run_id)
         if newer_id := run_in_place_of(api, brought):
             CONSOLE.print(f"the run is {state} after {seconds_since(begun_s)}, and started again")
@@ -118,8 +118,8 @@ def drill(drill: Drill) -> list[Violation]:
             state = await_run(api, newer_id)
         CONSOLE.print(f"the run is {state} after {seconds_since(begun_s)}; the file continues at byte {offset}")
         if (state := send_rest(api, half)) != "complete":
-            found.append(Violation("lost", f"the half-sent file is {state}"))
-    return [*found, *_lost(before, keys_of(drill.settings)), *_judged(drill, brought)]
+            violations.append(Violation("lost", f"the half-sent file is {state}"))
+    return [*violations, *_lost(before, keys_of(drill.settings)), *_judged(drill, brought)]
 
 
 def undisturbed(folder: Path, inputs: Inputs) -> RunArtefacts:
@@ -168,10 +168,10 @@ def _judged(drill: Drill, brought: OwnerRun) -> list[Violation]:
     """Judge the run as the kill suite does, ignoring the half-sent file, which is no recording of it."""
     platform = open_platform(drill.settings)
     try:
-        found = judge(platform, brought, drill.made)
+        violations = judge(platform, brought, drill.made)
     finally:
         platform.database.close()
-    return [violation for violation in found if not _is_of_half(violation)]
+    return [violation for violation in violations if not _is_of_half(violation)]
 
 
 def _is_of_half(violation: Violation) -> bool:

@@ -31,9 +31,9 @@ BYTES_PER_S = 24e6
 class ClientFailedError(Exception):
     """The repeated command failed."""
 
-    def __init__(self, exit_code: int, said: bytes) -> None:
+    def __init__(self, exit_code: int, output: bytes) -> None:
         super().__init__(
-            f"the second `stone sequence upload` ended with {exit_code}: {said.decode(errors='replace')[-2000:]}"
+            f"the second `stone sequence upload` ended with {exit_code}: {output.decode(errors='replace')[-2000:]}"
         )
 
 

@@ -47,15 +47,15 @@ class Violation:
 def judge(platform: Platform, brought: OwnerRun, undisturbed: RunArtefacts) -> list[Violation]:
     """Return every violation of a finished round."""
     with platform.database.reading() as session:
-        found = [
+        violations = [
             *_judge_jobs(session, brought, platform.settings.jobs.max_attempts),
             *_judge_label_sets(session, brought),
             *_judge_recordings(session, brought),
             *_judge_quota(session, brought),
         ]
-    found += _judge_uploads(platform, brought)
-    found += _judge_made(made_by(platform, brought), undisturbed)
-    return found + list(judge_blobs(platform))
+    violations += _judge_uploads(platform, brought)
+    violations += _judge_made(made_by(platform, brought), undisturbed)
+    return violations + list(judge_blobs(platform))
 
 
 def judge_blobs(platform: Platform) -> Iterator[Violation]:

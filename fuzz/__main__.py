@@ -47,16 +47,16 @@ def main() -> int:
     with ThreadPoolExecutor(options.jobs) as pool:
         fuzzed = list(pool.map(lambda name: _fuzz(name, options), options.only or TARGETS))
     CONSOLE.print(_table(fuzzed, options))
-    for one in fuzzed:
-        for path in one.broken:
-            CONSOLE.print(f"{one.name}: {path}; see {options.folder / one.name}.log")
-    return 1 if any(one.broken or one.exit_code for one in fuzzed) else 0
+    for result in fuzzed:
+        for path in result.broken:
+            CONSOLE.print(f"{result.name}: {path}; see {options.folder / result.name}.log")
+    return 1 if any(result.broken or result.exit_code for result in fuzzed) else 0
 
 
 def _fuzz(name: str, options: argparse.Namespace) -> FuzzResult:
     folder: Path = options.folder / name
-    corpus, found = folder / "corpus", folder / "found"
-    for each in (corpus, found):
+    corpus, crashes = folder / "corpus", folder / "found"
+    for each in (corpus, crashes):
         each.mkdir(parents=True, exist_ok=True)
     write_seeds(name, corpus)
     may = limits_of(name)
@@ -68,7 +68,7 @@ def _fuzz(name: str, options: argparse.Namespace) -> FuzzResult:
     shape = [
         f"-max_len={may.longest_bytes}",
         f"-seed={options.seed}",
-        f"-artifact_prefix={found}/",
+        f"-artifact_prefix={crashes}/",
         "-print_final_stats=1",
         f"-report_slow_units={may.hang_s}",
         *(["-len_control=0"] if may.longest_bytes < SHORT_BYTES else []),
@@ -78,8 +78,8 @@ def _fuzz(name: str, options: argparse.Namespace) -> FuzzResult:
     log = options.folder / f"{name}.log"
     with log.open("wb") as file:
         ended = subprocess.run(command, cwd=ROOT, env=_environment(options, folder, may), stdout=file, stderr=file)
-    said = PROGRESS.findall(log.read_text("utf-8", "replace")) or [("0", "0", "0")]
-    return FuzzResult(name, int(said[-1][0]), int(said[-1][2]), tuple(sorted(found.iterdir())), ended.returncode)
+    rows = PROGRESS.findall(log.read_text("utf-8", "replace")) or [("0", "0", "0")]
+    return FuzzResult(name, int(rows[-1][0]), int(rows[-1][2]), tuple(sorted(crashes.iterdir())), ended.returncode)
 
 
 def _environment(options: argparse.Namespace, folder: Path, may: FuzzLimits) -> dict[str, str]:
@@ -92,8 +92,8 @@ def _table(fuzzed: list[FuzzResult], options: argparse.Namespace) -> Table:
     table = Table(title=f"{options.minutes:g} minutes each, seed {options.seed}")
     for column in ("target", "inputs", "branches met", "crashes, hangs, growth beyond the limit"):
         table.add_column(column, justify="left" if column == "target" else "right")
-    for one in fuzzed:
-        table.add_row(one.name, str(one.inputs), str(one.branches), str(len(one.broken)))
+    for result in fuzzed:
+        table.add_row(result.name, str(result.inputs), str(result.branches), str(len(result.broken)))
     return table
 
 

@@ -168,9 +168,9 @@ TEXTS = {
 
 def calibrations() -> Mapping[str, tuple[int, bytes]]:
     """Return the index of the suffix and the file, by name."""
-    found = {name: (ENDINGS.index(ending), text.encode()) for name, (ending, text) in TEXTS.items()}
+    files = {name: (ENDINGS.index(ending), text.encode()) for name, (ending, text) in TEXTS.items()}
     with TemporaryDirectory() as folder:
         path = Path(folder) / "rig.yaml"
         write_calibration(calibration(640), path)
-        found["native"] = (ENDINGS.index(".yaml"), path.read_bytes())
-    return found
+        files["native"] = (ENDINGS.index(".yaml"), path.read_bytes())
+    return files

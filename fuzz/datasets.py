@@ -65,8 +65,8 @@ def published_seeds() -> Iterator[tuple[str, bytes]]:
     for kind, names in PARTS.items():
         parts = [_good(kind)[name] for name in names]
         yield f"{kind}-all", bytes([kind]) + b"\0\0".join(parts)
-        for place, part in enumerate(parts):
-            yield f"{kind}-{place}", bytes([kind]) + b"\0\0" * place + part
+        for index, part in enumerate(parts):
+            yield f"{kind}-{index}", bytes([kind]) + b"\0\0" * index + part
     small = BytesIO()
     np.save(small, np.zeros(3, np.uint8))
     stored = BytesIO()
@@ -84,7 +84,7 @@ def _good(kind: int) -> Mapping[str, bytes]:
     write = write_published if kind == TABLES else write_annotated
     with TemporaryDirectory() as folder:
         path = write(Path(folder) / "good", WHAT)
-        files = {one.relative_to(path).as_posix(): one.read_bytes() for one in path.rglob("*") if one.is_file()}
+        files = {file.relative_to(path).as_posix(): file.read_bytes() for file in path.rglob("*") if file.is_file()}
     free = np.zeros(PAPER.shape, np.uint8)
     labels = npz_bytes({"semantics": free, "mask_lidar": free})
     return files | dict.fromkeys(LABELS, labels) | {CLASS_FILE: CLASSES}

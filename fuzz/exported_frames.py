@@ -118,9 +118,9 @@ def scan_seeds() -> Iterator[tuple[str, bytes]]:
 
 
 def picture_seeds() -> Iterator[tuple[str, bytes]]:
-    for place, _lens in enumerate(LENSES):
+    for index, _lens in enumerate(LENSES):
         for form in ("JPEG", "PNG"):
-            yield f"{form}-{place}", bytes([place]) + _picture(form)
+            yield f"{form}-{index}", bytes([index]) + _picture(form)
 
 
 def _file(folder: str, content: bytes) -> ExportFileSpan:

@@ -46,8 +46,8 @@ def labelled(arrays: Arrays, folder: Path) -> LabelReport:
     with opened_sequence(bag, calibration, "run", SynchroniseOptions(ground="given")) as opened:
         if len(opened.sequence.frames) == 0:
             raise no_usable_frames(opened.sequence)
-        found = (*opened.sequence.findings, *opened.late_findings())
-        sequence = replace(opened.sequence, inputs=opened.recording_inputs(), findings=found)
+        findings = (*opened.sequence.findings, *opened.late_findings())
+        sequence = replace(opened.sequence, inputs=opened.recording_inputs(), findings=findings)
         run = LabelRun(sequence, opened.sweeps, parameters(), folder / "scratch")
         for task in tasks_of(run):
             task.call(*task.arguments)

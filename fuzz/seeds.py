@@ -64,15 +64,15 @@ def write_seeds(target: str, corpus: Path) -> None:
 @cache
 def samples() -> tuple[Sample, ...]:
     """Return the first messages of every topic, if they are small."""
-    found: list[Sample] = []
+    drawn: list[Sample] = []
     with TemporaryDirectory() as folder:
         path = Path(folder) / "tiny.mcap"
         simulate(path, OPTIONS)
         with open_bag(path) as bag:
             for topic in bag.topics:
                 messages = list(bag.messages(topic.name, 0, MESSAGES_EACH))
-                found += [Sample(topic.name, topic.type, m.log_time_ns, bytes(m.payload)) for m in messages]
-    return tuple(sample for sample in found if len(sample.payload) <= LONGEST_SEED_BYTES)
+                drawn += [Sample(topic.name, topic.type, m.log_time_ns, bytes(m.payload)) for m in messages]
+    return tuple(sample for sample in drawn if len(sample.payload) <= LONGEST_SEED_BYTES)
 
 
 def mcap_seeds() -> Iterator[tuple[str, bytes]]:

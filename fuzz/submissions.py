@@ -38,9 +38,9 @@ def read_archive(content: bytes) -> None:
         path = Path(folder) / "sub.zip"
         path.write_bytes(content)
         with open_submission(path, TOKENS) as submission:
-            found = {member.name: _read(submission, token) for token, member in submission.frames.items()}
-    if any(found.values()):
-        _compare(content, found)
+            contents = {member.name: _read(submission, token) for token, member in submission.frames.items()}
+    if any(contents.values()):
+        _compare(content, contents)
 
 
 def read_frame(content: bytes) -> None:
@@ -130,9 +130,9 @@ def _read(submission: SubmissionZip, token: str) -> bytes | None:
         return None
 
 
-def _compare(content: bytes, found: dict[str, bytes | None]) -> None:
+def _compare(content: bytes, contents: dict[str, bytes | None]) -> None:
     """Raise `DifferenceError` if `zipfile` reads other bytes; files that it refuses pass (versions above 6.3)."""
-    for name, ours in found.items():
+    for name, ours in contents.items():
         try:
             with zipfile.ZipFile(BytesIO(content)) as opened:
                 theirs = None if ours is None else opened.read(name)

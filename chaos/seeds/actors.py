@@ -169,7 +169,7 @@ def stop_run(world: World) -> None:
         return
     with world.database.transaction() as session:
         act(session, run_id, "drawn from the seed")
-    world.asked_of(run_id).stopped = True
+    world.requests_of(run_id).stopped = True
 
 
 def try_again(world: World) -> None:
@@ -178,7 +178,7 @@ def try_again(world: World) -> None:
     run_id = world.dice.choice(world.runs)
     if not _exists(world, run_id):
         return
-    requests = world.asked_of(run_id)
+    requests = world.requests_of(run_id)
     with world.database.transaction() as session:
         control.retry(session, run_id, world.platform.settings.jobs.max_attempts)
         requests.retries, requests.stopped = requests.retries + 1, False  # before the answer, which may be lost

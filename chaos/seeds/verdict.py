@@ -122,7 +122,7 @@ def _judge_failure(row: Row[tuple[object, ...]]) -> Iterator[str]:
 
 def _judge_stop(world: World, run: Row[tuple[object, ...]]) -> Iterator[str]:
     """Yield a violation if a stopped run did not end as stopped; a run that is one job may have finished first."""
-    if not world.asked_of(run.id).stopped or run.state == "cancelled":
+    if not world.requests_of(run.id).stopped or run.state == "cancelled":
         return
     if run.state != "failed" and not run.queue:
         yield f"run {run.id} was stopped, but is {run.state}"
@@ -142,6 +142,6 @@ def _judge_attempts(world: World, rows: Rows, most: int) -> Iterator[str]:
             yield f"lost: job {job_id} has had {job.attempt} attempts and keeps {kept}"
         if succeeded[job_id] != (job.state == "succeeded"):
             yield f"doubled: job {job_id} is {job.state} after {succeeded[job_id]} attempts that succeeded"
-        allowed = most * (1 + world.asked_of(job.root_id).retries)
+        allowed = most * (1 + world.requests_of(job.root_id).retries)
         if counted[job_id] > allowed:
             yield f"doubled: job {job_id} was tried {counted[job_id]} times, {allowed} are allowed"

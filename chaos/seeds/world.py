@@ -78,7 +78,7 @@ class Broker:
 
 
 @dataclass
-class Asked:
+class RunRequests:
     """The owner's requests for a run: whether its stop was acknowledged, and how many retries may have happened."""
 
     stopped: bool = False
@@ -92,7 +92,7 @@ class World:
     seed: int
     dice: random.Random = field(init=False)
     runs: list[str] = field(default_factory=list)
-    asked: dict[str, Asked] = field(default_factory=dict)
+    requests: dict[str, RunRequests] = field(default_factory=dict)
     workers: list[Process] = field(default_factory=list)
     wanted: int = 0
     is_calm: bool = False
@@ -114,5 +114,5 @@ class World:
         for process in self.workers:
             process.held_until_s = min(process.held_until_s, self.scheduler.now_s + 1.0)
 
-    def asked_of(self, run_id: str) -> Asked:
-        return self.asked.setdefault(run_id, Asked())
+    def requests_of(self, run_id: str) -> RunRequests:
+        return self.requests.setdefault(run_id, RunRequests())
