@@ -1,1 +1,1 @@
-"""Real servers, worlds and people for whoever tries the platform: tests, chaos and benchmarks."""
+"""Real servers, worlds and users for tests, chaos and benchmarks."""

@@ -1,4 +1,4 @@
-"""How far apart two colours look, in normal sight and under simulated colour blindness.
+"""Differences between two colours, in normal sight and under simulated colour blindness.
 
 **Conventions.** Colours are sRGB of 8 bits, (…, 3). A dichromacy is a matrix on linear RGB, severity 1; differences are
 CIEDE2000 (kL = kC = kH = 1), white point D65.
@@ -32,7 +32,7 @@ _WHITE = np.array([0.95047, 1.0, 1.08883])
 
 
 def lab_of(rgb: ArrayLike, vision: str = "normal") -> Floats:
-    """CIE L*a*b* of a colour as this vision sees it."""
+    """Return CIE L*a*b* of a colour in this vision."""
     share = np.asarray(rgb, np.float64) / 255.0
     linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
     xyz = np.clip(linear @ VISIONS[vision].T, 0.0, 1.0) @ _XYZ_FROM_RGB.T / _WHITE
@@ -41,7 +41,7 @@ def lab_of(rgb: ArrayLike, vision: str = "normal") -> Floats:
 
 
 def ciede2000(a: ArrayLike, b: ArrayLike) -> Floats:
-    """The difference of two colours in L*a*b*."""
+    """Return the difference of two colours in L*a*b*."""
     (l1, a1, b1), (l2, a2, b2) = np.moveaxis(np.asarray(a, np.float64), -1, 0), np.moveaxis(np.asarray(b, float), -1, 0)
     mean7 = ((np.hypot(a1, b1) + np.hypot(a2, b2)) / 2) ** 7
     wider = 1 + 0.5 * (1 - np.sqrt(mean7 / (mean7 + 25.0**7)))
@@ -60,17 +60,17 @@ def ciede2000(a: ArrayLike, b: ArrayLike) -> Floats:
 
 
 def difference(a: ArrayLike, b: ArrayLike, vision: str = "normal") -> float:
-    """How far apart two sRGB colours look to this vision."""
+    """Return the difference of two sRGB colours in this vision."""
     return float(ciede2000(lab_of(a, vision), lab_of(b, vision)))
 
 
 def least_difference(a: ArrayLike, b: ArrayLike) -> float:
-    """The smallest difference of two sRGB colours in any vision."""
+    """Return the smallest difference of two sRGB colours in any vision."""
     return min(difference(a, b, vision) for vision in VISIONS)
 
 
 def least_of_pairs(colours: list[tuple[int, int, int]], lights: ArrayLike = (1.0,)) -> float:
-    """The smallest difference between any two of these colours, each at any of these brightnesses, in any vision."""
+    """Return the smallest difference of any two of these colours, at any of these brightnesses, in any vision."""
     lit = np.clip(np.asarray(colours, np.float64)[:, None] * np.asarray(lights, np.float64)[None, :, None], 0, 255)
     seen = [lab_of(lit, vision) for vision in VISIONS]
     return min(

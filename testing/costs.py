@@ -1,8 +1,8 @@
-"""What each test costs: `pytest --costs FILE` writes its CPU seconds and the memory of the process after it.
+"""The cost of each test: `pytest --costs FILE` writes its CPU seconds and the memory of the process after it.
 
-**Conventions.** CPU seconds are those of the test process and of all that it started, so another load on the machine
-changes them little. What the first user of a shared fixture pays is written as that test's setup. One line a test,
-tab-separated (`COLUMNS`), appended, so that the processes of `pytest-xdist` may share a file. The end lists those
+**Conventions.** CPU seconds are those of the test process and all its children, so other load on the machine changes
+them little. The setup of a test includes the cost of shared fixtures that it is the first to use. Each test has one
+tab-separated line (`COLUMNS`), appended, so that the processes of `pytest-xdist` may share a file. The end lists tests
 that cost more than `DEAR_CPU_S`.
 """
 
@@ -30,9 +30,9 @@ def pytest_configure(config: pytest.Config) -> None:
         config.pluginmanager.register(Costs(path.absolute()), "costs")
 
 
-@dataclass(eq=False)  # pytest keeps plugins in sets
+@dataclass(eq=False)  # pytest stores plugins in sets
 class Costs:
-    """Measures every test and appends it to the file at `path`."""
+    """A plugin that measures every test and appends its cost to the file at `path`."""
 
     path: Path
     _setup_cpu_s: float = field(default=0.0)
@@ -43,7 +43,7 @@ class Costs:
         try:
             return (yield)
         finally:
-            # What nobody waited for is forgotten: a test in which a browser ends would cost less than nothing.
+            # Children without a waiting parent are forgotten: a test in which a browser ends would have negative cost.
             used_cpu_s, passed_s = tree_cpu_s() - before_cpu_s, time.monotonic() - before_s
             self._write(max(0.0, used_cpu_s), self._setup_cpu_s, passed_s, resident_mb(), item.nodeid)
 
@@ -68,7 +68,7 @@ class Costs:
 
 
 def tree_cpu_s() -> float:
-    """User and system time of this process, of its living descendants, and of those that were waited for."""
+    """Return user and system time of this process, its living descendants, and its reaped children."""
     parent_of, ticks_of = _processes()
     below = [os.getpid()]
     for pid in below:
@@ -77,10 +77,10 @@ def tree_cpu_s() -> float:
 
 
 def _processes() -> tuple[dict[int, int], dict[int, int]]:
-    """The parent, and the ticks with those of children that it waited for, of every process."""
+    """Return the parent of every process, and its ticks including reaped children."""
     parent_of, ticks_of = {}, {}
     for folder in Path("/proc").iterdir():
-        with suppress(ValueError, OSError):  # no process, or one that ended meanwhile
+        with suppress(ValueError, OSError):  # not a process, or ended meanwhile
             pid = int(folder.name)
             said = (folder / "stat").read_text("utf-8", "replace").rpartition(")")[2].split()
             parent_of[pid], ticks_of[pid] = int(said[1]), sum(int(number) for number in said[11:15])
@@ -88,6 +88,6 @@ def _processes() -> tuple[dict[int, int], dict[int, int]]:
 
 
 def resident_mb() -> float:
-    """What this process holds in memory, in units of 2^20 bytes."""
+    """Return the memory of this process, in units of 2^20 bytes."""
     pages = int(Path("/proc/self/statm").read_text("ascii").split()[1])
     return pages * os.sysconf("SC_PAGESIZE") / 2**20

@@ -51,7 +51,7 @@ NEED_NO_ROOM = ("unlink", "unlinkat", "rmdir", "utimensat")
 
 
 def _step(code: int, value: int, if_true: int = 0, if_false: int = 0) -> bytes:
-    """An instruction of the filter (classic BPF)."""
+    """Return an instruction of the filter (classic BPF)."""
     return struct.pack("HBBI", code, if_true, if_false, value)
 
 

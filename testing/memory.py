@@ -1,11 +1,11 @@
-"""Memory of the process that tests: what is loaded is not searched for garbage, and what tests freed is given back.
+"""Memory of the test process: loaded objects are excluded from garbage collection, and freed pages are returned.
 
-Before the first test a process has the modules of all tests and what they import: some million objects, at which the
-collector would look again and again, a quarter of the processor time of many a file.
+Before the first test a process contains the modules of all tests and their imports: about a million objects. Scanning
+them took a quarter of the processor time of many files.
 
-glibc keeps what was freed in the arenas of the threads that had it: over some thousand tests, each with servers and
-their threads, a process grew to 1.8 GB of which it used a third: pages go back after every file of tests. What is alive
-is not touched by this.
+glibc keeps freed memory in the arenas of its threads. Over several thousand tests, each with servers and threads, a
+process grew to 1.8 GB and used a third of it. Therefore pages are returned after every file of tests. Live objects are
+not affected.
 """
 
 import ctypes
@@ -32,6 +32,6 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
 
 
 def trim() -> None:
-    """Return freed pages; where the C library is not glibc nothing happens."""
+    """Return freed pages to the system; does nothing without glibc."""
     if hasattr(_LIBC, "malloc_trim"):
         _LIBC.malloc_trim(0)

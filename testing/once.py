@@ -1,4 +1,4 @@
-"""Folders that are made once for all processes of a test run, by the first that asks."""
+"""Folders that are created once for all processes of a test run, by the first that needs them."""
 
 import fcntl
 import os
@@ -9,9 +9,9 @@ import pytest
 
 
 def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None]) -> Path:
-    """The folder `name` that `make` filled; others wait meanwhile. Nobody changes what is in it.
+    """Return the folder `name` that `make` filled; other processes wait meanwhile. Its contents must not change.
 
-    Where making fails, the next that asks tries again in a folder of its own.
+    If `make` fails, the next caller tries again in a folder of its own.
     """
     base = factory.getbasetemp()
     base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base

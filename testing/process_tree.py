@@ -1,4 +1,4 @@
-"""Processes of a worker: its pool, the fork server that it started, and the sandboxed children of that."""
+"""Processes of a worker: its pool, its fork server, and the server's sandboxed children."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -7,13 +7,13 @@ from testing.process_states import GONE, children_of
 
 
 def fork_servers_of(worker: int) -> list[int]:
-    """That of a worker, and of each process of its pool that had to start another."""
+    """Return the fork servers of a worker and of each pool process that started another."""
     near = children_of(worker)
     return [pid for pid in (*near, *(child for one in near for child in children_of(one))) if _is_fork_server(pid)]
 
 
 def sandboxed_children_of(worker: int) -> list[int]:
-    """Those that it has now, at work or waiting for their run's next job."""
+    """Return its current sandboxed children, at work or idle until their run's next job."""
     return [child for server in fork_servers_of(worker) for child in children_of(server)]
 
 

@@ -1,4 +1,4 @@
-"""Rays through a grid of voxels, followed the slow way; what sight and observation are held against."""
+"""Rays through a grid of voxels, followed step by step: a reference for sight and observation."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,14 +12,14 @@ Mask = NDArray[np.bool_]
 
 
 def in_voxels(points_ego: ArrayLike) -> Array:
-    """Ego points (N, 3) in voxels of the grid, from its lowest corner."""
+    """Return ego points (N, 3) in voxels of the grid, from its lowest corner."""
     return np.asarray((np.asarray(points_ego) - np.array(PAPER.min_m)) / VOXEL_M)
 
 
 def cast(occupied: Mask, begin: Array, end: Array) -> tuple[Indices, Mask]:
-    """(voxel (R, 3) in which each straight way begin → end (R, 3) stops, every voxel of the grid that any was in).
+    """Return (voxel (R, 3) in which each line begin → end (R, 3) stops, every voxel of the grid that any line entered).
 
-    A way stops in the first occupied voxel, else where it ends. Amanatides & Woo (1987), all ways a step at a time.
+    A line stops in the first occupied voxel, otherwise at its end. Amanatides & Woo (1987), all lines step by step.
     """
     begin = np.broadcast_to(begin, end.shape).astype(np.float64)
     way, at, last = end - begin, np.floor(begin).astype(np.int64), np.floor(end).astype(np.int64)
@@ -42,13 +42,13 @@ def cast(occupied: Mask, begin: Array, end: Array) -> tuple[Indices, Mask]:
 
 
 def open_share(occupied: Mask, camera: Array, voxels: Indices, rays: int, seed: int) -> Array:
-    """The share of `rays` rays from the camera to random places in each voxel (N, 3) that reach it, (N,)."""
+    """Return the share of `rays` rays from the camera to random points in each voxel (N, 3) that reach it, (N,)."""
     targets = np.repeat(voxels, rays, axis=0)
     return _reaching(occupied, camera, targets + np.random.default_rng(seed).uniform(0, 1, targets.shape), rays)
 
 
 def lit_share(occupied: Mask, camera: Array, voxels: Indices, rays: int, seed: int) -> Array:
-    """As `open_share`, to random places on those sides of the voxels that face the camera."""
+    """Do as `open_share`, for random points on the sides of the voxels that face the camera."""
     rng = np.random.default_rng(seed)
     targets = np.repeat(voxels, rays, axis=0)
     gap = camera - (targets + 0.5)

@@ -1,11 +1,11 @@
 """Failed tests run once more, each alone in a fresh process: `pytest --rerun-failed-once`.
 
 **Conventions.** The second runs start when all other tests and the processes of `pytest-xdist` have ended. If at most
-`MAX_RERUN` tests failed and all of them pass then, the run ends green, and its last lines are `flaky: <test id>`. If
-one fails again, or more tests failed, the run stays red. Reports of first failures are printed as ever.
+`MAX_RERUN` tests failed and all of them pass then, the run ends green, and its last lines are `flaky: <test id>`. If a
+test fails again, or more tests failed, the run stays red. Reports of first failures are printed as usual.
 
 Errors of collection, internal errors, interrupts and crashed workers stay red, and `-x` and `--maxfail` switch second
-runs off. Plugins that run tests again at once do so beside the load that made them fail, and count no failures.
+runs off. Plugins that rerun tests immediately do so under the load that made them fail, and count no failures.
 """
 
 import os
@@ -38,9 +38,9 @@ def pytest_configure(config: pytest.Config) -> None:
         config.pluginmanager.register(Reruns(), "reruns-once")
 
 
-@dataclass(eq=False)  # pytest keeps plugins in sets
+@dataclass(eq=False)  # pytest stores plugins in sets
 class Reruns:
-    """Collects failed tests and runs them again at the end of the session."""
+    """A plugin that collects failed tests and runs them again at the end of the session."""
 
     _failed: dict[str, None] = field(default_factory=dict)  # ordered, each once
     _is_broken: bool = False
@@ -52,7 +52,7 @@ class Reruns:
         if report.failed:
             self._failed[report.nodeid] = None
 
-    @pytest.hookimpl(optionalhook=True)  # of pytest-xdist
+    @pytest.hookimpl(optionalhook=True)  # hook of pytest-xdist
     def pytest_testnodedown(self, error: object | None) -> None:
         self._is_broken |= error is not None
 
@@ -113,7 +113,7 @@ def note(path: Path, line: str) -> None:
 
 
 def has_one_passed(report: Path) -> bool:
-    """Whether exactly one test ran and passed: a skipped test has not passed, nor one that ended its process."""
+    """Return whether exactly one test ran and passed: a skipped test has not passed, nor one that ended its process."""
     if not report.exists():
         return False
     cases = list(ElementTree.parse(report).getroot().iter("testcase"))

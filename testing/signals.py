@@ -1,9 +1,9 @@
-"""For tests that interrupt a process: one that was started in the background passes on that it ignores Ctrl-C."""
+"""For tests that interrupt a process: children of a background process inherit that Ctrl-C is ignored."""
 
 import signal
 
 
 def hear_signals() -> None:
-    """A `preexec_fn` that lets the child be interrupted whatever its parents ignore."""
+    """Restore the handling of interrupts in the child, as a `preexec_fn`."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_DFL)

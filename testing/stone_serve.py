@@ -28,7 +28,7 @@ PATIENCE_S = 300.0
 
 @dataclass(frozen=True)
 class Serving:
-    """A platform that is up. `said` is the file of its stderr."""
+    """A running platform. `said` is the file of its stderr."""
 
     process: subprocess.Popen[str]
     url: str
@@ -43,31 +43,31 @@ class Serving:
         return Api(Server(self.url, self.token))
 
     def descendants(self) -> list[psutil.Process]:
-        """Every process below the supervisor, the worker's own included."""
+        """Return every process below the supervisor, including the worker's."""
         return list(psutil.Process(self.process.pid).children(recursive=True))
 
     def child(self, name: str) -> psutil.Process:
-        """The child whose command line holds `name`."""
+        """Return the child whose command line contains `name`."""
         children = psutil.Process(self.process.pid).children()
         return next(one for one in children if any(name in part for part in one.cmdline()))
 
     def kill_9(self) -> None:
-        """End the supervisor as a power cut would, and wait until nothing of it is left."""
+        """End the supervisor as in a power cut, and wait until all its processes have ended."""
         below = self.descendants()
         self.process.kill()
         self.process.wait()
         until(lambda: not any(is_alive(one) for one in below))
 
     def stop(self) -> int:
-        """Ask it to drain; its exit code."""
+        """Drain it and return its exit code."""
         self.process.send_signal(signal.SIGTERM)
         return self.process.wait(PATIENCE_S)
 
 
 def environment(data: Path, **extra: str | None) -> Mapping[str, str]:
-    """This environment, with a configuration folder beside `data` and no setting of the platform but `RESERVE`.
+    """Return this environment, with a configuration folder beside `data` and only `RESERVE` of the platform's settings.
 
-    So the free space of this machine's disk decides no test. An `extra` of None is left out.
+    So the free space of this machine's disk cannot affect a test. An `extra` of None is removed.
     """
     kept = {name: value for name, value in os.environ.items() if not name.startswith("STONE_")}
     ours = {RESERVE: str(NO_RESERVE), "STONE_CONFIG_HOME": str(data.parent / "configuration"), **extra}
@@ -76,7 +76,7 @@ def environment(data: Path, **extra: str | None) -> Mapping[str, str]:
 
 @contextmanager
 def serving(data: Path, command: Sequence[str] = STONE, **extra: str | None) -> Iterator[Serving]:
-    """Yield a platform on `data` once it is ready; end it, kindly if it still runs. `command` is that of `stone`."""
+    """Yield a platform on `data` once it is ready; end it, in order if it still runs. `command` is that of `stone`."""
     said = data.parent / "serve.stderr"
     with said.open("a") as stderr:
         process = subprocess.Popen(
@@ -100,7 +100,7 @@ def serving(data: Path, command: Sequence[str] = STONE, **extra: str | None) -> 
 
 
 def until(claim: Callable[[], bool], patience_s: float = PATIENCE_S) -> None:
-    """Wait for something to come true; fail where it does not."""
+    """Wait until the claim is true; fail after `patience_s`."""
     end = time.monotonic() + patience_s
     while not claim():
         assert time.monotonic() < end, "it never came true"
@@ -108,7 +108,7 @@ def until(claim: Callable[[], bool], patience_s: float = PATIENCE_S) -> None:
 
 
 def is_alive(process: psutil.Process) -> bool:
-    """Whether it runs; a zombie does not."""
-    with suppress(psutil.NoSuchProcess):  # it may end between the two questions
+    """Return whether it runs; a zombie does not."""
+    with suppress(psutil.NoSuchProcess):  # it may end between the two calls
         return bool(process.is_running() and process.status() != psutil.STATUS_ZOMBIE)
     return False

@@ -21,9 +21,9 @@ LOOPS_PER_CORE = 2
 BUSY = "import os, sys\nwhile os.getppid() == int(sys.argv[1]):\n    pass"
 
 
-@dataclass(eq=False)  # pytest keeps plugins in sets
+@dataclass(eq=False)  # pytest stores plugins in sets
 class Stress:
-    """Repeats what pytest collected `runs` times, beside load."""
+    """A plugin that repeats the collected tests `runs` times, beside load."""
 
     runs: int
     failed_runs: set[int] = field(default_factory=set)
@@ -54,7 +54,7 @@ class Stress:
 
 
 def _again(item: pytest.Item) -> pytest.Item:
-    """An item of its own of the same test: its fixtures, instance and captured output are made anew."""
+    """Return a new item of the same test: its fixtures, instance and captured output are created again."""
     if not isinstance(item, pytest.Function):
         raise pytest.UsageError(f"{item.nodeid} is no test function")
     again: pytest.Item = type(item).from_parent(
@@ -70,7 +70,7 @@ def _again(item: pytest.Item) -> pytest.Item:
 
 @contextmanager
 def load(loops: int) -> Iterator[None]:
-    """Keep that many processes busy while the block runs."""
+    """Keep `loops` processes busy while the block runs."""
     command = [sys.executable, "-S", "-c", BUSY, str(os.getpid())]
     busy = [subprocess.Popen(command) for _ in range(loops)]
     try:
@@ -82,7 +82,7 @@ def load(loops: int) -> Iterator[None]:
 
 
 def stress(test: str, runs: int) -> int:
-    """Run the test that often, print the result, and return the exit code."""
+    """Run the test `runs` times, print the result, and return the exit code."""
     plugin = Stress(runs)
     code = pytest.main(["-q", "--no-summary", "-p", "no:cacheprovider", test], [plugin])
     if code not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):

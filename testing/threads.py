@@ -1,4 +1,4 @@
-"""Threads that do something at the same moment, as requests of several people would."""
+"""Threads that act at the same moment, as requests of several people would."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 def at_once(count: int, act: Callable[[int], T]) -> list[T]:
-    """What each of so many threads, which begin together, is answered; `act` is given their numbers."""
+    """Return the results of `count` threads that start together; `act` receives their numbers."""
     together = Barrier(count)
 
     def begin(number: int) -> T:
@@ -24,7 +24,7 @@ def at_once(count: int, act: Callable[[int], T]) -> list[T]:
 
 
 def granted(count: int, act: Callable[[int], object], *codes: str) -> int:
-    """Return how many of so many that act at once are not refused with one of these codes."""
+    """Return how many of `count` concurrent calls are not refused with one of these codes."""
 
     def is_granted(number: int) -> bool:
         try:

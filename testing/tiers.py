@@ -1,12 +1,14 @@
-"""The three tiers of the tests: `make test` leaves out what is marked `whole` or `release`, `make check` what is marked
-`release`, and `make test-all` runs everything.
+"""The three tiers of the tests: `make test`, `make check` and `make test-all`.
 
-**Conventions.** A test is `whole` if it costs more than a CPU second (`pytest --costs FILE`): it says so itself, lies
-below one of `WHOLE_FOLDERS`, asks for one of `DEAR_FIXTURES`, or runs on PostgreSQL or S3 what runs on SQLite and in a
-folder too. `everyday` keeps such a test in every tier. `release` marks a test of several CPU seconds that repeats
-a program of its own (`make chaos`, `make bench-movers`) or one behaviour for further kinds; its docstring, or its
-module's, names what it alone would catch, and who makes a release runs it. Files with costly tests come first, so that
-none of them begins late. A file that is `whole` or `release` as one is not even loaded under `-m "not whole"`.
+**Conventions.** `make test` skips tests marked `whole` or `release`, `make check` those marked `release`. A test is
+`whole` if it costs more than a CPU second (`pytest --costs FILE`). It is marked so, lies below one of `WHOLE_FOLDERS`,
+uses one of `DEAR_FIXTURES`, or runs on PostgreSQL or S3 what runs on SQLite and in a folder too. `everyday` keeps such
+a test in every tier.
+
+`release` marks a test of several CPU seconds that repeats a program of its own (`make chaos`, `make bench-movers`) or
+one behaviour for further kinds. Its docstring, or its module's, names the faults that it alone detects; run it before a
+release. Files with costly tests come first, so that none of them starts late. A file that is `whole` or `release` as a
+whole is not even loaded under `-m "not whole"`.
 """
 
 import re
@@ -16,8 +18,8 @@ from pathlib import Path
 import pytest
 
 DEAR_FIXTURES = frozenset({"browser", "postgres_server", "s3_server"})
-DEAR_KINDS = frozenset({"postgres", "s3"})  # as parameters of fixtures and tests name them
-WHOLE_FOLDERS = {  # and what their tests alone catch
+DEAR_KINDS = frozenset({"postgres", "s3"})  # as named by parameters of fixtures and tests
+WHOLE_FOLDERS = {  # with the faults that only their tests detect
     "benchmarks": "figures that are measured wrongly",
     "chaos": "kill tests that would see nothing",
     "deploy": "images, charts and dashboards that do not fit the programs",
@@ -40,17 +42,17 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 
 def is_whole_file(path: Path) -> bool:
-    """Whether every test of it is left out every day."""
+    """Return whether all tests of the file are skipped every day."""
     text = path.read_text("utf-8")
     return "mark.everyday" not in text and (WHOLE_FILE.search(text) is not None or is_in_whole_folder(path))
 
 
-@cache  # asked for every test of a file
+@cache  # called for every test of a file
 def is_in_whole_folder(path: Path) -> bool:
     return path.is_relative_to(TESTS) and any(path.is_relative_to(TESTS / folder) for folder in WHOLE_FOLDERS)
 
 
-@pytest.hookimpl(tryfirst=True)  # before `-m` chooses
+@pytest.hookimpl(tryfirst=True)  # before `-m` selects
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         is_released = item.get_closest_marker("release") is not None
@@ -61,7 +63,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def is_dear(item: pytest.Item) -> bool:
-    """Whether it needs a server or a program that is not started for everyday's tests."""
+    """Return whether it needs a server or a program that everyday tests do not start."""
     if not isinstance(item, pytest.Function):
         return False
     kinds = item.callspec.params.values() if hasattr(item, "callspec") else ()

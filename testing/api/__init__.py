@@ -1,1 +1,1 @@
-"""The API on a socket, and those who call it."""
+"""The API on a socket, and its callers."""

@@ -1,4 +1,4 @@
-"""A platform whose people sign in with a provider, served at the address that it says it has."""
+"""A platform whose users sign in with a provider, served at the address in its settings."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,7 +14,7 @@ from testing.servers.process import free_port
 
 @dataclass(frozen=True)
 class Lab:
-    """The platform with its provider, and where it is."""
+    """The platform with its provider, and its address."""
 
     platform: Platform
     url: str
@@ -24,7 +24,7 @@ class Lab:
 def served_lab(
     platform: Platform, oidc: OidcSettings, make: Callable[[Platform], Any] = make_api, **api: Any
 ) -> Iterator[Lab]:
-    """`platform` with these settings of a provider and of the API, served by what `make` makes of it."""
+    """Serve the application made by `make` for `platform`, with these settings of a provider and of the API."""
     port = free_port()
     url = f"http://127.0.0.1:{port}"
     changed = {"oidc": oidc, "api": replace(platform.settings.api, url=url, sign_ins_per_minute=1000, **api)}

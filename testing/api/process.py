@@ -1,6 +1,6 @@
-"""The API as a process of its own, on a socket that outlives it: it can be killed and started again.
+"""The API as a separate process, on a socket that outlives it: it can be killed and started again.
 
-**Conventions.** What connects while no process runs waits in the socket's queue, as behind a supervisor.
+**Conventions.** While no process runs, connections wait in the socket's queue, as behind a supervisor.
 """
 
 import os
@@ -37,7 +37,7 @@ class ApiProcess:
         return self._process.pid
 
     def start(self) -> None:
-        """Start, and wait until it answers."""
+        """Start, and wait until it responds."""
         descriptor = self._listening.fileno()
         command = [sys.executable, "-m", "services.runtime.embedded.api_process", str(descriptor), "2"]
         with self._log.open("ab") as log:
@@ -60,12 +60,12 @@ class ApiProcess:
         self._listening.close()
 
     def peak_bytes(self) -> int:
-        """The most memory the process has held so far."""
+        """Return the peak memory of the process."""
         status = Path(f"/proc/{self.pid}/status").read_text("ascii")
         return int(status.partition("VmHWM:")[2].split()[0]) * 1024
 
     def processor_s(self) -> float:
-        """User and system time it has used so far."""
+        """Return the user and system time of the process."""
         fields = Path(f"/proc/{self.pid}/stat").read_text("ascii").rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 

@@ -1,7 +1,7 @@
-"""The real application on a real socket, and people to call it.
+"""The real application on a real socket, and users to call it.
 
 **Conventions.** `serving(platform)` yields the base URL of a uvicorn in a thread of this process; `person(platform,
-role)` makes a user with a token. Clients are plain `httpx`.
+role)` creates a user with a token. Clients are plain `httpx`.
 """
 
 import asyncio
@@ -44,7 +44,7 @@ class Person:
 
 
 def person(platform: Platform, role: str, name: str = "", **token: Any) -> Person:
-    """A fresh user of this role; `token` may set `scopes` and `expires_s` of the token."""
+    """Create a user of this role; `token` may set `scopes` and `expires_s` of the token."""
     with platform.database.transaction() as session:
         user = users.create_user(session, name or f"{role}-{new_id()[-8:]}", role)
         held = token.get("scopes", roles.SCOPES_OF[role])
@@ -53,16 +53,16 @@ def person(platform: Platform, role: str, name: str = "", **token: Any) -> Perso
 
 
 def in_browser(platform: Platform, who: Person) -> dict[str, str]:
-    """The headers of a browser in which this person has just signed in."""
+    """Return the headers of a browser in which this person has just signed in."""
     with platform.database.transaction() as session:
         opened = sessions.open_session(session, session.get_one(User, who.user_id), 3600.0)
     return {"Cookie": f"{COOKIE}={opened.secret}", "X-CSRF-Token": opened.csrf_token}
 
 
 class PromptServer(uvicorn.Server):
-    """Ends when it is told to: uvicorn looks every tenth of a second, and then waits one for connections to close.
+    """A server that ends immediately: uvicorn checks every tenth of a second, and then waits a second for connections.
 
-    `end` may be called by any thread once it has started.
+    Any thread may call `end` once the server has started.
     """
 
     _loop: asyncio.AbstractEventLoop
@@ -84,8 +84,8 @@ class PromptServer(uvicorn.Server):
             server.close()
         for listening in sockets or []:
             listening.close()
-        # A connection that was accepted last is among `connections` two turns of the loop later. If it outlived the
-        # loop, its client would get 400 from a handler whose loop is closed.
+        # A newly accepted connection enters `connections` two turns of the loop later. If it outlived the loop, its
+        # client would receive 400 from a handler whose loop is closed.
         await asyncio.sleep(0)
         await asyncio.sleep(0)
         if self.server_state.connections or self.server_state.tasks:
@@ -97,7 +97,7 @@ class PromptServer(uvicorn.Server):
 
 @contextmanager
 def serving(platform: Platform, application: Any = None, port: int = 0) -> Iterator[str]:
-    """The base URL of the application of `platform`, served until the end of the block; port 0 is any free one."""
+    """Serve the application of `platform` during the block and yield the base URL; port 0 selects a free port."""
     with socket.create_server(("127.0.0.1", port)) as listening:
         app = make_api(platform) if application is None else application
         config = uvicorn.Config(
@@ -121,15 +121,15 @@ def serving(platform: Platform, application: Any = None, port: int = 0) -> Itera
 
 @contextmanager
 def client_of(platform: Platform, caller: Person | None = None) -> Iterator[httpx.Client]:
-    """A client of the served application, as `caller`."""
-    # Plain HTTP: reading the certificates of the world for each client would take longer than many a test.
+    """Yield a client of the served application, as `caller`."""
+    # Plain HTTP: loading the certificate authorities for each client would take longer than many a test.
     with serving(platform) as url, httpx.Client(base_url=url, timeout=ANSWERS_WITHIN_S, verify=False) as client:
         client.headers.update(caller.headers if caller else {})
         yield client
 
 
 def at_once(url: str, times: int, ask: Callable[[httpx.Client, int], Answer]) -> list[Answer]:
-    """Return the answers to `times` people who ask together, each on a connection of their own."""
+    """Return the answers to `times` concurrent requests, each on its own connection."""
     with ExitStack() as stack:
         made = (httpx.Client(base_url=url, timeout=ANSWERS_WITHIN_S, verify=False) for _ in range(times))
         clients = [stack.enter_context(client) for client in made]

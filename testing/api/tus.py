@@ -34,7 +34,7 @@ def create(api: httpx.Client, owner: Person, length: int, **said: str) -> httpx.
 
 
 def created(api: httpx.Client, owner: Person, length: int, **said: str) -> str:
-    """The upload's path."""
+    """Create an upload and return its path."""
     reply = create(api, owner, length, **said)
     assert reply.status_code == 201, reply.text
     return str(reply.headers["Location"])

@@ -1,1 +1,1 @@
-"""Analytic worlds with their truth, which share no code with `simulator/` and with what makes labels."""
+"""Analytic worlds with their truth, which share no code with `simulator/` or the labeler."""

@@ -1,9 +1,9 @@
 """Rays into an analytic world, each to its first hit.
 
 **Conventions.** Directions are unit vectors; a range is metres along the ray, inf without a hit. `hit` is the index of
-the solid, -1 of the ground, -2 of nothing. Solids are met in closed form. The ground is met by steps of `STEP_M` where
-the ray is not above the highest ground of its square of `CELL_M`, then by bisection: a crest thinner than a step may
-be passed.
+the solid, -1 for the ground, -2 for nothing. Intersections with solids have a closed form. For the ground, a ray
+advances by `STEP_M` while it is below the highest ground of its square of `CELL_M`, then bisection refines the hit. A
+crest thinner than a step may be missed.
 """
 
 import numpy as np
@@ -38,7 +38,7 @@ def cast(
 ) -> tuple[Array, NDArray[np.int64]]:
     """Return ranges (N,) and hits (N,) of rays (origins (N, 3), directions (N, 3)).
 
-    `luck` (N,) in (0, 1) decides how far each ray gets through bushes, crowns and grass.
+    `luck` (N,) in (0, 1) decides how far each ray penetrates bushes, crowns and grass.
     """
     sizes = np.concatenate(
         [solids["centre_m"], solids["half_m"], solids["yaw_rad"][:, None], solids["free_path_m"][:, None]], axis=1
@@ -95,7 +95,7 @@ def _ground_range(o, d, ground, low, top):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _to_border(inside, rate):  # type: ignore[no-untyped-def]
-    """Return how far along the ray the border of its square is, along one axis."""
+    """Return the distance along the ray to the border of its square, along one axis."""
     if rate > 1e-9:
         return (CELL_M - inside) / rate
     return inside / -rate if rate < -1e-9 else FAR_M
@@ -125,7 +125,7 @@ def _crossing(o, d, begin, end, ground):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _grass_range(o, d, enter, leave, size, ground, through):  # type: ignore[no-untyped-def]
-    """Return where a ray that gets `through` so much grass meets a blade."""
+    """Return the range at which a ray that penetrates `through` of grass meets a blade."""
     gone, t = 0.0, enter
     while t < leave:
         step = min(STEP_M, leave - t)
@@ -141,7 +141,7 @@ def _grass_range(o, d, enter, leave, size, ground, through):  # type: ignore[no-
 
 @njit(cache=True, nogil=True)
 def _interval(o, d, shape, size):  # type: ignore[no-untyped-def]
-    """Return where a ray enters and leaves a solid (enter > leave: never)."""
+    """Return the ranges at which a ray enters and leaves a solid (enter > leave: never)."""
     c, s = np.cos(size[6]), np.sin(size[6])
     ax, ay, pz = o[0] - size[0], o[1] - size[1], o[2] - size[2]
     px, py = c * ax + s * ay, c * ay - s * ax

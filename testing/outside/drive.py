@@ -1,7 +1,7 @@
-"""An analytic drive from end to end: cast once, kept on disk, recorded with a fault.
+"""An analytic drive from end to end: cast once, cached on disk, recorded with a fault.
 
-**Conventions.** The ideal ranges of a drive are kept in the folder, in a file named after the drive and a hash of its
-world, so that a world that is changed is cast again.
+**Conventions.** The folder keeps the ideal ranges of a drive in a file named after the drive and a hash of its world,
+so a changed world is cast again.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from testing.outside.worlds import World, world_of
 
 @dataclass(frozen=True)
 class OutsideDrive:
-    """Which drive: the world's name, its seed, the LiDAR's channels, and how long."""
+    """A drive: the world's name, its seed, the LiDAR's channels, and the duration."""
 
     world_name: str
     channels: int
@@ -41,7 +41,7 @@ class OutsideDrive:
         return _truth_of(self.world_name, self.seed, self.seconds)
 
     def ideal(self, folder: Path) -> Recordable:
-        """Return the ideal data; ranges are cast where they are not in the folder yet."""
+        """Return the ideal data; cast the ranges if they are not in the folder yet."""
         kept, lidar = folder / f"{self.name}-{self._world_hash()}.ranges.npy", Lidar(self.channels, self.columns)
         if not kept.exists():
             folder.mkdir(parents=True, exist_ok=True)
@@ -55,15 +55,15 @@ class OutsideDrive:
         return sha256(b"".join(part.tobytes() for part in parts)).hexdigest()[:8]
 
     def with_fault(self, folder: Path, fault: str) -> Recordable:
-        """Return the data as the fault leaves them."""
+        """Return the data with the fault."""
         return FAULTS[fault](self.ideal(folder), np.random.default_rng([self.seed, *fault.encode()]))
 
     def record(self, folder: Path, fault: str, into: Path | None = None) -> tuple[Path, Path, Recordable]:
-        """Write the recording and calibration into a folder; return both and the data they are of."""
+        """Write the recording and calibration into a folder; return both paths and their data."""
         data = self.with_fault(folder, fault)
         return *write_recording(data, into or folder / f"{self.name} {fault}", self.seed), data
 
 
-@cache  # drives with other LiDARs and faults share it
+@cache  # shared by drives with other LiDARs and faults
 def _truth_of(world_name: str, seed: int, seconds: float) -> Truth:
     return Truth(world_of(world_name, seed, seconds))

@@ -1,7 +1,7 @@
 """Faults of an analytic drive: functions of its ideal data, before it is written.
 
-**Conventions.** A mount fault is an error of entering: the LiDAR stands where it stands. Poses' faults are the
-receiver's. Each fault draws from its own generator.
+**Conventions.** A mount fault is an error in the calibration: the LiDAR itself does not move. Faults of poses are the
+receiver's. Each fault has its own random generator.
 """
 
 from collections.abc import Callable, Mapping
@@ -24,7 +24,7 @@ def _sound(drive: Recordable, _rng: np.random.Generator) -> Recordable:
 
 
 def _mount(up_m: float = 0.0, roll_deg: float = 0.0, pitch_deg: float = 0.0) -> Fault:
-    """The LiDAR is entered so much higher, or turned."""
+    """Return a fault that enters the LiDAR too high, or turned."""
 
     def fault(drive: Recordable, _rng: np.random.Generator) -> Recordable:
         entered = drive.ego_from_lidar.copy()
@@ -36,13 +36,13 @@ def _mount(up_m: float = 0.0, roll_deg: float = 0.0, pitch_deg: float = 0.0) -> 
 
 
 def _attitude(yaw_deg: float = 0.0, pitch_deg: float = 0.0) -> Fault:
-    """The receiver's attitude is turned in its body."""
+    """Return a fault that turns the receiver's attitude in its body."""
     turn = Rotation.from_euler("zy", [yaw_deg, pitch_deg], degrees=True)
     return lambda drive, _rng: replace(drive, world_from_ins=turned(drive.world_from_ins, turn))
 
 
 def _squatting(drive: Recordable, rng: np.random.Generator) -> Recordable:
-    """The body drives pitched, so the ego frame is; LiDAR and receiver are entered as they are mounted on it."""
+    """Pitch the body and so the ego frame; LiDAR and receiver are entered as mounted."""
     return _attitude(pitch_deg=-2.0)(_mount(pitch_deg=2.0)(drive, rng), rng)
 
 
@@ -56,7 +56,7 @@ def _floating(drive: Recordable, rng: np.random.Generator) -> Recordable:
 
 
 def _jumping(drive: Recordable, rng: np.random.Generator) -> Recordable:
-    """From the middle of the drive on, poses are off to one side."""
+    """Move poses to one side from the middle of the drive on."""
     side = rng.uniform(0, 2 * np.pi)
     is_off = drive.pose_s > drive.pose_s.mean()
     off = np.outer(is_off, JUMP_M * np.array([np.cos(side), np.sin(side), 0.0]))
@@ -64,7 +64,7 @@ def _jumping(drive: Recordable, rng: np.random.Generator) -> Recordable:
 
 
 def _raining(drive: Recordable, rng: np.random.Generator) -> Recordable:
-    """Some rays meet a drop nearby, others come back from nothing."""
+    """Let rays meet a nearby drop of rain, or return nothing."""
     drawn, ranges = rng.random(drive.ranges_m.shape, np.float32), drive.ranges_m.copy()
     ranges[drawn < DROPPED_RATIO] = np.inf
     wet = (drawn >= DROPPED_RATIO) & (drawn < DROPPED_RATIO + RAIN_RATIO)

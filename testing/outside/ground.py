@@ -1,7 +1,7 @@
 """The ground of an analytic world: one height function z = f(x, y) of waves, mounds, ditches and banks.
 
-**Conventions.** Metres in the world frame, z up. A ditch or bank lies along a segment: u is the place along it, v the
-place to the left of it. A mound's slope grows from its foot to its top in the steps of `MOUND_DEG`.
+**Conventions.** Metres in the world frame, z up. A ditch or bank lies along a segment: u is the position along it, v
+the distance to the left of it. A mound's slope grows from its foot to its top in the steps of `MOUND_DEG`.
 """
 
 from typing import NamedTuple
@@ -16,13 +16,13 @@ MOUND_RADII_M = np.array([1.0, 2.2, 3.6, 5.0, 6.5, 8.0])
 MOUND_DEG = (42.0, 30.0, 22.5, 17.5, 12.5)  # from the top outwards, between these radii
 _FALLS_M = np.diff(MOUND_RADII_M) * np.tan(np.deg2rad(MOUND_DEG))
 MOUND_HEIGHTS_M = np.append(np.cumsum(_FALLS_M[::-1])[::-1], 0.0)
-TAPER_M = 1.5  # over which a ditch or a bank ends
+TAPER_M = 1.5  # length over which a ditch or a bank ends
 BANK_FACE_M = 0.08
-AROUND_M = 3.0  # beyond its length, and a bank's ramp, neither is
+AROUND_M = 3.0  # beyond its length and a bank's ramp there is no ditch or bank
 
 
 class Ground(NamedTuple):
-    """Parts that add up, a row each.
+    """The sum of parts, one row each.
 
     `waves` (W, 4): amplitude m, wave vector x and y rad/m, phase. `mounds` (M, 2): x, y. `ditches` (D, 7): x, y, yaw,
     half length, depth, half width of the floor, slope of the flanks (tangent). `banks` (B, 6): x, y, yaw, half length,
@@ -37,7 +37,7 @@ class Ground(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def height_at(x, y, ground):  # type: ignore[no-untyped-def]
-    """Return the ground's height at one place."""
+    """Return the ground's height at a point."""
     z, waves, mounds, ditches, banks = 0.0, ground.waves, ground.mounds, ground.ditches, ground.banks
     for k in range(len(waves)):
         z += waves[k, 0] * np.sin(waves[k, 1] * x + waves[k, 2] * y + waves[k, 3])
@@ -60,7 +60,7 @@ def height_at(x, y, ground):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def along(x, y, row):  # type: ignore[no-untyped-def]
-    """Return (u, v) of a place in the frame of a ditch or bank."""
+    """Return (u, v) of a point in the frame of a ditch or bank."""
     c, s = np.cos(row[2]), np.sin(row[2])
     return c * (x - row[0]) + s * (y - row[1]), c * (y - row[1]) - s * (x - row[0])
 
@@ -80,6 +80,6 @@ def _heights(xy, ground):  # type: ignore[no-untyped-def]
 
 
 def heights_m(ground: Ground, xy: Array) -> Array:
-    """Return the height at places (..., 2)."""
+    """Return the height at points (..., 2)."""
     flat = np.ascontiguousarray(xy, np.float64).reshape(-1, 2)
     return np.asarray(_heights(flat, ground)).reshape(np.shape(xy)[:-1])

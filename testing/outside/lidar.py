@@ -1,6 +1,6 @@
 """The LiDAR of an analytic drive, and the ideal ranges of every sweep.
 
-**Conventions.** The LiDAR frame is the ego frame's axes at `EGO_FROM_LIDAR`. A sweep begins straight behind the robot
+**Conventions.** The LiDAR frame is the ego frame's axes at `EGO_FROM_LIDAR`. A sweep starts straight behind the robot
 and turns clockwise in 0.1 s; all channels of a column are measured at once. Ranges are (sweeps, channels, columns),
 float32, inf without a return.
 """
@@ -22,7 +22,7 @@ EGO_FROM_LIDAR = np.array([[1.0, 0, 0, 0.1], [0, 1, 0, 0], [0, 0, 1, LIDAR_HEIGH
 
 @dataclass(frozen=True)
 class Lidar:
-    """`channels` × `columns` rays a sweep."""
+    """A LiDAR with `channels` × `columns` rays in a sweep."""
 
     channels: int
     columns: int = 900
@@ -35,7 +35,7 @@ class Lidar:
         return np.stack(np.broadcast_arrays(np.cos(up) * np.cos(turned), np.cos(up) * np.sin(turned), np.sin(up)), -1)
 
     def column_seconds(self) -> Array:
-        """Return when each column (columns,) is measured after the sweep's stamp."""
+        """Return the measuring time of each column (columns,) after the sweep's stamp, in seconds."""
         return np.arange(self.columns) / self.columns * SWEEP_S
 
 

@@ -1,6 +1,6 @@
 """An analytic drive as a recording: a bag of LiDAR sweeps and a receiver's solutions, and its calibration.
 
-**Conventions.** Time begins at `START_NS`; poses are the receiver's, 50 a second, from before the first sweep until
+**Conventions.** Time starts at `START_NS`; poses are the receiver's, 50 per second, from before the first sweep until
 after the last. World axes are east, north, up at `ORIGIN`. Faults alter a `Recordable`; noise is added after them.
 """
 
@@ -37,7 +37,7 @@ DATATYPES = {"x": 7, "y": 7, "z": 7, "ring": 4, "timestamp": 8}
 class Recordable:
     """The ideal data of a drive: ranges (sweeps, channels, columns), and the receiver's poses after `pose_s` (P,).
 
-    `ego_from_lidar` is the mount as it is entered, the true one is `EGO_FROM_LIDAR`.
+    `ego_from_lidar` is the mount in the calibration; the true mount is `EGO_FROM_LIDAR`.
     """
 
     lidar: Lidar
@@ -57,7 +57,7 @@ def recordable(track: Track, lidar: Lidar, ranges_m: NDArray[np.float32]) -> Rec
 
 
 def correlated(rng: np.random.Generator, count: int, columns: int, seconds: float) -> Array:
-    """Return noise (count, columns) of unit variance that changes over so many seconds at the receiver's rate."""
+    """Return noise (count, columns) of unit variance with a correlation time of `seconds` at the receiver's rate."""
     sigma = seconds / POSE_S
     white = rng.standard_normal((count + int(8 * sigma), columns))
     smooth = gaussian_filter1d(white, sigma, axis=0)[int(4 * sigma) :][:count]
@@ -65,7 +65,7 @@ def correlated(rng: np.random.Generator, count: int, columns: int, seconds: floa
 
 
 def turned(poses: Array, turn: Rotation) -> Array:
-    """Return poses (P, 4, 4) whose bodies are turned by a rotation, or by one each."""
+    """Return poses (P, 4, 4) whose bodies are turned by one rotation, or by one rotation each."""
     after = poses.copy()
     after[:, :3, :3] = poses[:, :3, :3] @ turn.as_matrix()
     return after
@@ -160,7 +160,7 @@ def _solutions(drive: Recordable, rng: np.random.Generator) -> Iterator[Logged]:
 
 
 def _calibration(drive: Recordable) -> dict[str, Any]:
-    """The native calibration, as JSON, which is YAML; the receiver's own mount is right."""
+    """Return the native calibration, as JSON, which is YAML; the receiver's own mount is right."""
     ego_from_ins = np.eye(4)
     ego_from_ins[:3, 3] = EGO_FROM_INS_M
     lidar_from_ins = np.linalg.inv(drive.ego_from_lidar) @ ego_from_ins

@@ -1,8 +1,8 @@
 """The solids of an analytic world, each in closed form: ellipsoids, upright cylinders, boxes, grass.
 
-**Conventions.** A solid is a row of `SOLID`; half sizes along its own axes, turned by `yaw_rad` about the vertical.
-`free_path_m` is the mean length that a ray goes through it before it meets something: 0 of an opaque one. Grass is an
-upright cylinder whose blades end `half_m[2]` · 2 above the ground below them.
+**Conventions.** A solid is a row of `SOLID`, with half sizes along its own axes, turned by `yaw_rad` about the
+vertical. `free_path_m` is a ray's mean length within the solid before a hit; opaque solids have 0. Grass is an upright
+cylinder whose blades end `half_m[2]` · 2 above the ground below them.
 """
 
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ Solids = NDArray[np.void]
 
 @dataclass(frozen=True)
 class Solid:
-    """One solid as it is planned."""
+    """A planned solid."""
 
     kind: Kind
     shape: int
@@ -54,7 +54,7 @@ def as_rows(solids: list[Solid]) -> Solids:
 
 
 def outside_m(points: Array, row: np.void) -> Array:
-    """Return how far points (N, 3) are outside of a solid, negative inside; of an ellipsoid to first order."""
+    """Return the distance of points (N, 3) from a solid, negative inside; for an ellipsoid to first order."""
     c, s = np.cos(row["yaw_rad"]), np.sin(row["yaw_rad"])
     away = points - row["centre_m"]
     local = np.stack([c * away[:, 0] + s * away[:, 1], c * away[:, 1] - s * away[:, 0], away[:, 2]], axis=1)

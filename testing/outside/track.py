@@ -1,4 +1,4 @@
-"""The way the robot drives through an analytic world, and its attitude on the ground under its footprint.
+"""The robot's track through an analytic world, and its attitude on the ground under its footprint.
 
 **Conventions.** Poses are `world_from_ego` matrices (N, 4, 4); the ego origin lies on the ground below the LiDAR, x
 forward. The track winds about the world's x axis: y = swing · sin(2π x / period).
@@ -10,24 +10,24 @@ import numpy as np
 
 from testing.outside.ground import Array, Ground, heights_m
 
-LENGTH_M, WIDTH_M = 1.06, 0.85  # the footprint's
+LENGTH_M, WIDTH_M = 1.06, 0.85  # size of the footprint
 SWING_M, PERIOD_M = 2.5, 30.0
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A drive of `seconds` with `speed_m_s` along x; it goes on beyond both ends."""
+    """A drive of `seconds` with `speed_m_s` along x; the track continues beyond both ends."""
 
     ground: Ground
     seconds: float
     speed_m_s: float = 1.8
 
     def plan(self, x: Array) -> Array:
-        """Return the places (N, 2) of the track at these x, metres."""
+        """Return the points (N, 2) of the track at these x, metres."""
         return np.stack([x, SWING_M * np.sin(2 * np.pi * x / PERIOD_M)], axis=-1)
 
     def beside(self, x: float, left_m: float) -> tuple[float, float]:
-        """Return the place so far to the left of the track's place at x."""
+        """Return the point `left_m` to the left of the track's point at x."""
         yaw = float(_yaw(np.array(x)))
         place = self.plan(np.array(x))
         return float(place[0] - left_m * np.sin(yaw)), float(place[1] + left_m * np.cos(yaw))
@@ -37,7 +37,7 @@ class Track:
         return float(_yaw(np.array(x)))
 
     def poses(self, seconds: Array) -> Array:
-        """Return the exact poses (N, 4, 4) after so many seconds (N,)."""
+        """Return the exact poses (N, 4, 4) after `seconds` (N,)."""
         x = np.asarray(seconds) * self.speed_m_s
         place, yaw = self.plan(x), _yaw(x)
         ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)

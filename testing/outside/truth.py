@@ -1,10 +1,11 @@
 """The truth of an analytic world: drivable ground, obstacles, and grey places that count as neither.
 
-**Conventions.** A robot drives on ground whose plane over the disc of `FOOTPRINT_M` around the place is no steeper than
-`DRIVABLE_DEG` and nowhere farther than `STEP_M` from the ground, unless a solid is over it at up to `ROBOT_M`; grass
-does not block it. Obstacles are ground that is steeper than `OBSTACLE_DEG` within `FACE_M`, and every solid that is
-not `HARMLESS`. A point is judged by its column and its height above the ground: ground within `BAND_M`
-(in grass up to its tips), a solid within `TOUCH_M` of its surface from `FOOT_M` up to `ROBOT_M`. All between is grey.
+**Conventions.** Ground is drivable if its plane over the disc of `FOOTPRINT_M` is no steeper than `DRIVABLE_DEG` and
+nowhere farther than `STEP_M` from the ground. A solid over it at up to `ROBOT_M` makes it undrivable, except grass.
+Obstacles are ground that is steeper than `OBSTACLE_DEG` within `FACE_M`, and every solid that is not `HARMLESS`.
+
+A point is judged by its column and its height above the ground. It is ground within `BAND_M` (in grass up to its tips),
+and a solid within `TOUCH_M` of its surface from `FOOT_M` up to `ROBOT_M`. All other points are grey.
 """
 
 from dataclasses import dataclass
@@ -23,15 +24,15 @@ FOOTPRINT_M, FACE_M = 0.5, 0.15
 BAND_M, TOUCH_M, NEAR_M, FOOT_M = 0.25, 0.1, 0.35, 0.1
 CELL_M, REACH_M = 0.1, 37.0  # a label grid's corner is 36.2 m from its middle
 SLOPE_BANDS_DEG = (0.0, 10.0, 15.0, 20.0, 25.0, 35.0, 90.0)
-SLOPES = ("hill", "mound", "ditch", "bank")  # what steep ground belongs to
+SLOPES = ("hill", "mound", "ditch", "bank")  # the parts that steep ground belongs to
 Codes = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """Of points (N,): the code, the thing that an obstacle is (-1: none), and the slope of open ground (NaN: none).
+    """For points (N,): the code, the thing that an obstacle is (-1: none), and the slope of open ground (NaN: none).
 
-    Things up to the number of solids are solids, then come the parts of the ground, as `Truth.things` names them.
+    The first numbers of things are the solids, then the parts of the ground, as in `Truth.things`.
     """
 
     codes: Codes
@@ -75,7 +76,7 @@ class Truth:
                 self.is_blocked[window] |= near.reshape(self.is_blocked[window].shape)
 
     def cells(self, xy: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the lattice indices (N,) of places (N, 2); those beyond are those of the border."""
+        """Return the lattice indices (N,) of points (N, 2), clipped to the border."""
         index = np.rint((xy - self.low_m) / CELL_M).astype(np.int64)
         i, j = np.clip(index, 0, np.array(self.slope_deg.shape) - 1).T
         return i, j
@@ -110,7 +111,7 @@ class Truth:
             codes[hit], things[hit] = OBSTACLE, number
 
     def in_walkers_way(self, points: Array) -> NDArray[np.bool_]:
-        """Return which points (N, 3) only the walker ever was at: above 0.5 m, where nothing else is near."""
+        """Return a mask of points (N, 3) that only the walker occupied: above 0.5 m, with nothing else near."""
         feet = self.world.walker_at(np.arange(0, self.world.track.seconds, 0.05))
         away = np.min(np.linalg.norm(points[:, None, :2] - feet[None], axis=2), axis=1)
         above = points[:, 2] - heights_m(self.world.ground, points[:, :2])
@@ -133,7 +134,7 @@ def plane_over(height: Array, radius_m: float) -> tuple[Array, Array]:
 
 
 def _ground_things(world: World, xy: Array) -> tuple[NDArray[np.int64], list[str]]:
-    """Return which part of the ground each cell belongs to, numbered after the solids, and their names."""
+    """Return the ground part of each cell, numbered after the solids, and the names of the parts."""
     first, names, things = len(world.solids), ["hill"], np.full(xy.shape[:2], len(world.solids), np.int64)
     for x, y in world.ground.mounds:
         things[np.hypot(xy[..., 0] - x, xy[..., 1] - y) < 8.2] = first + len(names)

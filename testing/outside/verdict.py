@@ -1,10 +1,12 @@
 """Judges a label folder by the truth of an analytic world.
 
-**Conventions.** A frame's voxels are placed by the exact pose of the LiDAR at the frame's stamp and the mount that was
-entered, so a voxel lies where its points were measured; wrong poses and mounts count by the classes that they change.
-Counts add over frames; ratios are read at the end, and are None without support. `danger`: the share of labelled
-obstacle voxels that are T or P. `lost`: the share of drivable voxels that are N. `salt`: N voxels in 26-connected
-components of at most `SALT_VOXELS` that touch T or P, none of them obstacle or grey in truth, a frame.
+**Conventions.** The exact pose of the LiDAR at the frame's stamp and the entered mount place a frame's voxels, so a
+voxel lies at its measured points. Wrong poses and mounts count only by the classes that they change. Counts add over
+frames; ratios are computed at the end, and are None without support.
+
+`danger`: the share of labelled obstacle voxels that are T or P. `lost`: the share of drivable voxels that are N.
+`salt`: N voxels per frame in 26-connected components of at most `SALT_VOXELS` that touch T or P, none of them obstacle
+or grey in truth.
 """
 
 from collections import Counter
@@ -89,7 +91,7 @@ def judge_grids(
 
 
 def world_from_ego(truth: Truth, stamps_ns: NDArray[np.int64], ego_from_lidar: Array) -> Array:
-    """Return the poses (F, 4, 4) of ego frames at these stamps that lie as the entered mount has them."""
+    """Return the poses (F, 4, 4) of ego frames at these stamps with the entered mount."""
     poses = np.array(truth.world.track.poses((stamps_ns - START_NS) / 1e9)).reshape(-1, 4, 4)
     return np.asarray(poses @ EGO_FROM_LIDAR @ np.linalg.inv(ego_from_lidar))
 
@@ -120,7 +122,7 @@ def judge_frame(grid: Grid, world_from_grid: Array, truth: Truth, verdict: Verdi
 
 
 def _count_things(things: NDArray[np.int64], is_free: NDArray[np.bool_], truth: Truth, at: Counter[str]) -> None:
-    """An obstacle is sighted in a frame that labels a voxel of it, and missed if all of them are T or P."""
+    """Count obstacles per frame: sighted if a voxel of it is labelled, missed if all of these are T or P."""
     for thing in np.unique(things[things >= 0]).tolist():
         kind, free = truth.things[thing], is_free[things == thing]
         at[f"danger of:{kind}"] += len(free)
@@ -132,7 +134,7 @@ def _count_things(things: NDArray[np.int64], is_free: NDArray[np.bool_], truth: 
 
 
 def salt_voxels(grid: Grid, codes: NDArray[np.uint8]) -> int:
-    """Return how many N voxels of a frame are salt, by the truth's codes of its voxels."""
+    """Return the number of N voxels of a frame that are salt, by the truth's codes of its voxels."""
     everywhere = np.ones((3, 3, 3), bool)
     numbers, count = components(grid == N, everywhere)
     sizes = np.bincount(numbers.ravel(), minlength=count + 1)

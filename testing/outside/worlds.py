@@ -1,7 +1,7 @@
 """The analytic worlds `hills`, `slopes` and `forest`: their ground, and their solids beside and on the robot's way.
 
-**Conventions.** A solid is placed `left_m` to the left of the track's place at x. The walker crosses the track ahead of
-the robot; during a sweep it stands where it is at the sweep's middle.
+**Conventions.** A solid is placed `left_m` to the left of the track's point at x. The walker crosses the track ahead of
+the robot; during a sweep it stands at its position in the sweep's middle.
 """
 
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ from testing.outside.ground import Array, Ground, heights_m
 from testing.outside.solids import BOX, CYLINDER, ELLIPSOID, GRASS, Kind, Solid, Solids, as_rows
 from testing.outside.track import Track
 
-# Amplitude m, length m, direction degrees: hills of about 8°, and what is uneven under a wheel.
+# Amplitude m, length m, direction degrees: hills of about 8°, and unevenness below a wheel's size.
 WAVES = ((0.50, 25.0, 20.0), (0.12, 11.0, 80.0), (0.012, 2.3, 140.0), (0.004, 0.7, 35.0))
 GRASS_M, GRASS_PATH_M, BUSH_PATH_M, CROWN_PATH_M = 0.3, 0.6, 0.25, 0.6
 WALKER_RADIUS_M, WALKER_M, WALKER_SPEED_M_S = 0.25, 1.75, 1.2
@@ -21,20 +21,20 @@ WALKER_RADIUS_M, WALKER_M, WALKER_SPEED_M_S = 0.25, 1.75, 1.2
 
 @dataclass(frozen=True)
 class Layout:
-    """What stands at (x, left) of the track, metres; `hills` scales the long waves."""
+    """The solids at (x, left) of the track, metres; `hills` scales the long waves."""
 
     hills: float
     mounds: tuple[tuple[float, float], ...] = ()
     ditches: tuple[tuple[float, float], ...] = ()
     banks: tuple[tuple[float, float], ...] = ()
-    grass: tuple[tuple[float, float, float], ...] = ()  # and its radius
+    grass: tuple[tuple[float, float, float], ...] = ()  # with their radius
     trees: tuple[tuple[float, float], ...] = ()
     bushes: tuple[tuple[float, float], ...] = ()
     walls: tuple[tuple[float, float], ...] = ()
     bars: tuple[tuple[float, float], ...] = ()
     roofs: tuple[tuple[float, float], ...] = ()
     people: tuple[tuple[float, float], ...] = ()
-    rocks: tuple[tuple[float, float, float], ...] = field(default=())  # and its height
+    rocks: tuple[tuple[float, float, float], ...] = field(default=())  # with their height
 
 
 LAYOUTS: Mapping[str, Layout] = {
@@ -84,7 +84,7 @@ LAYOUTS: Mapping[str, Layout] = {
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """An analytic world, the drive through it, and when and where (x) the walker crosses."""
+    """An analytic world, its drive, and time and position (x) of the walker's crossing."""
 
     name: str
     ground: Ground
@@ -100,7 +100,7 @@ class World:
         return as_rows([Solid("person", CYLINDER, centre, (WALKER_RADIUS_M, WALKER_RADIUS_M, WALKER_M / 2))])
 
     def walker_at(self, seconds: Array) -> Array:
-        """Return where (N, 2) the walker stands; half way through, the robot is 6 m short of its crossing."""
+        """Return the walker's positions (N, 2); half way through, the robot is 6 m short of its crossing."""
         crossing = (self.walker_x_m - 6.0) / self.track.speed_m_s
         left_m = 6.0 - (np.asarray(seconds) - crossing + 5.0) * WALKER_SPEED_M_S
         return np.array([self.track.beside(self.walker_x_m, one) for one in left_m.tolist()])
@@ -127,7 +127,7 @@ def _ground(layout: Layout, rng: np.random.Generator) -> Ground:
     flat = Track(Ground(np.zeros((0, 4)), np.zeros((0, 2)), np.zeros((0, 7)), np.zeros((0, 6))), 0.0)
     mounds = [flat.beside(*place) for place in layout.mounds]
     ditches = [(*flat.beside(x, left), flat.yaw_at(x), 4.0, 0.7, 0.3, 1.0) for x, left in layout.ditches]
-    # A bank rises away from the track, whichever side it is on.
+    # A bank rises away from the track, on either side.
     banks = [
         (*flat.beside(x, left), flat.yaw_at(x) + (np.pi if left < 0 else 0.0), 3.5, 0.3, 4.0)
         for x, left in layout.banks
@@ -139,7 +139,7 @@ def _ground(layout: Layout, rng: np.random.Generator) -> Ground:
 
 @dataclass(frozen=True, eq=False)
 class _Planting:
-    """Sets solids on the ground beside the track."""
+    """The placement of solids on the ground beside the track."""
 
     track: Track
     rng: np.random.Generator
@@ -192,7 +192,7 @@ class _Planting:
         return Solid(kind, BOX, (px, py, foot + middle_m), sunk, self.track.yaw_at(place[0]))
 
     def _bar(self, x: float, left_m: float) -> list[Solid]:
-        """A bar 0.5 to 0.9 m above the ground at its middle, along the track, on two posts."""
+        """Return a bar 0.5 to 0.9 m above the ground at its middle, along the track, on two posts."""
         px, py, foot = self._at((x, left_m))
         yaw = self.track.yaw_at(x)
         bar = Solid("bar", BOX, (px, py, foot + 0.7), (1.0, 0.06, 0.1), yaw)

@@ -1,4 +1,4 @@
-"""A collector of spans: OTLP over HTTP as any collector takes it, kept in memory with every byte that came."""
+"""A collector of spans: OTLP over HTTP, with spans and all received bytes kept in memory."""
 
 import gzip
 from collections.abc import Iterator
@@ -18,12 +18,12 @@ from opentelemetry.proto.trace.v1.trace_pb2 import Span
 from services.runtime.telemetry.tracing import close_tracing, setup_tracing
 
 SENT_WITHIN_S = 60.0
-"""On a machine with other load; a process that ends waits less."""
+"""For a machine with other load; a process that ends waits less."""
 
 
 @dataclass
 class Collector:
-    """`spans` as they came, each with the service that sent it; `said` is all that came, as bytes."""
+    """`spans` as received, each with the service that sent it; `said` contains all received bytes."""
 
     url: str
     said: list[bytes] = field(default_factory=list)
@@ -47,13 +47,13 @@ class Collector:
 
 
 def facts_of(described: Any) -> dict[str, Any]:
-    """The attributes of a span or a resource."""
+    """Return the attributes of a span or a resource."""
     return {fact.key: getattr(fact.value, fact.value.WhichOneof("value")) for fact in described.attributes}
 
 
 @contextmanager
 def collecting(monkeypatch: pytest.MonkeyPatch) -> Iterator[Collector]:
-    """A collector to which this process sends its spans; they have all come after `close_tracing()`."""
+    """Run a collector for the spans of this process; all of them have arrived after `close_tracing()`."""
     with running_collector() as running:
         monkeypatch.setenv("OTEL_EXPORTER_OTLP_ENDPOINT", running.url)
         monkeypatch.setattr("services.runtime.telemetry.tracing.CLOSED_WITHIN_S", SENT_WITHIN_S)
@@ -64,10 +64,10 @@ def collecting(monkeypatch: pytest.MonkeyPatch) -> Iterator[Collector]:
 
 @contextmanager
 def running_collector() -> Iterator[Collector]:
-    """Listening until the end of the block."""
+    """Run a collector during the block."""
 
     class Taking(BaseHTTPRequestHandler):
-        def do_POST(self) -> None:  # as the library calls it
+        def do_POST(self) -> None:  # the library's name
             body = self.rfile.read(int(self.headers["Content-Length"]))
             collector.take(gzip.decompress(body) if self.headers.get("Content-Encoding") == "gzip" else body)
             answer = ExportTraceServiceResponse().SerializeToString()
@@ -78,7 +78,7 @@ def running_collector() -> Iterator[Collector]:
             self.wfile.write(answer)
 
         def log_message(self, format: str, *args: Any) -> None:
-            """Nothing."""
+            """Log nothing."""
 
     with ThreadingHTTPServer(("127.0.0.1", 0), Taking) as server:
         collector = Collector(f"http://127.0.0.1:{server.server_address[1]}")

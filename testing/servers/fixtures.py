@@ -1,8 +1,8 @@
-"""Fixtures over real servers: started when a test first asks, one of each per test process, ended with it.
+"""Fixtures over real servers: each server starts at its first use, one per test process, and ends with the process.
 
-**Conventions.** `platform` is the embedded shape (migrated SQLite, folder store); `platform_on` runs a test on SQLite
-and on PostgreSQL. Their wake-ups are collected in `bells` as (queue, times) and sent nowhere. Every test has a database
-of its own, copied from one that was migrated once.
+**Conventions.** `platform` is the embedded form (migrated SQLite, folder store); `platform_on` runs a test on SQLite
+and on PostgreSQL. Their wake-ups are collected in `bells` as (queue, times) and not sent. Every test has its own
+database, copied from a migrated template.
 """
 
 import shutil
@@ -29,14 +29,14 @@ Bells = list[tuple[str, int]]
 
 
 def make_settings(tmp_path: Path, **groups: Any) -> Settings:
-    """Settings whose data folder is below `tmp_path`; `groups` as in `Settings`.
+    """Return settings with a data folder below `tmp_path`; `groups` as in `Settings`.
 
-    Workers do not rest for long, and nothing is made that nobody asked for.
+    Workers rest only briefly, and no automatic results are made.
     """
     usual = {
         "jobs": JobSettings(rest_s=0.1),
         "viewing": ViewingSettings(makes_playback=False),
-        "store": StoreSettings(reserve_bytes=NO_RESERVE),  # how full this machine is decides no test
+        "store": StoreSettings(reserve_bytes=NO_RESERVE),  # the free space of this machine affects no test
     }
     return Settings(data_folder=tmp_path / "data", **{**usual, **groups})
 
@@ -49,7 +49,7 @@ def postgres_server() -> Iterator[PostgresServer]:
 
 @pytest.fixture(scope="session")
 def postgres_url(postgres_server: PostgresServer) -> str:
-    """A server's maintenance database; tables belong into `fresh_postgres_url`."""
+    """The URL of a server's maintenance database; create tables in `fresh_postgres_url`."""
     return postgres_server.url()
 
 
@@ -72,14 +72,14 @@ def s3_server() -> Iterator[S3Server]:
 
 @pytest.fixture(scope="session")
 def oidc_server() -> Iterator[OidcServer]:
-    """A provider of OpenID Connect; who it is to know, a test says."""
+    """A provider of OpenID Connect; each test defines its users."""
     with running_oidc() as server:
         yield server
 
 
 @pytest.fixture
 def s3_settings(s3_server: S3Server) -> StoreSettings:
-    """A bucket of the test's own."""
+    """Settings of the test's own bucket."""
     return s3_server.settings()
 
 
@@ -100,7 +100,7 @@ def _sqlite_template(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def fresh_postgres_url(postgres_server: PostgresServer, _postgres_template: str) -> Iterator[str]:
-    """A migrated, empty database of the test's own."""
+    """The URL of the test's own migrated, empty database."""
     with postgres_server.fresh_database(_postgres_template) as url:
         yield url
 
@@ -116,18 +116,18 @@ def settings(tmp_path: Path, _sqlite_template: Path) -> Settings:
 
 @pytest.fixture
 def bells() -> Bells:
-    """What the platform of the test rang."""
+    """The wake-ups of the test's platform."""
     return []
 
 
 def opened(settings: Settings, bells: Bells) -> Platform:
-    """A platform that sends wake-ups into `bells`."""
+    """Return a platform that sends wake-ups into `bells`."""
     database = Database(settings, lambda queue, times: bells.append((queue, times)))
     return Platform(settings, database, open_store(settings))
 
 
 def having(platform: Platform, **groups: Mapping[str, Any]) -> Platform:
-    """The platform with other values of some settings, by their group."""
+    """Return the platform with other values of some settings, by their group."""
     others = {group: replace(getattr(platform.settings, group), **values) for group, values in groups.items()}
     return replace(platform, settings=platform.settings.model_copy(update=others))
 
@@ -155,7 +155,7 @@ def platform_on(request: pytest.FixtureRequest) -> Platform:
 
 @pytest.fixture(params=["sqlite", "postgres"])
 def empty(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Settings]:
-    """Settings of a database without any table, on both."""
+    """Settings of a database without any table, on SQLite and PostgreSQL."""
     if request.param == "sqlite":
         yield make_settings(tmp_path)
         return

@@ -1,7 +1,7 @@
-"""A provider of OpenID Connect that lies as a test tells it to; it checks PKCE as an honest one would.
+"""A provider of OpenID Connect that forges answers as a test defines; it checks PKCE correctly.
 
-**Conventions.** What a path is answered is a function in `answers`, which a test puts there. `asked` lists the paths
-that were asked for, in their order.
+**Conventions.** A test puts functions into `answers`, by path, that compute the answers. `asked` lists the requested
+paths in order.
 """
 
 import json
@@ -32,13 +32,13 @@ def as_json(value: Any, status: int = 200) -> Answer:
 
 @cache
 def signing_key(name: str) -> RSAKey:
-    """A key of that id, made once: it takes longer than what it signs."""
+    """Return a key of this id, cached because creating it takes longer than signing."""
     return RSAKey.generate_key(2048, {"kid": name})
 
 
 @dataclass
 class ForgingProvider:
-    """`claims` and `header` go into the next ID token over what an honest one would say; None leaves a claim out."""
+    """A forging provider: `claims` and `header` override those of the next ID token; None removes a claim."""
 
     issuer: str = ""
     claims: dict[str, Any] = field(default_factory=dict)
@@ -54,7 +54,7 @@ class ForgingProvider:
         return OidcSettings(**{"issuer": self.issuer, "client_id": CLIENT_ID, "timeout_s": 20.0, **more})
 
     def approve(self, address: str, code: str = "code-1") -> dict[str, str]:
-        """Sign in at this address: the query of the answer, as an honest provider would send it."""
+        """Sign in at this address and return the query of the answer, as an honest provider would send it."""
         self.begun = {name: values[0] for name, values in parse_qs(urlsplit(address).query).items()}
         self._codes[code] = self.begun
         return {"code": code, "state": self.begun["state"], "iss": self.issuer}
@@ -64,7 +64,7 @@ class ForgingProvider:
         return {"issuer": self.issuer, **{name: self.issuer + path for name, path in paths.items()}}
 
     def token(self, nonce: str) -> str:
-        """An ID token, forged as told."""
+        """Return an ID token with the forged values."""
         now = int(time.time())
         honest = {"iss": self.issuer, "aud": CLIENT_ID, "sub": "ada", "nonce": nonce, "iat": now, "exp": now + 300}
         said = {name: value for name, value in (honest | self.claims).items() if value is not None}
@@ -72,7 +72,7 @@ class ForgingProvider:
         return jwt.encode(header, said, self.key, algorithms=[header["alg"]])
 
     def redeem(self, form: dict[str, str]) -> Answer:
-        """A code is good once, and for who knows the verifier of its challenge."""
+        """Redeem a code: it is valid once, and only with the verifier of its challenge."""
         begun = self._codes.pop(form.get("code", ""), None)
         digest = sha256(form.get("code_verifier", "").encode()).digest()
         challenge = urlsafe_b64encode(digest).rstrip(b"=").decode()
@@ -93,7 +93,7 @@ class ForgingProvider:
 
 @contextmanager
 def forging_provider() -> Iterator[ForgingProvider]:
-    """Such a provider, served until the end of the block."""
+    """Serve a forging provider during the block."""
     provider = ForgingProvider()
 
     class Asked(BaseHTTPRequestHandler):
@@ -114,7 +114,7 @@ def forging_provider() -> Iterator[ForgingProvider]:
             self.wfile.write(content)
 
         def log_message(self, *_: Any) -> None:
-            """Nothing: tests read no log of it."""
+            """Log nothing."""
 
     server = ThreadingHTTPServer(("127.0.0.1", 0), Asked)
     provider.issuer = f"http://127.0.0.1:{server.server_port}"

@@ -1,4 +1,4 @@
-"""A provider of OpenID Connect as a process: `oidc-provider-mock`, which lets in whoever is named in its form."""
+"""A provider of OpenID Connect as a process: `oidc-provider-mock`, which accepts any name in its form."""
 
 import sys
 from collections.abc import Iterator, Mapping
@@ -21,7 +21,7 @@ SECRET = SecretStr("any secret will do")
 
 @dataclass
 class OidcServer(ServerProcess):
-    """`know` tells it what to say of somebody; `settings` are those of a platform whose people it lets in."""
+    """A provider process: `know` sets a subject's claims; `settings` are those of a platform that uses it."""
 
     port: int = 0
 
@@ -30,7 +30,7 @@ class OidcServer(ServerProcess):
         return f"http://127.0.0.1:{self.port}"
 
     def know(self, subject: str, **claims: Any) -> None:
-        """What the ID token says of this subject from now on."""
+        """Set the claims of this subject's later ID tokens."""
         answer = httpx.put(f"{self.issuer}/users/{quote(subject)}", json=claims, trust_env=False)
         answer.raise_for_status()
 
@@ -46,14 +46,14 @@ class OidcServer(ServerProcess):
         )
 
     def approve(self, address: str, subject: str) -> str:
-        """Sign in at `address` as this subject; where the browser is sent then."""
+        """Sign in at `address` as this subject and return the redirect target."""
         answer = httpx.post(address, data={"sub": subject}, trust_env=False)
         return answer.headers["location"]
 
 
 @contextmanager
 def running_oidc() -> Iterator[OidcServer]:
-    """A provider until the end of the block."""
+    """Run a provider during the block."""
     port = free_port()
     command = (
         sys.executable,
@@ -76,5 +76,5 @@ def running_oidc() -> Iterator[OidcServer]:
 
 
 def lab_groups() -> Mapping[str, str]:
-    """Groups of a lab by role, as settings name them."""
+    """Return the groups of a lab by role, as named in the settings."""
     return {"administrators": "stone-admins", "curators": "field-team", "participants": "students, guests"}

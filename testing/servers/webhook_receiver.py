@@ -1,9 +1,9 @@
-"""A receiver of webhooks as a process: every request is a line of a file, on the disk before it is answered.
+"""A receiver of webhooks as a process: every request becomes a line of a file, flushed before the reply.
 
     python -m testing.servers.webhook_receiver PORT FILE [CERTIFICATE]
 
-**Conventions.** The path says how it answers: `/status/503` with that status, `/redirect` to `/hooks`, `/endless` with
-a body that never ends, `/drip` with a first line that never ends, anything else with 200.
+**Conventions.** The path determines the reply: `/status/503` that status, `/redirect` a redirect to `/hooks`,
+`/endless` an endless body, `/drip` an endless first line, any other path 200.
 """
 
 import json
@@ -21,7 +21,7 @@ from testing.servers.process import ServerProcess, answers, free_port
 
 
 class Receiver(BaseHTTPRequestHandler):
-    """One request."""
+    """The handler of one request."""
 
     file = Path("received")
 
@@ -52,7 +52,7 @@ class Receiver(BaseHTTPRequestHandler):
             self.end_headers()
 
     def _write_for_ever(self, head: bytes, piece: bytes) -> None:
-        """Until the other side is gone."""
+        """Write until the other side disconnects."""
         self.close_connection = True
         try:
             self.wfile.write(head)
@@ -63,11 +63,11 @@ class Receiver(BaseHTTPRequestHandler):
             return
 
     def log_message(self, *_: object) -> None:
-        """Nothing."""
+        """Log nothing."""
 
 
 class WebhookReceiver:
-    """The process; `url(path)` is where to send to, `received()` what came."""
+    """The receiver's process; `url(path)` is the address for deliveries, `received()` lists the requests."""
 
     def __init__(self, folder: Path, certificate: Path | None = None) -> None:
         self._scheme = "http" if certificate is None else "https"
@@ -88,14 +88,14 @@ class WebhookReceiver:
         return f"{self._scheme}://localhost:{self.port}{path}"
 
     def received(self) -> list[dict[str, Any]]:
-        """What came, but for a line that is just being written."""
+        """Return the received requests, except a line that is being written."""
         text = self._file.read_text("utf-8") if self._file.exists() else ""
         return [json.loads(line) for line in text.splitlines(keepends=True) if line.endswith("\n")]
 
 
 @contextmanager
 def webhook_receiver(folder: Path, certificate: Path | None = None) -> Iterator[WebhookReceiver]:
-    """By TLS where there is a certificate (`testing/servers/certificates.py`)."""
+    """Run a receiver, by TLS if there is a certificate (`testing/servers/certificates.py`)."""
     receiver = WebhookReceiver(folder, certificate)
     receiver.process.start()
     try:

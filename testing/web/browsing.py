@@ -1,10 +1,9 @@
-"""People at a browser: the site on a real socket, Debian's Chromium, and who is signed in.
+"""Users with a browser: the site on a real socket, Debian's Chromium, and signed-in users.
 
-**Conventions.** Signing in by cookie is what a test does that is not about signing in. Whatever a page writes to the
-console as an error, and whatever it asks of another host, fails the test that looked at it. A browser that is kept
-loads scripts and styles once for all tests of a process; between visits its cookies and all that pages stored go. One
-page without scripts stays open in it: while no page of the site is open, Chromium ends what renders the site, and to
-start that again costs each visit 0.7 CPU seconds.
+**Conventions.** Tests that are not about signing in use a cookie. An error on a page's console, or a request to another
+host, fails the test that viewed the page. A shared browser loads scripts and styles once for all tests of a process;
+between visits its cookies and stored data are deleted. One page without scripts stays open in it: otherwise Chromium
+ends the site's renderer, and restarting it costs each visit 0.7 CPU seconds.
 """
 
 from collections.abc import Iterator
@@ -28,7 +27,7 @@ PLAIN_PAGE = "/healthz"
 
 @dataclass
 class Watch:
-    """What a page must not do: `faults` are sentences. `expected` are words of errors that a test provokes."""
+    """Faults of a page: `faults` are sentences. `expected` are words of errors that a test provokes."""
 
     origin: str
     faults: list[str] = field(default_factory=list)
@@ -49,17 +48,17 @@ class Watch:
 
 @dataclass(frozen=True)
 class Site:
-    """The site of a platform, and a browser to look at it."""
+    """The site of a platform, and a browser to view it."""
 
     url: str
     platform: Platform
     browser: Browser
     kept: BrowserContext | None = None
-    """For this address; the first visit at a time that asks for no options is made with it."""
+    """The context of this address; the first concurrent visit without options uses it."""
 
     @contextmanager
     def visit(self, who: Person | None = None, **options: Any) -> Iterator[Page]:
-        """A page of a fresh browser of `who` (None: a visitor); what it must not do is checked at the end.
+        """Yield a page in a fresh browser of `who` (None: a visitor); check its faults at the end.
 
         `expected=["401"]` names errors of the console that the test provokes; the rest are options of the context.
         """
@@ -85,7 +84,7 @@ class Site:
 
 
 def context_for(browser: Browser, url: str, **options: Any) -> BrowserContext:
-    """A browser of its own for the site at `url`."""
+    """Return a new browser context for the site at `url`."""
     usual: dict[str, Any] = {"viewport": DESKTOP, "reduced_motion": "reduce"}
     context = browser.new_context(base_url=url, **usual | options)
     context.set_default_timeout(PATIENCE_MS)
@@ -93,7 +92,7 @@ def context_for(browser: Browser, url: str, **options: Any) -> BrowserContext:
 
 
 def forget(context: BrowserContext, url: str) -> None:
-    """Close its pages but the first, and forget all that they stored but the files that they loaded."""
+    """Close its pages except the first, and delete all stored data except loaded files."""
     kinds = {"origin": url, "storageTypes": "local_storage,indexeddb,cache_storage,service_workers"}
     for page in context.pages[1:]:
         context.new_cdp_session(page).send("Storage.clearDataForOrigin", kinds)
@@ -102,10 +101,10 @@ def forget(context: BrowserContext, url: str) -> None:
 
 
 def decide(page: Page, button: str, reason: str, submit: str = "") -> None:
-    """Press a button that asks why, say why, and wait until the page is loaded again.
+    """Press a button that requires a reason, enter it, and wait until the page has reloaded.
 
-    The part of the page that tells the new state may be there before the page is loaded again, and what is clicked in
-    between is lost with the old page.
+    The part of the page with the new state may appear before the page reloads, and clicks in between are lost with the
+    old page.
     """
     page.get_by_role("button", name=button).first.click()
     asking = page.get_by_role("dialog")

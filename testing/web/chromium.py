@@ -1,4 +1,4 @@
-"""One Chromium for all tests of a process, whatever folder they are in: Playwright starts once a process."""
+"""One Chromium for all tests of a process, in any folder: Playwright starts once per process."""
 
 import os
 import shutil
@@ -15,13 +15,13 @@ ARGUMENTS = [
     "--enable-unsafe-swiftshader",
     "--ignore-gpu-blocklist",
     "--disable-gpu-rasterization",
-    "--disable-gpu-compositing",  # by the stand-in for a GPU it costs a quarter more
+    "--disable-gpu-compositing",  # the software GPU would cost a quarter more
 ]
 
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
-    """Chromium, one for all tests of a process."""
+    """Chromium, shared by all tests of a process."""
     path = os.environ.get("STONE_CHROMIUM") or shutil.which("chromium")
     if path is None:
         pytest.skip("no chromium on PATH; deploy/install-browser.sh installs it")

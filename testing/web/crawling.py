@@ -1,7 +1,7 @@
-"""All pages that links lead to, from the first one on: what a reader with patience would find.
+"""All pages that links lead to from the first page on.
 
-**Conventions.** Links, forms' acts and pictures of the site itself are followed; each *shape* (ids and names replaced)
-a few times only. Nothing is changed: only GET is sent, and nothing is signed out of.
+**Conventions.** The crawler follows links, forms' actions and pictures of the site itself, each *shape* (ids and names
+replaced) only a few times. It sends only GET, so it changes nothing, and never signs out.
 """
 
 import re
@@ -15,14 +15,14 @@ import httpx
 
 LINK = re.compile(r'(?:(?:href|src|hx-get)="|data-source="(?=/))([^"]+)"')
 ID = re.compile(r"(?<=/)[0-9a-f]{32}(?=/|$)|(?<=/)[0-9a-f]{16}(?=/)|(?<=^/codes/)[A-Za-z0-9_-]+$")
-ELSEWHERE = "/docs/"  # the manual has tests of its own
+ELSEWHERE = "/docs/"  # the manual has its own tests
 EACH_SHAPE = 3
 MOST_PAGES = 400
 
 
 @dataclass(frozen=True)
 class Found:
-    """What a link led to; `source` is the page that had it."""
+    """The target of a link; `source` is the page that contains it."""
 
     path: str
     shape: str
@@ -37,7 +37,7 @@ class Found:
 
 
 def crawled(client: httpx.Client, headers: Mapping[str, str], start: str = "/") -> Iterator[Found]:
-    """Everything that can be reached from `start` by one who sends these headers."""
+    """Yield everything reachable from `start` with these headers."""
     waiting, known, shapes = deque([(start, "")]), {start}, Counter[str]()
     while waiting and len(known) < MOST_PAGES * 5:
         path, source = waiting.popleft()
@@ -58,7 +58,7 @@ def crawled(client: httpx.Client, headers: Mapping[str, str], start: str = "/") 
 
 
 def links(path: str, text: str) -> Iterator[str]:
-    """The paths of this site that the page names."""
+    """Yield the paths of this site that the page names."""
     for raw in LINK.findall(text):
         parts = urlsplit(urljoin(f"http://site{path}", unescape(raw)))
         is_ours = parts.netloc == "site" and parts.scheme == "http" and not parts.path.startswith(ELSEWHERE)
@@ -67,7 +67,7 @@ def links(path: str, text: str) -> Iterator[str]:
 
 
 def shape_of(path: str) -> str:
-    """The path with ids replaced, and of its query the names only."""
+    """Return the path with ids replaced, and only the names of its query."""
     parts = urlsplit(path)
     names = sorted({pair.partition("=")[0] for pair in parts.query.split("&") if pair})
     return ID.sub("{id}", parts.path) + ("?" + "&".join(names) if names else "")

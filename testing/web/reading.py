@@ -1,4 +1,4 @@
-"""Pages as their bytes: over HTTP, by whoever asks, without a browser."""
+"""Pages as bytes over HTTP, for any user, without a browser."""
 
 import re
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ HIDDEN = re.compile(r"<(script|style|template)\b.*?</\1>", re.DOTALL)
 
 @dataclass(frozen=True)
 class Reading:
-    """The site of a platform, asked as a browser asks; `who` is None for a visitor."""
+    """The site of a platform, requested as a browser does; `who` is None for a visitor."""
 
     platform: Platform
     client: httpx.Client
@@ -35,7 +35,7 @@ class Reading:
         return answer.text
 
     def text(self, path: str, who: Person | None = None) -> str:
-        """What stands in the content of the page, its tags left out."""
+        """Return the text of the page's content, without tags."""
         shown = HIDDEN.sub(" ", self.html(path, who).partition("<main")[2].partition("</main>")[0])
         return " ".join(unescape(re.sub(r"<[^>]*>", " ", "<main" + shown)).split())
 
