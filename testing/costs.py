@@ -62,9 +62,9 @@ class Costs:
         for line in [COLUMNS, *dear]:
             terminalreporter.write_line("  ".join(f"{word:>11}" for word in line))
 
-    def _write(self, *told: float | str) -> None:
+    def _write(self, *values: float | str) -> None:
         with self.path.open("a", encoding="utf-8") as file:
-            file.write("\t".join(one if isinstance(one, str) else f"{one:.2f}" for one in told) + "\n")
+            file.write("\t".join(value if isinstance(value, str) else f"{value:.2f}" for value in values) + "\n")
 
 
 def tree_cpu_s() -> float:
@@ -82,8 +82,8 @@ def _processes() -> tuple[dict[int, int], dict[int, int]]:
     for folder in Path("/proc").iterdir():
         with suppress(ValueError, OSError):  # not a process, or ended meanwhile
             pid = int(folder.name)
-            said = (folder / "stat").read_text("utf-8", "replace").rpartition(")")[2].split()
-            parent_of[pid], ticks_of[pid] = int(said[1]), sum(int(number) for number in said[11:15])
+            fields = (folder / "stat").read_text("utf-8", "replace").rpartition(")")[2].split()
+            parent_of[pid], ticks_of[pid] = int(fields[1]), sum(int(number) for number in fields[11:15])
     return parent_of, ticks_of
 
 

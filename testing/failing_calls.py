@@ -97,8 +97,8 @@ def disturb(work: Callable[[], object], folder: Path, nth: int, fault: Fault) ->
             with suppress(ProcessLookupError):
                 os.kill(child, signal.SIGKILL)
             os.waitpid(child, 0)
-        said = b"".join(iter(lambda: ours.recv(2**16), b""))
-        return Disturbed(hit, not said, said.removeprefix(b".").decode("utf-8", "replace"))
+        output = b"".join(iter(lambda: ours.recv(2**16), b""))
+        return Disturbed(hit, not output, output.removeprefix(b".").decode("utf-8", "replace"))
 
 
 def apart(work: Callable[[], object]) -> str:
@@ -111,9 +111,9 @@ def apart(work: Callable[[], object]) -> str:
         if (child := os.fork()) == 0:
             _say(work, theirs)
         theirs.close()
-        said = b"".join(iter(lambda: ours.recv(2**16), b""))
+        output = b"".join(iter(lambda: ours.recv(2**16), b""))
         os.waitpid(child, 0)
-        return said.removeprefix(b".").decode("utf-8", "replace") if said else "it ended without a word"
+        return output.removeprefix(b".").decode("utf-8", "replace") if output else "it ended without a word"
 
 
 def _work(work: Callable[[], object], parent: socket.socket) -> None:
@@ -184,9 +184,9 @@ class _Supervisor:
             if error.errno not in (errno.ENOENT, errno.EINTR):
                 raise
             return
-        asked, thread, _, number, _, _, *arguments = NOTICE.unpack(notice)
+        notice_id, thread, _, number, _, _, *arguments = NOTICE.unpack(notice)
         refusal = self._refusal(self._names[number], thread, arguments)
-        reply = REPLY.pack(asked, 0, -refusal, 0 if refusal else CONTINUE)
+        reply = REPLY.pack(notice_id, 0, -refusal, 0 if refusal else CONTINUE)
         with suppress(FileNotFoundError):
             fcntl.ioctl(self._listener, SEND, reply)
 
@@ -213,8 +213,8 @@ class _Supervisor:
         with suppress(OSError):
             if name in OF_DESCRIPTOR:
                 return os.readlink(f"/proc/{thread}/fd/{arguments[OF_DESCRIPTOR[name]]}")
-            at, place = OF_PATH[name]
-            path = _text(thread, arguments[place])
+            at, index = OF_PATH[name]
+            path = _text(thread, arguments[index])
             folder = ctypes.c_int(-1 if at is None else arguments[at] & 0xFFFFFFFF).value
             if os.path.isabs(path):
                 return os.path.realpath(os.path.dirname(path)) + "/" + os.path.basename(path)

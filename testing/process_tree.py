@@ -9,7 +9,9 @@ from testing.process_states import GONE, children_of
 def fork_servers_of(worker: int) -> list[int]:
     """Return the fork servers of a worker and of each pool process that started another."""
     near = children_of(worker)
-    return [pid for pid in (*near, *(child for one in near for child in children_of(one))) if _is_fork_server(pid)]
+    return [
+        pid for pid in (*near, *(child for parent in near for child in children_of(parent))) if _is_fork_server(pid)
+    ]
 
 
 def sandboxed_children_of(worker: int) -> list[int]:

@@ -30,10 +30,10 @@ def cast(occupied: Mask, begin: Array, end: Array) -> tuple[Indices, Mask]:
     stops, passed, ray = at.copy(), np.zeros(occupied.shape, np.bool_), np.arange(len(end))
     while len(ray):
         inside = np.all((at >= 0) & (at < occupied.shape), axis=1).reshape(-1)
-        place = tuple(np.where(inside[:, None], at, 0).T)
+        voxel = tuple(np.where(inside[:, None], at, 0).T)
         passed[tuple(at[inside].T)] = True
         stops[ray] = at
-        going = ~(inside & occupied[place]) & (at != last).any(axis=1) & (ratio.min(axis=1) <= 1)
+        going = ~(inside & occupied[voxel]) & (at != last).any(axis=1) & (ratio.min(axis=1) <= 1)
         ray, at, last, step, ratio, growth = (rows[going] for rows in (ray, at, last, step, ratio, growth))
         row, axis = np.arange(len(ray)), np.argmin(ratio, axis=1) if len(ray) else np.zeros(0, np.int64)
         at[row, axis] += step[row, axis]

@@ -28,12 +28,12 @@ PATIENCE_S = 300.0
 
 @dataclass(frozen=True)
 class Serving:
-    """A running platform. `said` is the file of its stderr."""
+    """A running platform. `output` is the file of its stderr."""
 
     process: subprocess.Popen[str]
     url: str
     data: Path
-    said: Path
+    output: Path
 
     @property
     def token(self) -> str:
@@ -49,14 +49,14 @@ class Serving:
     def child(self, name: str) -> psutil.Process:
         """Return the child whose command line contains `name`."""
         children = psutil.Process(self.process.pid).children()
-        return next(one for one in children if any(name in part for part in one.cmdline()))
+        return next(process for process in children if any(name in part for part in process.cmdline()))
 
     def kill_9(self) -> None:
         """End the supervisor as in a power cut, and wait until all its processes have ended."""
         below = self.descendants()
         self.process.kill()
         self.process.wait()
-        until(lambda: not any(is_alive(one) for one in below))
+        until(lambda: not any(is_alive(process) for process in below))
 
     def stop(self) -> int:
         """Drain it and return its exit code."""
@@ -77,8 +77,8 @@ def environment(data: Path, **extra: str | None) -> Mapping[str, str]:
 @contextmanager
 def serving(data: Path, command: Sequence[str] = STONE, **extra: str | None) -> Iterator[Serving]:
     """Yield a platform on `data` once it is ready; end it, in order if it still runs. `command` is that of `stone`."""
-    said = data.parent / "serve.stderr"
-    with said.open("a") as stderr:
+    output = data.parent / "serve.stderr"
+    with output.open("a") as stderr:
         process = subprocess.Popen(
             [*command, "serve", "--data", str(data), "--port", "0", "--workers", "2", "--json"],
             stdout=subprocess.PIPE,
@@ -91,8 +91,8 @@ def serving(data: Path, command: Sequence[str] = STONE, **extra: str | None) -> 
         assert process.stdout is not None
         with process.stdout:
             line = process.stdout.readline()
-        assert line, said.read_text()
-        yield Serving(process, json.loads(line)["url"], data, said)
+        assert line, output.read_text()
+        yield Serving(process, json.loads(line)["url"], data, output)
     finally:
         if process.poll() is None:
             process.terminate()

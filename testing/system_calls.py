@@ -16,7 +16,7 @@ NUMBERS = {
 def system_call(name: str, *arguments: int | bytes) -> int:
     """Return the result of the call. Raises `OSError`."""
     number = NUMBERS[name][os.uname().machine == "aarch64"]
-    given = (one if isinstance(one, bytes) else ctypes.c_long(one) for one in arguments)
+    given = (argument if isinstance(argument, bytes) else ctypes.c_long(argument) for argument in arguments)
     answer = _LIBC.syscall(number, *given)
     if answer == -1:
         raise OSError(ctypes.get_errno(), name)

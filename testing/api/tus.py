@@ -27,22 +27,22 @@ def sha256_of(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def create(api: httpx.Client, owner: Person, length: int, **said: str) -> httpx.Response:
-    named = {"filename": "run.mcap", "purpose": "recording", **said}
+def create(api: httpx.Client, owner: Person, length: int, **fields: str) -> httpx.Response:
+    named = {"filename": "run.mcap", "purpose": "recording", **fields}
     headers = {**TUS, **owner.headers, "Upload-Length": str(length), "Upload-Metadata": metadata(**named)}
     return api.post(UPLOADS, headers=headers)
 
 
-def created(api: httpx.Client, owner: Person, length: int, **said: str) -> str:
+def created(api: httpx.Client, owner: Person, length: int, **fields: str) -> str:
     """Create an upload and return its path."""
-    reply = create(api, owner, length, **said)
+    reply = create(api, owner, length, **fields)
     assert reply.status_code == 201, reply.text
     return str(reply.headers["Location"])
 
 
 def patch(api: httpx.Client, owner: Person, where: str, offset: int, content: Any, **headers: str) -> httpx.Response:
-    said = {name.replace("_", "-"): value for name, value in headers.items()}
-    return api.patch(where, content=content, headers={**PIECE, **owner.headers, "Upload-Offset": str(offset), **said})
+    extra = {name.replace("_", "-"): value for name, value in headers.items()}
+    return api.patch(where, content=content, headers={**PIECE, **owner.headers, "Upload-Offset": str(offset), **extra})
 
 
 def ask(api: httpx.Client, owner: Person, where: str) -> httpx.Response:

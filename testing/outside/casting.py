@@ -86,9 +86,9 @@ def _ground_range(o, d, ground, low, top):  # type: ignore[no-untyped-def]
             return np.inf
         until = min(t + _to_border(x - low[0] - i * CELL_M, d[0]), t + _to_border(y - low[1] - j * CELL_M, d[1])) + 1e-6
         if min(z, o[2] + until * d[2]) < top[i, j]:
-            found = _crossing(o, d, t, until, ground)
-            if found < np.inf:
-                return found
+            hit = _crossing(o, d, t, until, ground)
+            if hit < np.inf:
+                return hit
         t = until
     return np.inf
 
@@ -176,5 +176,5 @@ def _roots(px, py, pz, dx, dy, dz):  # type: ignore[no-untyped-def]
 def _slab(p, rate, half):  # type: ignore[no-untyped-def]
     if abs(rate) < 1e-12:
         return (-np.inf, np.inf) if abs(p) < half else (np.inf, -np.inf)
-    one, other = (-half - p) / rate, (half - p) / rate
-    return min(one, other), max(one, other)
+    first, second = (-half - p) / rate, (half - p) / rate
+    return min(first, second), max(first, second)

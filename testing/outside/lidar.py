@@ -52,6 +52,6 @@ def ideal_ranges(world: World, lidar: Lidar, seed: int) -> NDArray[np.float32]:
         turned = np.einsum("aij,caj->cai", poses[:, :3, :3], directions).reshape(-1, 3)
         origins = np.broadcast_to(poses[None, :, :3, 3], directions.shape).reshape(-1, 3)
         solids, luck = world.all_solids(begin + SWEEP_S / 2), rng.random(len(turned))
-        found, _ = cast((np.ascontiguousarray(origins), turned), world.ground, ceiling, solids, luck)
-        ranges[sweep] = found.reshape(lidar.channels, lidar.columns)
+        measured, _ = cast((np.ascontiguousarray(origins), turned), world.ground, ceiling, solids, luck)
+        ranges[sweep] = measured.reshape(lidar.channels, lidar.columns)
     return ranges

@@ -99,13 +99,13 @@ Logged = tuple[int, str, Any]
 
 
 def _in_order(solutions: list[Logged], clouds: Iterator[Logged]) -> Iterator[Logged]:
-    place = 0
+    index = 0
     for cloud in clouds:
-        while place < len(solutions) and solutions[place][0] <= cloud[0]:
-            yield solutions[place]
-            place += 1
+        while index < len(solutions) and solutions[index][0] <= cloud[0]:
+            yield solutions[index]
+            index += 1
         yield cloud
-    yield from solutions[place:]
+    yield from solutions[index:]
 
 
 def _header(stamp_ns: int, frame_id: str) -> Any:
@@ -137,9 +137,9 @@ def _solutions(drive: Recordable, rng: np.random.Generator) -> Iterator[Logged]:
     noise = correlated(rng, count, 6, CORRELATION_S)
     attitude = Rotation.from_euler("xyz", ATTITUDE_NOISE_DEG * noise[:, 3:], degrees=True)
     poses = turned(drive.world_from_ins, attitude)
-    place = poses[:, :3, 3] + POSITION_NOISE_M * noise[:, :3]
-    velocity = np.gradient(place, drive.pose_s, axis=0)
-    geodetic = np.stack(pymap3d.enu2geodetic(*place.T, *ORIGIN), axis=1)
+    position = poses[:, :3, 3] + POSITION_NOISE_M * noise[:, :3]
+    velocity = np.gradient(position, drive.pose_s, axis=0)
+    geodetic = np.stack(pymap3d.enu2geodetic(*position.T, *ORIGIN), axis=1)
     # The receiver: roll, nose up, clockwise from north; its body is x forward, y left, z up.
     yaw, down, roll = Rotation.from_matrix(poses[:, :3, :3]).as_euler("ZYX", degrees=True).T
     angles = np.stack([roll, -down, (90.0 - yaw) % 360.0], axis=1)
@@ -177,4 +177,4 @@ def _calibration(drive: Recordable) -> dict[str, Any]:
 
 def _transform(matrix: Array) -> dict[str, list[float]]:
     xyzw = Rotation.from_matrix(matrix[:3, :3]).as_quat()
-    return {"translation_m": matrix[:3, 3].tolist(), "rotation_wxyz": [float(one) for one in np.roll(xyzw, 1)]}
+    return {"translation_m": matrix[:3, 3].tolist(), "rotation_wxyz": [float(number) for number in np.roll(xyzw, 1)]}

@@ -48,7 +48,8 @@ class Solid:
 def as_rows(solids: list[Solid]) -> Solids:
     """Return the rows of these solids."""
     rows = [
-        (one.shape, KINDS.index(one.kind), one.centre_m, one.half_m, one.yaw_rad, one.free_path_m) for one in solids
+        (solid.shape, KINDS.index(solid.kind), solid.centre_m, solid.half_m, solid.yaw_rad, solid.free_path_m)
+        for solid in solids
     ]
     return np.array(rows, SOLID)
 

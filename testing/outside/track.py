@@ -29,8 +29,8 @@ class Track:
     def beside(self, x: float, left_m: float) -> tuple[float, float]:
         """Return the point `left_m` to the left of the track's point at x."""
         yaw = float(_yaw(np.array(x)))
-        place = self.plan(np.array(x))
-        return float(place[0] - left_m * np.sin(yaw)), float(place[1] + left_m * np.cos(yaw))
+        point = self.plan(np.array(x))
+        return float(point[0] - left_m * np.sin(yaw)), float(point[1] + left_m * np.cos(yaw))
 
     def yaw_at(self, x: float) -> float:
         """Return the direction of the track at x, rad."""
@@ -39,24 +39,24 @@ class Track:
     def poses(self, seconds: Array) -> Array:
         """Return the exact poses (N, 4, 4) after `seconds` (N,)."""
         x = np.asarray(seconds) * self.speed_m_s
-        place, yaw = self.plan(x), _yaw(x)
+        points, yaw = self.plan(x), _yaw(x)
         ahead = np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
         left = np.stack([-ahead[..., 1], ahead[..., 0]], axis=-1)
         corners = [
-            heights_m(self.ground, place + a * LENGTH_M / 2 * ahead + b * WIDTH_M / 2 * left)
+            heights_m(self.ground, points + a * LENGTH_M / 2 * ahead + b * WIDTH_M / 2 * left)
             for a, b in ((1, 1), (1, -1), (-1, 1), (-1, -1))
         ]
         climb = (corners[0] + corners[1] - corners[2] - corners[3]) / 2 / LENGTH_M
         lean = (corners[0] + corners[2] - corners[1] - corners[3]) / 2 / WIDTH_M
         forward, sideways = (
-            np.concatenate([one, rise[:, None]], axis=1) for one, rise in ((ahead, climb), (left, lean))
+            np.concatenate([axis, rise[:, None]], axis=1) for axis, rise in ((ahead, climb), (left, lean))
         )
         forward /= np.linalg.norm(forward, axis=1, keepdims=True)
         up = np.cross(forward, sideways)
         up /= np.linalg.norm(up, axis=1, keepdims=True)
         poses = np.tile(np.eye(4), (len(x), 1, 1))
         poses[:, :3, :3] = np.stack([forward, np.cross(up, forward), up], axis=-1)
-        poses[:, :3, 3] = np.concatenate([place, np.mean(corners, axis=0)[:, None]], axis=1)
+        poses[:, :3, 3] = np.concatenate([points, np.mean(corners, axis=0)[:, None]], axis=1)
         return poses
 
 

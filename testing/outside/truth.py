@@ -53,7 +53,7 @@ class Truth:
         self.slope_deg, self.step_m = plane_over(height, FOOTPRINT_M)
         self.face_deg, _ = plane_over(height, FACE_M)
         self.ground_things, names = _ground_things(world, self.xy)
-        self.things = (*(KINDS[one] for one in world.solids["kind"]), *names)
+        self.things = (*(KINDS[kind] for kind in world.solids["kind"]), *names)
         self.is_grass, self.is_blocked = np.zeros(shape, bool), np.zeros(shape, bool)
         self._lay_solids(height)
         self.is_steep = self.face_deg > OBSTACLE_DEG

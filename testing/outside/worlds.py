@@ -103,7 +103,7 @@ class World:
         """Return the walker's positions (N, 2); half way through, the robot is 6 m short of its crossing."""
         crossing = (self.walker_x_m - 6.0) / self.track.speed_m_s
         left_m = 6.0 - (np.asarray(seconds) - crossing + 5.0) * WALKER_SPEED_M_S
-        return np.array([self.track.beside(self.walker_x_m, one) for one in left_m.tolist()])
+        return np.array([self.track.beside(self.walker_x_m, distance) for distance in left_m.tolist()])
 
     def all_solids(self, seconds: float) -> Solids:
         """Return every solid, the walker last."""
@@ -125,7 +125,7 @@ def _ground(layout: Layout, rng: np.random.Generator) -> Ground:
         scale = layout.hills if length > 5 else 1.0
         waves.append((scale * amplitude, k * np.cos(turned), k * np.sin(turned), rng.uniform(0, 2 * np.pi)))
     flat = Track(Ground(np.zeros((0, 4)), np.zeros((0, 2)), np.zeros((0, 7)), np.zeros((0, 6))), 0.0)
-    mounds = [flat.beside(*place) for place in layout.mounds]
+    mounds = [flat.beside(*spot) for spot in layout.mounds]
     ditches = [(*flat.beside(x, left), flat.yaw_at(x), 4.0, 0.7, 0.3, 1.0) for x, left in layout.ditches]
     # A bank rises away from the track, on either side.
     banks = [
@@ -146,25 +146,25 @@ class _Planting:
 
     def all_of(self, layout: Layout) -> list[Solid]:
         """Return every solid of a layout."""
-        solids = [self._grass(*one) for one in layout.grass]
-        for place in layout.trees:
-            solids += self._tree(*place)
-        for place in layout.bars:
-            solids += self._bar(*place)
-        solids += [self._bush(*place) for place in layout.bushes]
-        solids += [self._rock(*one) for one in layout.rocks]
-        solids += [self._block("wall", place, (2.5, 0.15, 0.75), 0.75) for place in layout.walls]
-        solids += [self._block("roof", place, (1.5, 2.5, 0.1), 2.8) for place in layout.roofs]
-        return solids + [self._upright("person", place, 0.25, 1.75) for place in layout.people]
+        solids = [self._grass(*sized) for sized in layout.grass]
+        for spot in layout.trees:
+            solids += self._tree(*spot)
+        for spot in layout.bars:
+            solids += self._bar(*spot)
+        solids += [self._bush(*spot) for spot in layout.bushes]
+        solids += [self._rock(*sized) for sized in layout.rocks]
+        solids += [self._block("wall", spot, (2.5, 0.15, 0.75), 0.75) for spot in layout.walls]
+        solids += [self._block("roof", spot, (1.5, 2.5, 0.1), 2.8) for spot in layout.roofs]
+        return solids + [self._upright("person", spot, 0.25, 1.75) for spot in layout.people]
 
-    def _at(self, place: tuple[float, float]) -> tuple[float, float, float]:
+    def _at(self, spot: tuple[float, float]) -> tuple[float, float, float]:
         """Return the ground point at (x, left), moved by up to 0.1 m away from the track."""
-        x, left_m = place
+        x, left_m = spot
         px, py = self.track.beside(x, left_m + np.sign(left_m) * self.rng.uniform(0, 0.1))
         return px, py, float(heights_m(self.track.ground, np.array([px, py])))
 
-    def _upright(self, kind: Kind, place: tuple[float, float], radius_m: float, top_m: float) -> Solid:
-        px, py, foot = self._at(place)
+    def _upright(self, kind: Kind, spot: tuple[float, float], radius_m: float, top_m: float) -> Solid:
+        px, py, foot = self._at(spot)
         return Solid(kind, CYLINDER, (px, py, foot + top_m / 2 - 0.2), (radius_m, radius_m, top_m / 2 + 0.2))
 
     def _tree(self, x: float, left_m: float) -> list[Solid]:
@@ -185,11 +185,11 @@ class _Planting:
         return Solid(kind, ELLIPSOID, (px, py, foot + 0.1 * height_m), (wide[0], wide[1], 0.9 * height_m))
 
     def _block(
-        self, kind: Kind, place: tuple[float, float], half_m: tuple[float, float, float], middle_m: float
+        self, kind: Kind, spot: tuple[float, float], half_m: tuple[float, float, float], middle_m: float
     ) -> Solid:
-        px, py, foot = self._at(place)
+        px, py, foot = self._at(spot)
         sunk = (half_m[0], half_m[1], half_m[2] + (0.3 if kind == "wall" else 0.0))
-        return Solid(kind, BOX, (px, py, foot + middle_m), sunk, self.track.yaw_at(place[0]))
+        return Solid(kind, BOX, (px, py, foot + middle_m), sunk, self.track.yaw_at(spot[0]))
 
     def _bar(self, x: float, left_m: float) -> list[Solid]:
         """Return a bar 0.5 to 0.9 m above the ground at its middle, along the track, on two posts."""

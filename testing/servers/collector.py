@@ -23,10 +23,10 @@ SENT_WITHIN_S = 60.0
 
 @dataclass
 class Collector:
-    """`spans` as received, each with the service that sent it; `said` contains all received bytes."""
+    """`spans` as received, each with the service that sent it; `received` contains all received bytes."""
 
     url: str
-    said: list[bytes] = field(default_factory=list)
+    received: list[bytes] = field(default_factory=list)
     spans: list[tuple[str, Span]] = field(default_factory=list)
 
     def named(self, name: str) -> list[Span]:
@@ -40,7 +40,7 @@ class Collector:
         return {service for service, _ in self.spans}
 
     def take(self, body: bytes) -> None:
-        self.said.append(body)
+        self.received.append(body)
         for resource in ExportTraceServiceRequest.FromString(body).resource_spans:
             service = facts_of(resource.resource)["service.name"]
             self.spans += [(service, span) for scope in resource.scope_spans for span in scope.spans]

@@ -1,7 +1,7 @@
 """A provider of OpenID Connect that forges answers as a test defines; it checks PKCE correctly.
 
-**Conventions.** A test puts functions into `answers`, by path, that compute the answers. `asked` lists the requested
-paths in order.
+**Conventions.** A test puts functions into `answers`, by path, that compute the answers. `requested` lists the paths in
+order.
 """
 
 import json
@@ -45,7 +45,7 @@ class ForgingProvider:
     header: dict[str, Any] = field(default_factory=dict)
     key: RSAKey = field(default_factory=lambda: signing_key("first"))
     published: list[RSAKey] = field(default_factory=list)
-    asked: list[str] = field(default_factory=list)
+    requested: list[str] = field(default_factory=list)
     answers: dict[str, Callable[["ForgingProvider", dict[str, str]], Answer]] = field(default_factory=dict)
     begun: dict[str, str] = field(default_factory=dict)
     _codes: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -67,9 +67,9 @@ class ForgingProvider:
         """Return an ID token with the forged values."""
         now = int(time.time())
         honest = {"iss": self.issuer, "aud": CLIENT_ID, "sub": "ada", "nonce": nonce, "iat": now, "exp": now + 300}
-        said = {name: value for name, value in (honest | self.claims).items() if value is not None}
+        claims = {name: value for name, value in (honest | self.claims).items() if value is not None}
         header = {"alg": "RS256", "kid": self.key.kid, **self.header}
-        return jwt.encode(header, said, self.key, algorithms=[header["alg"]])
+        return jwt.encode(header, claims, self.key, algorithms=[header["alg"]])
 
     def redeem(self, form: dict[str, str]) -> Answer:
         """Redeem a code: it is valid once, and only with the verifier of its challenge."""
@@ -81,7 +81,7 @@ class ForgingProvider:
         return as_json({"access_token": "x", "token_type": "Bearer", "id_token": self.token(begun["nonce"])})
 
     def answer(self, path: str, form: dict[str, str]) -> Answer:
-        self.asked.append(path)
+        self.requested.append(path)
         if path in self.answers:
             return self.answers[path](self, form)
         if path == "/.well-known/openid-configuration":
@@ -103,7 +103,7 @@ def forging_provider() -> Iterator[ForgingProvider]:
         def do_POST(self) -> None:
             sent = parse_qs(self.rfile.read(int(self.headers.get("Content-Length", 0))).decode())
             shown = {"authorization": self.headers.get("Authorization", "")}
-            self._say(provider.answer(self.path, {**{name: one[0] for name, one in sent.items()}, **shown}))
+            self._say(provider.answer(self.path, {**{name: values[0] for name, values in sent.items()}, **shown}))
 
         def _say(self, answer: Answer) -> None:
             status, headers, content = answer

@@ -64,7 +64,7 @@ def test_what_is_told_while_a_hidden_phase_is_scored_tells_nothing_of_it(
             job_ids = list(session.scalars(ran))
             spoilt = session.scalars(select(Job).where(Job.state == "failed", Job.queue == "eval")).all()
     out, err = capfd.readouterr()
-    lines, spans = PORT.sub(b"", (out + err + caplog.text).encode()), b"\n".join(collector.said)
+    lines, spans = PORT.sub(b"", (out + err + caplog.text).encode()), b"\n".join(collector.received)
     told = {"lines": lines, "spans": spans, "metrics": exposed}
     found = {where: stage.secrets.found_in("", text) for where, text in told.items()}
     assert found == {where: [] for where in told}

@@ -63,7 +63,7 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Told]:
             with httpx.Client(base_url=platform.url, timeout=300) as api:
                 _live(api, told, s3)
             assert platform.stop() == 0
-        told.logs = {path.name: path.read_text() for path in [*(data / "logs").iterdir(), platform.said]}
+        told.logs = {path.name: path.read_text() for path in [*(data / "logs").iterdir(), platform.output]}
         yield told
 
 
@@ -168,7 +168,7 @@ def _exposed(api: httpx.Client, told: Told) -> str:
 
 
 def test_no_secret_is_told(told: Told) -> None:
-    spans = b"\n".join(told.collector.said).decode("utf-8", "replace")
+    spans = b"\n".join(told.collector.received).decode("utf-8", "replace")
     everything = {**told.logs, "metrics": told.exposed, "spans": spans}
     console = everything.pop(CONSOLE)
     for name, secret in told.planted.items():

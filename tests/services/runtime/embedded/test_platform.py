@@ -135,4 +135,4 @@ def test_a_run_is_resumed_after_a_stop_which_costs_no_attempt_and_after_kill_9_w
     assert not any(is_alive(one) for one in below)
     assert succeeds(up(), run_id)
     password = (again.data / "admin-password").read_text().strip()
-    assert again.said.read_text().count(password) == 1, "it is said at the first start only"
+    assert again.output.read_text().count(password) == 1, "it is said at the first start only"

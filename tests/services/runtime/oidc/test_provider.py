@@ -102,7 +102,7 @@ def test_without_an_issuer_there_is_no_provider() -> None:
 def test_an_answer_to_another_sign_in_is_refused(forger: ForgingProvider, changed: dict[str, str]) -> None:
     with refused_as("sign_in_state"):
         signed_in(forger, **changed)
-    assert "/token" not in forger.asked
+    assert "/token" not in forger.requested
 
 
 def test_an_answer_to_a_browser_that_began_nothing_is_refused(forger: ForgingProvider) -> None:
@@ -150,11 +150,11 @@ def test_a_key_that_is_changed_is_read_again_but_not_at_every_false_token(
     for _ in range(3):
         with refused_as("id_token_refused"):
             signed_in(forger, provider)
-    assert forger.asked.count("/keys") == 1
+    assert forger.requested.count("/keys") == 1
     monkeypatch.setattr(metadata, "REREAD_S", -1.0)
     assert signed_in(forger, provider) == "ada"
-    assert forger.asked.count("/keys") == 2
-    assert forger.asked.count(DESCRIPTION) == 1
+    assert forger.requested.count("/keys") == 2
+    assert forger.requested.count(DESCRIPTION) == 1
 
 
 def test_a_secret_key_among_the_published_ones_is_not_used(forger: ForgingProvider) -> None:

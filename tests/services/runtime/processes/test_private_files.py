@@ -34,7 +34,7 @@ def test_served_in_a_folder_that_stood_open_every_file_is_private_and_the_folder
         opened = [path for path in data.rglob("*") if _is_open(path)]
         assert opened == []
         assert (data / "stone.sqlite3").exists()
-        assert "data_folder_open" in running.said.read_text()
+        assert "data_folder_open" in running.output.read_text()
 
 
 def _is_open(path: Path) -> bool:

@@ -98,8 +98,8 @@ def test_each_attempt_has_its_span_with_the_code_of_its_failure(platform: Platfo
     refused, stumbled = collector.one("job ingest.refuse"), collector.named("job ingest.stumble")
     assert (facts_of(refused)["error.type"], facts_of(refused)["stone.job.outcome"]) == ("unreadable", "failed")
     assert [facts_of(one)["stone.job.attempt"] for one in stumbled] == [1, 2, 3]
-    assert b"Input/output" not in b"".join(collector.said)
-    assert b"byte 7" not in b"".join(collector.said)
+    assert b"Input/output" not in b"".join(collector.received)
+    assert b"byte 7" not in b"".join(collector.received)
 
 
 def test_an_attempt_that_died_is_told_by_the_sweeper(platform: Platform, collector: Collector) -> None:
@@ -123,7 +123,7 @@ def test_what_raises_leaves_its_class_and_not_its_words(collector: Collector) ->
         raise ValueError("hunter2")
     close_tracing()
     assert facts_of(collector.one("fails"))["error.type"] == "ValueError"
-    assert b"hunter2" not in b"".join(collector.said)
+    assert b"hunter2" not in b"".join(collector.received)
 
 
 def test_a_span_is_named_in_lines_only_within_it_and_has_the_parent_that_it_is_given(collector: Collector) -> None:
