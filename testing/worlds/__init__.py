@@ -1,1 +1,1 @@
-"""Recordings, label sets, benchmarks and submissions that are laid into a platform."""
+"""Recordings, label sets, benchmarks and submissions, created directly in a platform."""

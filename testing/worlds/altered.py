@@ -1,7 +1,7 @@
-"""A recording written anew with some of its messages altered: faults made of a real drive.
+"""A recording with some of its messages altered: faults in a real drive.
 
-**Conventions.** A change gets the topic, the log time and the bytes of a message, and gives the bytes to write, a list
-of them where it is to be several messages, or None where it is to be missing.
+**Conventions.** A change receives the topic, the log time and the bytes of a message. It returns the bytes to write, a
+list of bytes for several messages, or None to drop the message.
 """
 
 from collections.abc import Callable
@@ -14,7 +14,7 @@ Change = Callable[[str, int, bytearray], bytes | list[bytes] | None]
 
 
 def altered(source: Path, target: Path, change: Change, compression: CompressionType = CompressionType.NONE) -> Path:
-    """`target`, an indexed MCAP of what the change makes of every message of `source`."""
+    """Write `target`, an indexed MCAP with the change applied to every message of `source`; return its path."""
     with source.open("rb") as reading, target.open("wb") as writing:
         writer = Writer(writing, compression=compression)
         writer.start("ros2", library="altered")

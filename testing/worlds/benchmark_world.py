@@ -1,9 +1,10 @@
-"""A small benchmark on a platform, laid down as its parts would have: sequences with real label grids, a dataset
-version, an open phase and a hidden one with a ready ground truth each, an administrator and two teams.
+"""A small benchmark on a platform: sequences with real label grids, a dataset version, two phases and two teams.
 
-**Conventions.** Only the labels are rows written here; whatever the platform has a function for is done by it. Grids
-are made by formula, a few milliseconds each, and equal for equal seeds. The hidden ones hold `CANARY`, a pattern of
-voxels that nothing else holds. `run_eval` runs the jobs of the queue `eval` in this process.
+One phase is open, one hidden, each with ready ground truth; an administrator owns them.
+
+**Conventions.** Only the labels are rows written here; the platform's own functions create everything else. Grids come
+from formulas, a few milliseconds each, and are equal for equal seeds. The hidden grids contain `CANARY`, a unique
+pattern of voxels. `run_eval` runs the jobs of the queue `eval` in this process.
 """
 
 import hashlib
@@ -62,21 +63,21 @@ class World:
     grid: LabelGrid = PAPER
 
     def phase(self, part: str) -> str:
-        """The id of the phase over this part."""
+        """Return the id of the phase over this part."""
         return {"val": self.val, "test": self.test}[part]
 
     def truth(self, part: str) -> Mapping[str, Grid]:
-        """The grids of a part by token, in the order of its manifest."""
+        """Return the grids of a part by token, in the order of its manifest."""
         return {token: grid for of_sequence in self.grids[part].values() for token, grid in of_sequence.items()}
 
     @cached_property
     def hidden_files(self) -> tuple[bytes, ...]:
-        """The bytes of the hidden frames' label files."""
+        """Return the bytes of the hidden frames' label files."""
         return tuple(labels_npz(grid) for grid in self.truth("test").values())
 
 
 def ground(seed: int, canary: bool = False) -> Grid:
-    """A rolling sheet of ground with patches of T, P and N and a few blocks upon it."""
+    """Return a rolling sheet of ground with patches of T, P and N and a few blocks on it."""
     random = np.random.default_rng(seed)
     x, y = np.meshgrid(np.arange(SHAPE[0]), np.arange(SHAPE[1]), indexing="ij")
     waves = random.uniform(0.02, 0.06, 4)
@@ -94,7 +95,7 @@ def ground(seed: int, canary: bool = False) -> Grid:
 
 
 def mistaken(truth: Grid, errors: float, seed: int = 0) -> Grid:
-    """The grid with about this share of its columns shifted by a voxel and some of their classes changed."""
+    """Return the grid with a share `errors` of its columns shifted by a voxel and some of their classes changed."""
     random = np.random.default_rng(seed)
     is_wrong = random.random(truth.shape[:2]) < errors
     changed = np.where(truth > 0, truth % 3 + 1, 0).astype(np.uint8)
@@ -103,14 +104,14 @@ def mistaken(truth: Grid, errors: float, seed: int = 0) -> Grid:
 
 
 def labels_npz(grid: Grid) -> bytes:
-    """The label file of a frame; every voxel within 20 m was observed."""
+    """Return the label file of a frame; every voxel within 20 m was observed."""
     seen = np.zeros(grid.shape, np.uint8)
     seen[28:228, 28:228] = 1
     return npz_bytes({"semantics": grid, "mask_lidar": seen, "mask_camera": seen})
 
 
 def submission_zip(path: Path, frames: Mapping[str, Grid]) -> Path:
-    """The predictions as a participant's script packs them: `numpy.savez_compressed` in a zip."""
+    """Write the predictions as a participant's script does: `numpy.savez_compressed` in a zip."""
     with zipfile.ZipFile(path, "w") as archive:
         for token, grid in frames.items():
             content = io.BytesIO()
@@ -120,12 +121,12 @@ def submission_zip(path: Path, frames: Mapping[str, Grid]) -> Path:
 
 
 def predicted(truth: Mapping[str, Grid], errors: float, seed: int = 0) -> dict[str, Grid]:
-    """A submission's frames: the truth with errors, another draw in each frame."""
+    """Return a submission's frames: the truth with errors, drawn separately for each frame."""
     return {token: mistaken(grid, errors, seed + number) for number, (token, grid) in enumerate(truth.items())}
 
 
 def run_eval(platform: Platform) -> int:
-    """Run what waits in the queue `eval` until nothing does; how many jobs that were."""
+    """Run the queue `eval` until it is empty; return the number of jobs."""
     ran = 0
     while run_next(platform, "eval", handlers(platform)):
         ran += 1
@@ -133,7 +134,7 @@ def run_eval(platform: Platform) -> int:
 
 
 def benchmark_world(platform: Platform, frames: int = FRAMES, grid: LabelGrid = PAPER) -> World:
-    """The world, labelled at a grid that is no wider than the paper's; about a second."""
+    """Create the world, labelled at a grid no wider than the paper's; it takes about a second."""
     administrator, curator = person(platform, "administrator"), person(platform, "curator")
     grids, ids = _sequences(platform, curator, frames, grid)
     dataset = published.dataset(platform, administrator.user_id, ids)
@@ -149,7 +150,7 @@ def benchmark_world(platform: Platform, frames: int = FRAMES, grid: LabelGrid = 
 
 
 def new_truth(platform: Platform, phase_id: str, user_id: str) -> str:
-    """The id of another ground truth of the phase, from its own dataset version, ready."""
+    """Create another ground truth of the phase from its own dataset version; return its id once it is ready."""
     with platform.database.transaction() as session:
         phase = session.get_one(Phase, phase_id)
         truth, _job = start_truth(session, phase, session.get_one(Dataset, phase.dataset_id), user_id)
@@ -183,7 +184,7 @@ def _sequences(
 
 
 def cut_to(labels: Grid, grid: LabelGrid) -> Grid:
-    """The corner of labels that has a grid's shape."""
+    """Return the corner of labels that has a grid's shape."""
     x, y, z = grid.shape
     return np.ascontiguousarray(labels[:x, :y, :z])
 
@@ -196,7 +197,7 @@ def labelled(
     said: tuple[str, str] = ("meadow", "day"),
     grid: LabelGrid = PAPER,
 ) -> str:
-    """The id of a sequence with these label grids."""
+    """Create a sequence with these label grids and return its id."""
     environment, illumination = said
     with platform.database.transaction() as session:
         row = SequenceRow(owner_id=owner.user_id, name=name, environment=environment, illumination=illumination)
@@ -208,7 +209,7 @@ def labelled(
 
 
 def benchmark_over(platform: Platform, administrator: Person, dataset: str) -> tuple[str, dict[str, str]]:
-    """A benchmark's name, and its phases over val (open) and test (hidden) of a version, their ground truth ready."""
+    """Create a benchmark with phases over val (open) and test (hidden) of a version; return its name and phases."""
     with platform.database.transaction() as session:
         version = session.scalars(select(Dataset).where(Dataset.name == dataset)).one()
         asked = NewBenchmark(f"stone-{new_id()[-6:]}", "STONE", "Traversability of voxels", administrator.user_id)
@@ -226,7 +227,7 @@ def benchmark_over(platform: Platform, administrator: Person, dataset: str) -> t
 
 
 def team_led_by(platform: Platform, captain: Person) -> str:
-    """The id of a new team."""
+    """Create a team and return its id."""
     with platform.database.transaction() as session:
         team = Team(name=f"team-{new_id()[-8:]}")
         session.add(team)

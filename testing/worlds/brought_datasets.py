@@ -1,4 +1,4 @@
-"""A dataset brought to a platform as the routes do it, and what its import left there."""
+"""A dataset imported as the routes do it, and the results of its import."""
 
 import hashlib
 from dataclasses import dataclass
@@ -48,7 +48,7 @@ class BroughtDataset:
             return session.get_one(Job, session.get_one(DatasetImport, self.import_id).job_id)
 
     def indexed(self, *names: str, splits: tuple[str, ...] = (), region: str = "") -> "BroughtDataset":
-        """Itself, with scenes of these names as its index would write them."""
+        """Set scenes of these names as its index would, and return itself."""
         with self.platform.database.transaction() as session:
             row = session.get_one(DatasetImport, self.import_id)
             facts = {"frames": 1, "splits": list(splits), "region": region}
@@ -62,7 +62,7 @@ class BroughtDataset:
 
 
 def an_owner(platform: Platform, role: str = "curator") -> str:
-    """The id of a new user."""
+    """Create a user and return its id."""
     with platform.database.transaction() as session:
         owner = User(id=new_id(), name=f"{role}-{new_id()[-8:]}", role=role)
         session.add(owner)
@@ -70,7 +70,7 @@ def an_owner(platform: Platform, role: str = "curator") -> str:
 
 
 def bring_dataset(platform: Platform, tar: Path, owner_id: str, **asked: Any) -> BroughtDataset:
-    """The import of a tar, begun; `asked` as in `NewImport`."""
+    """Start the import of a tar; keyword arguments as in `NewImport`."""
     upload_id = uploaded(platform, owner_id, tar, purpose="dataset")
     with platform.database.transaction() as session:
         owner = session.get_one(User, owner_id)
@@ -79,7 +79,7 @@ def bring_dataset(platform: Platform, tar: Path, owner_id: str, **asked: Any) ->
 
 
 def place_dataset(platform: Platform, place: RecordingPlace, owner_id: str, **asked: Any) -> BroughtDataset:
-    """The import of an archive in place, begun; `asked` as in `NewImport`."""
+    """Start the import of an archive in place; keyword arguments as in `NewImport`."""
     with platform.database.transaction() as session:
         owner, new = session.get_one(User, owner_id), NewImport(archive_place=place, **asked)
         imported, _ = start_import(session, owner, new, platform.settings.in_place)
@@ -87,7 +87,7 @@ def place_dataset(platform: Platform, place: RecordingPlace, owner_id: str, **as
 
 
 def files_of(platform: Platform, owner_id: str) -> dict[str, bytes]:
-    """Every artefact of every label set of the owner, as `<sequence>/<name>`; packs of labels frame by frame."""
+    """Return every artefact of every label set of the owner, as `<sequence>/<name>`; packs of labels frame by frame."""
     with platform.database.reading() as session:
         named = (
             select(SequenceRow.name, Artefact, Blob.object_key)
@@ -110,7 +110,7 @@ def files_of(platform: Platform, owner_id: str) -> dict[str, bytes]:
 
 
 def counts_of(platform: Platform, owner_id: str) -> dict[str, int]:
-    """How many rows there are of what an import writes, and the bytes that are counted against the owner."""
+    """Return the numbers of rows that an import writes, and the bytes counted against the owner."""
     tables = (SequenceRow, LabelSet, Artefact, LabelledFrameRow, ImportedFile, DatasetImport)
     with platform.database.reading() as session:
         counts = {table.__tablename__: session.scalar(select(func.count()).select_from(table)) or 0 for table in tables}

@@ -1,13 +1,14 @@
 """Worlds of correlated frames whose true scores are known in closed form.
 
-**Conventions.** In frame t of a sequence, class c has N voxels, of which an entry gets a share h right:
+**Conventions.** In frame t of a sequence, class c has N voxels; an entry predicts a share h of these correctly:
 
     log N = log m_c + 0.3 x − 0.045,   logit h = 0.4 + δ_s + δ'_s + 0.25 y + 0.25 y'
 
-x, y, y' are stationary processes of mean 0 and variance 1, each its own for every class; y and the place's δ are common
-to all entries, y' and δ' an entry's own: so entries are equally good, and hard ground is hard for all. Of what is
-missed half is predicted free, half the next class. Size and quality are independent, so the truth is read from
-E N = m_c and E h, a Gauss–Hermite sum. Written from the definition of the scores: nothing of the platform is imported.
+The processes x, y, y' are stationary with mean 0 and variance 1, independent for every class. All entries share y and
+the place's δ; each entry has its own y' and δ'. So entries are equally good, and hard ground is hard for all. Half of
+the missed voxels are predicted free, half as the next class. Size and quality are independent, so the truth follows
+from E N = m_c and E h, a Gauss–Hermite sum. The code follows the definition of the scores and imports nothing of the
+platform.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -31,10 +32,11 @@ SIZE_WANDER, SHARED_WANDER, OWN_WANDER, BASE = 0.3, 0.25, 0.25, 0.4
 class CorrelatedWorld:
     """Sequences of these lengths; `place` and `own_place` are the spread of δ and δ'.
 
-    `memory` is the parameter of the process: of `first_order` the correlation ρ from frame to frame; of `window` the
-    frames that a window over white ground takes to pass a point, beyond which nothing is correlated; of `regimes` the
-    mean length in frames of stretches of one value, geometric; of `fractional` Gaussian noise its Hurst exponent H,
-    above 0.5 correlated over all times. `noise` is the share of variance that is noise of single frames.
+    `memory` is the parameter of the process. For `first_order` it is the correlation ρ from frame to frame; for
+    `window` the number of frames of a moving average over white ground, beyond which the correlation is 0. For
+    `regimes` it is the mean length in frames of stretches of one value, geometric; for `fractional` Gaussian noise its
+    Hurst exponent H, above 0.5 correlated over all times. `noise` is the share of variance that is noise of single
+    frames.
     """
 
     frames_of_sequence: tuple[int, ...]
@@ -47,14 +49,14 @@ class CorrelatedWorld:
 
 @dataclass(frozen=True, eq=False)
 class CorrelatedTrial:
-    """One season in that world: confusions of each entry (F, 4, 4), its true mIoU on this ground."""
+    """A season in that world: confusions of each entry (F, 4, 4), its true mIoU on this ground."""
 
     confusions: tuple[NDArray[np.int64], ...]
     true_here: tuple[float, ...]
 
 
 def trial(world: CorrelatedWorld, random: np.random.Generator, entries: int = 2) -> CorrelatedTrial:
-    """A season of equally good entries."""
+    """Draw a season of equally good entries."""
     places = world.place * random.standard_normal(len(world.frames_of_sequence))
     own = world.own_place * random.standard_normal((entries, len(places)))
     counts: list[list[NDArray[np.int64]]] = [[] for _ in range(entries)]
@@ -69,7 +71,7 @@ def trial(world: CorrelatedWorld, random: np.random.Generator, entries: int = 2)
 
 
 def true_miou(weights: Sequence[float], offsets: Floats, spread: float = 0.0) -> float:
-    """Of places with these offsets, weighted; `spread` is that of places which are still unknown."""
+    """Return the true mIoU of places with these offsets, weighted; `spread` is that of unknown places."""
     right = np.array([_expected_share(float(offset), spread) for offset in offsets])
     share = float(np.average(right, weights=np.asarray(weights, np.float64)))
     hits, misses = VOXELS * share, VOXELS * (1 - share)
@@ -79,14 +81,14 @@ def true_miou(weights: Sequence[float], offsets: Floats, spread: float = 0.0) ->
 
 @lru_cache(4096)
 def _expected_share(offset: float, spread: float) -> float:
-    """E h over y, y' and what is unknown of the place, all normal."""
+    """Return E h over y, y' and the unknown part of the place, all normal."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(80)
     deviation = np.sqrt(SHARED_WANDER**2 + OWN_WANDER**2 + spread**2)
     return float(weights @ expit(BASE + offset + deviation * nodes) / weights.sum())
 
 
 def _confusions(size: Floats, share: Floats) -> NDArray[np.int64]:
-    """(F, 4, 4) of voxels and shares (3, F)."""
+    """Return (F, 4, 4) from voxels and shares (3, F)."""
     hits = np.rint(size * share)
     wrong = np.floor((size - hits) / 2)
     found = np.zeros((size.shape[1], 4, 4), np.int64)
@@ -99,7 +101,7 @@ def _confusions(size: Floats, share: Floats) -> NDArray[np.int64]:
 
 
 def _wander(world: CorrelatedWorld, random: np.random.Generator, frames: int) -> Floats:
-    """(3, F) of mean 0 and variance 1, one for each class."""
+    """Draw (3, F) of mean 0 and variance 1, one row for each class."""
     slow = PROCESSES[world.kind](world.memory, random, frames)
     if not world.noise:
         return slow
@@ -126,7 +128,7 @@ def _regimes(mean_frames: float, random: np.random.Generator, frames: int) -> Fl
 
 
 def fractional(hurst: float, random: np.random.Generator, frames: int) -> Floats:
-    """Exact draws by circulant embedding of the covariance (|k + 1|²ᴴ − 2 |k|²ᴴ + |k − 1|²ᴴ) / 2.
+    """Draw exactly by circulant embedding of the covariance (|k + 1|²ᴴ − 2 |k|²ᴴ + |k − 1|²ᴴ) / 2.
 
     Source: Davies and Harte (1987).
     """

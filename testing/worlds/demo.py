@@ -1,4 +1,4 @@
-"""A demo, as `stone demo` leaves it, made once for all processes of a test run."""
+"""A demo, created by `stone demo` once for all processes of a test run."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -14,9 +14,9 @@ from testing.once import made_once
 from testing.servers.fixtures import make_settings
 
 SMALL = SimulateOptions(seconds=20.0, seed=3, channels=16, columns=180, cameras=False, lidar_hz=2, host_delay_max_ns=0)
-"""As short as a split's rule lets a run be, with few sweeps."""
+"""The shortest run that a split's rule permits, with few sweeps."""
 SPARSER = replace(pipeline.SPARSE, channels=16, columns=225, lidar_hz=1)
-"""The demo's other two runs as long as they are, for only many metres give an interval, with half of their sweeps."""
+"""The demo's other two runs at full length, since short runs give no interval, with half of their sweeps."""
 
 
 def demo_settings(folder: Path) -> Settings:
@@ -24,7 +24,7 @@ def demo_settings(folder: Path) -> Settings:
 
 
 def made_demo(factory: pytest.TempPathFactory) -> Path:
-    """A folder with `demo`, what the command leaves, and `data`, of the platform that made it; to be copied."""
+    """Return a folder with `demo`, the command's output, and `data`, its platform's folder; copy before changing it."""
     return made_once(factory, "small-demo", run_small_demo)
 
 

@@ -1,7 +1,7 @@
-"""A robot's motion in closed form or drawn, for what is fitted to motion: a track, and what sensors would see of it.
+"""A robot's motion in closed form or drawn, for fits of motion: a track, and its sensors' measurements.
 
-**Conventions.** Turns and ways are drawn as noise of the frequencies that a robot on rough ground has, so that no two
-drives are alike at any lag. A hundred poses a second for `SECONDS`; everything is drawn from the seed.
+**Conventions.** Turns and ways are noise with the frequencies of a robot on rough ground, so no two drives are alike at
+any lag. A hundred poses per second for `SECONDS`; everything is drawn from the seed.
 """
 
 import numpy as np
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 def driven_track(seed: int) -> Trajectory:
-    """Of a robot that yaws slowly, rolls and pitches fast, and drives faster and slower."""
+    """Return the track of a robot that yaws slowly, rolls and pitches fast, and drives at varying speed."""
     rng, count = np.random.default_rng(seed), round(SECONDS * 1e9 / STEP_NS) + 1
     yaw_rate, pitch, roll = (_drawn(rng, count, *how) for how in ((40, 0.2), (12, 0.03), (12, 0.03)))
     forward, left, up = (_drawn(rng, count, *how) for how in ((60, 0.4), (60, 0.3), (15, 0.05)))
@@ -44,7 +44,7 @@ def motion_of(track: Trajectory) -> SensorMotion:
 
 
 def turns_seen(motion: SensorMotion, told: SensorMotion, late_s: float, seed: int, noise: float = 0.3) -> TurnEvidence:
-    """Pictures ten times a second, stamped `late_s` late, that moved by any mixture of turn and way."""
+    """Return pictures at 10 Hz, stamped `late_s` late, that moved by any mixture of turn and way."""
     rng = np.random.default_rng(seed)
     begin_s = np.arange(1.0, SECONDS - 2.0, 0.1)
     moved = told.between(begin_s, begin_s + 0.1) @ rng.normal(size=(6, 3))
@@ -54,7 +54,7 @@ def turns_seen(motion: SensorMotion, told: SensorMotion, late_s: float, seed: in
 
 
 def speeds_seen(motion: SensorMotion, late_s: float, seed: int) -> DopplerEvidence:
-    """Twenty detections twenty times a second, a tenth of them of things that move by themselves."""
+    """Return twenty detections at 20 Hz, a tenth of them of moving objects."""
     rng = np.random.default_rng(seed)
     times_s = np.repeat(np.arange(1.0, SECONDS - 1.0, 0.05), 20)
     azimuth = rng.uniform(-1.0, 1.0, len(times_s))

@@ -1,6 +1,6 @@
-"""Simulated drives, and what labelling makes of them: made once for a whole test run, by the first test that asks.
+"""Simulated drives and their labels, created once for a whole test run, by the first test that needs them.
 
-**Conventions.** Nobody changes what lies in a folder that is given out; who wants to change it copies it.
+**Conventions.** Returned folders must not change; copy them before changing files.
 """
 
 import json
@@ -46,7 +46,7 @@ IDS = "ids.json"
 
 
 def drive(factory: pytest.TempPathFactory, options: SimulateOptions = TINY) -> Path:
-    """The recording of such a drive; its calibration lies beside it."""
+    """Return the recording of such a drive; its calibration lies beside it."""
     name = f"drive-{sha256(repr(options).encode()).hexdigest()[:12]}"
     return made_once(factory, name, lambda folder: _simulated(folder, options)) / "run.mcap"
 
@@ -56,7 +56,7 @@ def _simulated(folder: Path, options: SimulateOptions) -> None:
 
 
 def sound_drive(factory: pytest.TempPathFactory) -> SoundDrive:
-    """The simulated drive that faults are made of."""
+    """Return the simulated drive for faults."""
 
     def make(folder: Path) -> None:
         simulated_drive(folder)
@@ -79,7 +79,7 @@ def labels_of_two_parts(factory: pytest.TempPathFactory) -> dict[str, bytes]:
 
 @contextmanager
 def registered_platform(factory: pytest.TempPathFactory, folder: Path) -> Iterator[Brought]:
-    """A copy in `folder` of a platform with a calibrated sequence; its recording, the drive `TINY`, is registered."""
+    """Yield a copy in `folder` of a platform with a sequence, its calibration and its registered recording, `TINY`."""
     bag = drive(factory)
 
     def make(root: Path) -> None:
@@ -91,7 +91,7 @@ def registered_platform(factory: pytest.TempPathFactory, folder: Path) -> Iterat
 
 @contextmanager
 def labelled_platform(factory: pytest.TempPathFactory, folder: Path, **groups: Any) -> Iterator[Brought]:
-    """A copy in `folder` of a platform with a labelled sequence of the drive `SHORT`; `groups` as in `Settings`."""
+    """Yield a copy in `folder` of a platform with a labelled sequence, `SHORT`; `groups` as in `Settings`."""
     bag = drive(factory, SHORT)
 
     def make(root: Path) -> None:
@@ -111,14 +111,14 @@ def _new_platform(root: Path) -> Platform:
 
 
 def keep_ids(brought: Brought, root: Path) -> None:
-    """Close the platform below `root`, to be copied with what was brought to it."""
+    """Close the platform below `root`, ready to be copied, and write the ids of `brought`."""
     brought.platform.database.close()
     (root / IDS).write_text(json.dumps([brought.owner_id, brought.sequence_id, brought.recording_ids]))
 
 
 @contextmanager
 def copied_platform(root: Path, folder: Path, **groups: Any) -> Iterator[Brought]:
-    """What was brought to the platform below `root`, on a copy of it."""
+    """Yield the copied sequence of the platform below `root`, on a copy of that platform."""
     shutil.copytree(root, folder, symlinks=True)
     platform = opened(make_settings(folder, **groups), [])
     yield Brought(platform, *json.loads((folder / IDS).read_text()))
@@ -126,7 +126,7 @@ def copied_platform(root: Path, folder: Path, **groups: Any) -> Iterator[Brought
 
 
 def exported(brought: Brought, form: str = "nuscenes") -> dict[str, bytes]:
-    """The files of an export of the sequence's labels, which succeeds."""
+    """Export the sequence's labels and return the files."""
     with brought.platform.database.transaction() as session:
         export, job = start_export(session, brought.sequence(), form)
         export_id, job_id = export.id, job.id
@@ -142,7 +142,7 @@ def exported_files(platform: Platform, export_id: str) -> dict[str, bytes]:
 
 
 def files_at(platform: Platform, located: ExportLocation) -> dict[str, bytes]:
-    """The files that lie in packs, by their names."""
+    """Return the packed files by their names."""
     stored = stored_files(platform.store, located)
     files, read = stored.files, stored.reader(platform.store)
     return {

@@ -1,6 +1,6 @@
 """`frames.parquet` by formula: the table of a robot that drives a bend at 10 frames a second.
 
-**Conventions.** Column names and types are those of `services/labeler/tables.py`; a test holds the two together.
+**Conventions.** Column names and types are those of `services/labeler/tables.py`; a test compares both.
 """
 
 import io
@@ -21,7 +21,7 @@ UNFIXED = range(2, 4)
 def frame_columns(
     tokens: Sequence[str], start_ns: int, excluded: Sequence[str] = (), cameras: Sequence[str] = CAMERAS
 ) -> dict[str, list[Any]]:
-    """The columns; after the frames one row for each code of `excluded`."""
+    """Return the columns; after the frames one row for each code of `excluded`."""
     count, left = len(tokens), len(excluded)
     steps, none = [float(step) for step in range(count)], [None] * left
     columns: dict[str, list[Any]] = {
@@ -50,7 +50,7 @@ def frame_table_bytes(
     excluded: Sequence[str] = (),
     cameras: Sequence[str] = CAMERAS,
 ) -> bytes:
-    """The file; told apart by `seed`."""
+    """Return the file; `seed` distinguishes files."""
     about = {"sequence": seed.hex(), "pose_source": "/ins (INSPVAX)", "map_origin_deg_m": [48.0, 11.5, 559.0]}
     table = pa.table(frame_columns(tokens, start_ns, excluded, cameras))
     stream = io.BytesIO()

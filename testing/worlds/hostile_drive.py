@@ -1,8 +1,8 @@
-"""A second's drive over flat ground in which a stranger may put any value anywhere: attacks are a few lines each.
+"""A drive of one second over flat ground in which a stranger may put any value anywhere: attacks are a few lines each.
 
-**Conventions.** `arrays` are what is recorded, as the types that messages have, and what the calibration says. The
-robot drives along x, tilted a little, 300 m from where its odometry began, and its LiDAR is mounted with a yaw of 45°.
-Edits in bytes are for a fuzzer: any bytes are some edits, each of one of a few values that break arithmetic, or of any.
+**Conventions.** `arrays` are the recorded values, in the types of messages, and the calibration's values. The robot
+drives along x, tilted a little, 300 m from the start of its odometry, and its LiDAR is mounted with a yaw of 45°. Edits
+in bytes are for a fuzzer: any bytes are edits, and each sets an arbitrary value or one that breaks arithmetic.
 """
 
 import json
@@ -28,14 +28,14 @@ REACH_M, SPACING_M = 4.0, 0.16
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2"), ("timestamp", "<f8")])
 CLOUD, ODOMETRY = "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/Odometry"
 DATATYPES = {"f4": 7, "f8": 8, "u2": 4}
-# Each breaks something: nothing, endless, below and at the ends of what a type holds, and beyond what a map holds.
+# Each breaks arithmetic: NaN, infinity, values below or at the ends of a type's range, and values beyond a map.
 FLOATS = (
     np.nan, np.inf, -np.inf, 0.0, -0.0, 5e-324, 1e-45, 1e-30, -1e-30, 3e38, -3e38, 1e38, 1e30, -1e30, 1e300, -1e300,
     1e154, 1e19, 9.3e18, -9.3e18, 1e15, 1e9, 4.3e9, 1e6, 1e5, 1e4, 1e3, -1e3, 999.9, 200.0, 40.0, 1.0, -1.0, 0.5, 1e-3,
 )  # fmt: skip
 INTEGERS = (0, 1, -1, 2, 7, 255, 2**15, 2**16 - 1, 2**31 - 1, -(2**31), 2**32 - 1, 2**63 - 1, -(2**63), 2**64 - 1)
 EDIT, ANY, ALL = struct.Struct("<BHBBQ"), 255, 1 << 15
-RAYS_FOLLOWED = 41_000  # a point of a frame whose rays are
+RAYS_FOLLOWED = 41_000  # a point of a frame whose rays are followed
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -60,7 +60,7 @@ class Edit:
                 flat[places] = np.array(int(self.value) & (2**64 - 1), np.uint64).astype(flat.dtype)
 
 
-# By what it is: the first once wrote outside of an array, since the turn by the mount's yaw is infinite.
+# By name; the first once wrote outside an array, since the turn by the mount's yaw is infinite.
 ATTACKS: Mapping[str, tuple[Edit, ...]] = {
     "points that overflow as they are turned": tuple(
         Edit("points", RAYS_FOLLOWED // 3 * 3 + axis, 512, 3, value) for axis, value in enumerate((3e38, -3e38, 5.0))
@@ -112,7 +112,7 @@ ATTACKS: Mapping[str, tuple[Edit, ...]] = {
 
 
 def sound_drive() -> Arrays:
-    """What is recorded where nobody is hostile."""
+    """Return the recorded values without an attack."""
     frames, poses = np.arange(FRAMES), np.arange(POSES)
     world_from_ego = _world_from_ego(poses * POSE_NS)
     points = np.stack([_ground_seen(frame * SWEEP_NS) for frame in range(FRAMES)])
@@ -136,7 +136,7 @@ def sound_drive() -> Arrays:
 
 
 def edits_in(content: bytes) -> Iterator[Edit]:
-    """Any bytes as edits, `EDIT.size` each; what is left over is none."""
+    """Yield any bytes as edits, `EDIT.size` each; a remainder is ignored."""
     drive = sound_drive()
     names = sorted(drive)
     for name, first, span, chosen, raw in EDIT.iter_unpack(content[: len(content) // EDIT.size * EDIT.size]):
@@ -149,13 +149,13 @@ def edits_in(content: bytes) -> Iterator[Edit]:
 
 
 def edit_bytes(*edits: Edit) -> bytes:
-    """What `edits_in` makes these of; their counts are powers of two up to 2^15, their steps odd and below 32."""
+    """Return the bytes of these edits; counts must be powers of two up to 2^15, steps odd and below 32."""
     names = sorted(sound_drive())
     return b"".join(EDIT.pack(names.index(one.array), one.first, *_spanned(one), ANY, _raw(one)) for one in edits)
 
 
 def attacked(*edits: Edit) -> Arrays:
-    """The sound drive with these edits."""
+    """Return the sound drive with these edits."""
     arrays = sound_drive()
     for edit in edits:
         edit.apply(arrays)
@@ -163,7 +163,7 @@ def attacked(*edits: Edit) -> Arrays:
 
 
 def write_drive(arrays: Arrays, folder: Path) -> tuple[Path, Path]:
-    """The recording, and the calibration beside it."""
+    """Write the recording, and the calibration beside it; return both paths."""
     bag, calibration = folder / "run.mcap", folder / "run.calibration.yaml"
     with bag.open("wb") as file:
         writer = Writer(file, compression=CompressionType.NONE)
@@ -183,7 +183,7 @@ def _spanned(edit: Edit) -> tuple[int]:
 
 
 def _raw(edit: Edit) -> int:
-    """The value's bits."""
+    """Return the value's bits."""
     if isinstance(edit.value, float):
         return int(struct.unpack("<Q", struct.pack("<d", edit.value))[0])
     return edit.value & (2**64 - 1)
@@ -200,7 +200,7 @@ def _ego_from_lidar() -> SE3:
 
 
 def _ground_seen(after_ns: int) -> NDArray[np.float32]:
-    """The ground of the ego frame's own plane around the robot, another lattice each sweep, in the LiDAR frame."""
+    """Return the ground around the robot in the LiDAR frame: the ego frame's own plane, another lattice each sweep."""
     line = np.arange(-REACH_M, REACH_M, SPACING_M) + 0.05 * np.sin(after_ns)
     plan = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
     ground = np.column_stack([plan, np.zeros(len(plan))])
@@ -249,7 +249,7 @@ def _odometry(arrays: Arrays) -> Iterator[tuple[int, Any]]:
 
 
 def _calibration_text(arrays: Arrays) -> str:
-    """JSON, which is YAML; but what is no number is written as YAML writes it."""
+    """Return JSON, which is YAML, with non-finite numbers as YAML writes them."""
     length_m, width_m = arrays["footprint_m"].tolist()
     boxes = arrays["boxes_m"].reshape(2, 3).tolist()
     record = {

@@ -1,4 +1,4 @@
-"""An import of a published dataset without a platform: what its children leave in a folder."""
+"""An import of a published dataset without a platform: the output of its children in a folder."""
 
 import tarfile
 from hashlib import file_digest
@@ -16,11 +16,11 @@ NAME = "published"
 
 
 def silent(_stage: str, _done: int, _total: int) -> None:
-    """Progress that nobody watches."""
+    """Ignore progress."""
 
 
 def tar_of(folder: Path, tar: Path) -> Path:
-    """The tar of a dataset in a folder, as the client uploads it."""
+    """Write the tar of a dataset in a folder, as the client uploads it."""
     with tarfile.open(tar, "w", dereference=True) as archive:
         for path in sorted(folder.rglob("*")):
             if path.is_file():
@@ -29,7 +29,7 @@ def tar_of(folder: Path, tar: Path) -> Path:
 
 
 def write_index(dataset: Path, out: Path, classes: ClassMap = OWN_CLASSES) -> DatasetIndexAnswer:
-    """Index the tar into the folder `out`, which is made."""
+    """Index the tar into the new folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
     with dataset.open("rb") as file:
         opening = DatasetOpening(dataset, NAME, file_digest(file, "sha256").hexdigest(), classes)
@@ -43,7 +43,7 @@ def write_scene(dataset: Path, out: Path, ordinal: int, classes: ClassMap = OWN_
 
 
 def write_import(dataset: Path, out: Path, classes: ClassMap = OWN_CLASSES) -> list[PublicationAnswer]:
-    """Index the dataset, a tar or a folder (whose tar is put beside), and import all of its scenes into `out`."""
+    """Index the dataset, a tar or a folder (its tar is written beside it), and import all its scenes into `out`."""
     out.mkdir(parents=True, exist_ok=True)
     tar = dataset if dataset.is_file() else tar_of(dataset, out / "dataset.tar")
     scenes = write_index(tar, out, classes).scenes
@@ -51,11 +51,11 @@ def write_import(dataset: Path, out: Path, classes: ClassMap = OWN_CLASSES) -> l
 
 
 def write_synthetic_import(what: SyntheticDataset, out: Path) -> list[PublicationAnswer]:
-    """The import of a dataset made by formula."""
+    """Import a synthetic dataset into `out`."""
     out.mkdir(parents=True, exist_ok=True)
     return write_import(write_published_tar(out / "dataset.tar", what), out)
 
 
 def artefacts_of(out: Path, ordinal: int = 0) -> Path:
-    """The folder of a scene's artefacts, by their names."""
+    """Return the folder of a scene's artefacts."""
     return out / scene_folder(ordinal) / OUT

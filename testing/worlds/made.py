@@ -1,7 +1,7 @@
-"""Things that stand in the database before a route is called: uploads, labels, runs.
+"""Rows that exist in the database before a route is called: uploads, labels, runs.
 
-**Conventions.** Whatever can be made through the API is made through it by the test itself; here is only what workers
-make, as rows and blobs of the real store.
+**Conventions.** Tests create everything that the API can create through the API; this module creates only results of
+workers, as rows and blobs of the real store.
 """
 
 import json
@@ -53,7 +53,7 @@ START_NS = 1_777_800_000_000_000_000
 
 
 def stamp_of(ordinal: int) -> int:
-    """The stamp of a frame of a label set that is laid down, in nanoseconds."""
+    """Return the stamp of a frame of a created label set, in nanoseconds."""
     return START_NS + ordinal * FRAME_NS
 
 
@@ -67,7 +67,7 @@ class Labels:
 
 
 def sequence(api: httpx.Client, owner: Person, name: str = "forest", **said: str) -> dict[str, Any]:
-    """A sequence made through the API."""
+    """Create a sequence through the API."""
     answer = api.post("/api/v1/sequences", json={"name": name, **said}, headers=owner.headers)
     assert answer.status_code == 201, answer.text
     made: dict[str, Any] = answer.json()
@@ -75,7 +75,7 @@ def sequence(api: httpx.Client, owner: Person, name: str = "forest", **said: str
 
 
 def upload(platform: Platform, owner: Person, content: bytes = b"bag", **columns: Any) -> str:
-    """The id of an upload with all its bytes on disk."""
+    """Create an upload with all its bytes on disk; return its id."""
     row = Upload(id=new_id(), owner_id=owner.user_id, purpose="recording", filename="run.mcap", state="complete")
     row.length_bytes, row.sha256, row.expires_ns = len(content), sha256(content).hexdigest(), now_ns() + 10**12
     for key, value in columns.items():
@@ -96,7 +96,7 @@ def labels(
     contents: Listing[bytes] = (),
     grid: LabelGrid = PAPER,
 ) -> Labels:
-    """A label set of the sequence at a grid, as the labeler publishes it; the contents are told apart by `seed`.
+    """Create a label set of the sequence at a grid, as the labeler publishes it; `seed` distinguishes the contents.
 
     With `contents` the frames' label files are these.
     """
@@ -143,16 +143,16 @@ def labels(
 
 @cache
 def frame_labels(kind: int = 1) -> bytes:
-    """The `labels.npz` of a frame in which one voxel has this class, and its column was seen."""
+    """Return the `labels.npz` of a frame in which one voxel has this class, and its column was observed."""
     semantics, seen = (np.zeros((256, 256, 32), np.uint8) for _ in range(2))
     semantics[128, 100, 9], seen[128, 100] = kind, 1
     return npz_bytes({"semantics": semantics, "mask_lidar": seen, "mask_camera": seen})
 
 
 def playback(platform: Platform, sequence_id: str, tokens: Listing[str], content: bytes = b"") -> str:
-    """The id of a playback of these frames, told apart by their tokens; `content` stands in every file of a frame.
+    """Create a playback of these frames and return its id; each file contains `content`.
 
-    A sequence without a recording is given one.
+    A sequence without a recording gets one.
     """
     with platform.database.transaction() as session:
         if session.scalar(select(Recording.id).where(Recording.sequence_id == sequence_id).limit(1)) is None:
@@ -170,7 +170,7 @@ def playback(platform: Platform, sequence_id: str, tokens: Listing[str], content
 
 
 def scene_json(name: str, tokens: Listing[str]) -> bytes:
-    """What the labeler tells the viewer of a sequence with these frames."""
+    """Return the labeler's description for the viewer of a sequence with these frames."""
     frames = {
         "tokens": list(tokens),
         "stamps_ns": [str(stamp_of(i)) for i in range(len(tokens))],
@@ -195,7 +195,7 @@ def scene_json(name: str, tokens: Listing[str]) -> bytes:
 
 
 def export(platform: Platform, sequence_id: str, files: Mapping[str, bytes], form: str = "mesh") -> str:
-    """The id of an export of the sequence's labels with these files, as its job leaves it; packs of 2 KiB."""
+    """Create a finished export of the sequence's labels with these files, in packs of 2 KiB; return its id."""
     with platform.database.transaction() as session:
         row, job = start_export(session, session.get_one(SequenceRow, sequence_id), form)
     folder = Path(platform.settings.root) / f"made-{new_id()}"
@@ -217,14 +217,14 @@ def export(platform: Platform, sequence_id: str, files: Mapping[str, bytes], for
 
 
 def label_comparison(platform: Platform, sequence_id: str, pair: tuple[str, str]) -> str:
-    """The id of a comparison of these label sets A and B that was asked for."""
+    """Request a comparison of these label sets A and B; return its id."""
     with platform.database.transaction() as session:
         comparison, _ = start_comparison(session, session.get_one(SequenceRow, sequence_id), *pair)
         return comparison.id
 
 
 def run(platform: Platform, owner: Person, *kinds: str, sequence_id: str | None = None) -> str:
-    """The id of a queued run of jobs of these kinds, each after the one before."""
+    """Queue a run of jobs of these kinds, each after the previous; return its id."""
     keys = [str(number) for number in range(len(kinds))]
     specs = [
         JobSpec(kind, {}, key, tuple(keys[:i][-1:])) for i, (kind, key) in enumerate(zip(kinds, keys, strict=True))
@@ -234,7 +234,7 @@ def run(platform: Platform, owner: Person, *kinds: str, sequence_id: str | None 
 
 
 def job(platform: Platform, owner: Person, kind: str, **arguments: Any) -> str:
-    """The id of a queued job that is its own run."""
+    """Queue a job that is its own run; return its id."""
     with platform.database.transaction() as session:
         return enqueue(session, JobSpec(kind, arguments), Context(owner.user_id)).id
 

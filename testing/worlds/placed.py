@@ -14,13 +14,13 @@ PREFIX = "2026"
 
 
 def in_folder(platform: Platform, root: Path) -> Platform:
-    """The platform with the root `nas`."""
+    """Return the platform with the root `nas`."""
     settings = platform.settings.model_copy(update={"in_place": InPlaceSettings(f"nas={root}")})
     return replace(platform, settings=settings)
 
 
 def on_bucket(platform: Platform, server: S3Server) -> Platform:
-    """The platform with the root `field`, a prefix of a fresh bucket; its own store is a folder."""
+    """Return the platform with the root `field`, a prefix of a fresh bucket; its own store is a folder."""
     store = server.settings()
     in_place = InPlaceSettings(
         buckets=f"field={store.s3_bucket}/{PREFIX}",
@@ -32,12 +32,12 @@ def on_bucket(platform: Platform, server: S3Server) -> Platform:
 
 
 def bucket_of(platform: Platform) -> str:
-    """The bucket of the root `field`."""
+    """Return the bucket of the root `field`."""
     return platform.settings.in_place.bucket_of["field"][0]
 
 
 def bucket_client(platform: Platform) -> Any:
-    """A client of the bucket's server."""
+    """Return a client of the bucket's server."""
     settings = platform.settings.in_place
     return client_of(
         StoreSettings(s3_endpoint=settings.s3_endpoint, s3_key_id=settings.s3_key_id, s3_secret=settings.s3_secret)
@@ -50,6 +50,6 @@ def put(platform: Platform, path: Path, key: str) -> None:
 
 
 def stored_bytes(platform: Platform) -> int:
-    """The bytes of all objects of a platform whose store is a folder."""
+    """Return the size in bytes of all objects of a platform with a folder store."""
     files = (path for path in (platform.settings.root / "store").rglob("*") if path.is_file())
     return sum(path.stat().st_size for path in files)

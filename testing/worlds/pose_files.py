@@ -7,7 +7,7 @@ from stone.geometry.se3 import SE3
 
 
 def tum_text(stamps_ns: NDArray[np.int64], poses: SE3) -> str:
-    """`time x y z qx qy qz qw`, a line each."""
+    """Return `time x y z qx qy qz qw`, a line each."""
     lines = []
     for stamp_ns, (w, x, y, z), place in zip(stamps_ns.tolist(), poses.wxyz, poses.translation_m, strict=True):
         numbers = " ".join(f"{value:.12f}" for value in (*place, x, y, z, w))
@@ -16,5 +16,5 @@ def tum_text(stamps_ns: NDArray[np.int64], poses: SE3) -> str:
 
 
 def kitti_text(poses: SE3) -> str:
-    """The twelve numbers of each 3 × 4 matrix, a line each."""
+    """Return the twelve numbers of each 3 × 4 matrix, a line each."""
     return "".join(" ".join(f"{value:.12e}" for value in one[:3].ravel()) + "\n" for one in poses.as_matrix())

@@ -1,4 +1,4 @@
-"""Versions of the dataset that stand before a route is called, made without touching the splits under discussion."""
+"""Versions of the dataset that exist before a route is called, created without changing the draft splits."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +13,7 @@ from testing.worlds import made
 
 
 def dataset(platform: Platform, user_id: str, parts: Mapping[str, list[str]], name: str = "") -> str:
-    """The name of a version that has the sequences of these ids in these parts."""
+    """Create a version with the sequences of these ids in these parts; return its name."""
     folder = Path(platform.settings.root) / f"made-{new_id()}"
     folder.mkdir(parents=True)
     with platform.database.reading() as session:
@@ -28,7 +28,7 @@ def dataset(platform: Platform, user_id: str, parts: Mapping[str, list[str]], na
 
 
 def published_sequence(platform: Platform, owner_id: str, **said: str) -> str:
-    """The id of a labelled sequence whose labels are like no other's."""
+    """Create a labelled sequence with unique labels; return its id."""
     with platform.database.transaction() as session:
         row = SequenceRow(owner_id=owner_id, name=f"open-{new_id()[-8:]}", **said)
         session.add(row)

@@ -1,7 +1,7 @@
-"""Published datasets, made by formula: any number of scenes and frames in the release's layout, or in Occ3D's.
+"""Synthetic published datasets: any number of scenes and frames in the release's layout, or in Occ3D's.
 
 **Conventions.** Every scene drives the same gentle curve; files of one sensor have the same bytes, hard-linked (or
-copied into a tar), so that 50,000 frames are written in minutes. Names are as the release's:
+copied into a tar), so writing 50,000 frames takes minutes. Names follow the release:
 `n001-2025-08-22-07-14-16+0900__<CHANNEL>__<µs>.<ending>`.
 """
 
@@ -26,7 +26,7 @@ from testing.worlds.small_export import FOCAL_PX, PICTURE_PX, START_US, global_f
 LOGFILE = "n001-2025-08-22-07-14-16+0900"
 FIRST_US, STEP_US, EXPOSURE_US = 1_755_846_856_000_000, 100_000, 20_000
 SCENE_US = 10_000_000_000
-MOST_LINKS = 50_000  # of one file; ext4 takes 65,000
+MOST_LINKS = 50_000  # links to one file; ext4 allows 65,000
 ENDINGS = {"lidar": "pcd.bin", "camera": "jpg", "radar": "pcd"}
 VERSION = "v1.0-trainval"
 MATRIX = [[FOCAL_PX, 0, (PICTURE_PX[0] - 1) / 2], [0, FOCAL_PX, (PICTURE_PX[1] - 1) / 2], [0, 0, 1]]
@@ -39,11 +39,11 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class SyntheticDataset:
-    """What to write: scenes of `frames`, the first `longer` of one more.
+    """The dataset to write: scenes of `frames`, the first `longer` of one more.
 
-    `labels` are taken in turn; none: a test set. After `turns_after` frames the robot drives back and forth again, each
-    drive from another place on; 0: on and on. `locations` lie `apart_m` apart. So many scenes, `drive_scenes`, are
-    chunks of one drive: of one log, their stamps and poses join.
+    Frames use `labels` in turn; without labels it is a test set. After `turns_after` frames the robot drives back and
+    forth again, starting each drive elsewhere; 0: without turning. `locations` lie `apart_m` apart. `drive_scenes`
+    scenes are chunks of one drive with one log and continuous stamps and poses.
     """
 
     scenes: int = 2
@@ -73,7 +73,7 @@ class SyntheticDataset:
         return {"LIDAR_TOP": "lidar"} | dict.fromkeys(self.cameras, "camera") | dict.fromkeys(self.radars, "radar")
 
     def length(self, scene: int) -> int:
-        """Frames of a scene."""
+        """Return the number of frames of a scene."""
         return self.frames + (scene < self.longer)
 
     def stamp_us(self, scene: int, frame: int) -> int:
@@ -82,7 +82,7 @@ class SyntheticDataset:
         return FIRST_US + scene // self.drive_scenes * SCENE_US + (before + frame) * STEP_US
 
     def first_of_drive(self, scene: int) -> int:
-        """The first scene of the drive that a scene is a chunk of."""
+        """Return the first scene of the drive that contains a scene."""
         return scene // self.drive_scenes * self.drive_scenes
 
     def location(self, scene: int) -> str:
@@ -100,7 +100,7 @@ class SyntheticDataset:
 
 
 def made_labels(seed: int = 0, highest: int = 3) -> bytes:
-    """A frame of flat ground of all classes, observed below a metre."""
+    """Return a frame of flat ground of all classes, observed below a metre."""
     semantics, seen = np.zeros(PAPER.shape, np.uint8), np.zeros(PAPER.shape, np.uint8)
     semantics[:, :, 9] = np.random.default_rng(seed).integers(0, highest + 1, (8, 8)).repeat(32, 0).repeat(32, 1)
     seen[:, :, :15] = 1
@@ -108,7 +108,7 @@ def made_labels(seed: int = 0, highest: int = 3) -> bytes:
 
 
 def write_published(folder: Path, what: SyntheticDataset) -> Path:
-    """The release's layout in the folder."""
+    """Write the release's layout into the folder."""
     for name in (VERSION, "gts", *(f"samples/{channel}" for channel in what.sensors)):
         (folder / name).mkdir(parents=True)
     for table, rows in tables_of(what).items():
@@ -129,7 +129,7 @@ def write_published(folder: Path, what: SyntheticDataset) -> Path:
 
 
 def write_published_tar(path: Path, what: SyntheticDataset, root: str = "") -> Path:
-    """The same in a tar, below `root`."""
+    """Write the same layout into a tar, below `root`."""
     with tarfile.open(path, "w") as tar:
         for table, rows in tables_of(what).items():
             text = "[\n" + ",\n".join(map(json.dumps, rows)) + "\n]\n"
@@ -142,7 +142,7 @@ def write_published_tar(path: Path, what: SyntheticDataset, root: str = "") -> P
 
 
 def write_annotated(folder: Path, what: SyntheticDataset) -> Path:
-    """Occ3D's layout: pictures in imgs/, labels, annotations.json."""
+    """Write Occ3D's layout: pictures in imgs/, labels, annotations.json."""
     infos: dict[str, dict[str, Row]] = {}
     for scene, name in enumerate(what.names):
         tokens = what.tokens(scene)
@@ -159,7 +159,7 @@ def write_annotated(folder: Path, what: SyntheticDataset) -> Path:
 
 
 def tables_of(what: SyntheticDataset) -> Mapping[str, Iterator[Row]]:
-    """Rows of every table that is needed, made when they are asked for."""
+    """Return the rows of every required table, computed lazily."""
     return {
         "sensor": (
             {"token": _of("sensor", one), "channel": one, "modality": kind} for one, kind in what.sensors.items()
@@ -229,7 +229,7 @@ def _poses(what: SyntheticDataset, scene: int) -> Iterator[Row]:
 
 
 def pose_of(what: SyntheticDataset, scene: int, stamp_us: int) -> Row:
-    """`rotation` and `translation` of the robot at a stamp."""
+    """Return `rotation` and `translation` of the robot at a stamp."""
     first, turn_us = what.first_of_drive(scene), what.turns_after * STEP_US
     moved_us = stamp_us - what.stamp_us(first, 0)
     if turn_us:
@@ -241,7 +241,7 @@ def pose_of(what: SyntheticDataset, scene: int, stamp_us: int) -> Row:
 
 @lru_cache(10_000)
 def _track(moved_us: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """The rotation and the translation so long after the beginning of a drive."""
+    """Return the rotation and the translation this long after the start of a drive."""
     pose = global_from_ego(START_US + moved_us)
     return tuple(pose.wxyz.tolist()), tuple(pose.translation_m.tolist())
 
@@ -291,7 +291,7 @@ def _annotated(what: SyntheticDataset, of: tuple[int, int], tokens: Sequence[str
 
 
 def _files(what: SyntheticDataset) -> Iterator[tuple[str, bytes]]:
-    """Names with contents; equal ones are one object."""
+    """Yield names with contents; equal contents are one object."""
     sweep = np.linspace(-20, 20, 50, dtype="<f4").tobytes()
     scan = RADAR.encode() + np.arange(12, dtype="<f4").tobytes()
     contents = {"lidar": sweep, "camera": picture_of(FIRST_US, "CAM"), "radar": scan}
@@ -304,7 +304,7 @@ def _files(what: SyntheticDataset) -> Iterator[tuple[str, bytes]]:
 
 
 def _write_rows(path: Path, rows: Iterator[Row]) -> None:
-    """A row a line, as exports are."""
+    """Write a row per line, as exports do."""
     with path.open("w") as file:
         for number, row in enumerate(rows):
             file.write(("[\n" if not number else ",\n") + json.dumps(row))

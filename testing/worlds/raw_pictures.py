@@ -1,7 +1,7 @@
-"""A recording written anew as a robot writes it that compresses no pictures: most of its bytes are raw images.
+"""A recording rewritten with uncompressed pictures: most of its bytes are raw images.
 
-**Conventions.** As an MCAP (chunks of 4 MiB, which a picture ends), or as a rosbag2 database whose rows lie topic after
-topic. Pictures are the source's, or noise of the asked size. Everything else is as in the source.
+**Conventions.** The target is an MCAP (chunks of 4 MiB, which a picture ends), or a rosbag2 database whose rows lie
+topic after topic. Pictures are the source's, or noise of the given size. Everything else is as in the source.
 """
 
 import sqlite3
@@ -27,7 +27,7 @@ CREATE INDEX timestamp_idx ON messages (timestamp ASC);"""
 
 
 def with_raw_pictures(source: Path, target: Path, size_px: tuple[int, int] | None = None) -> Path:
-    """The recording at `target`, an .mcap or .db3, with raw pictures: decoded ones, or noise of `size_px`."""
+    """Write the recording to `target`, an .mcap or .db3, with raw pictures: decoded ones, or noise of `size_px`."""
     writing = _written_database if target.suffix == ".db3" else _written_mcap
     writing(target, source, size_px)
     return target
@@ -47,7 +47,7 @@ def _messages(source: Path, size_px: tuple[int, int] | None) -> Iterator[Recorde
 
 
 def _raw(payload: bytes, pixels: NDArray[np.uint8]) -> bytes:
-    """The image (H, W, 3) with the header of a compressed one."""
+    """Return the image (H, W, 3) with the header of a compressed one."""
     (length,) = struct.unpack_from("<I", payload, 12)
     head = payload[: 16 + length]
     head += bytes(-(len(head) - 4) % 4) + struct.pack("<III", pixels.shape[0], pixels.shape[1], 5) + b"rgb8\0" + b"\0"

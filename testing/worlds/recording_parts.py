@@ -1,8 +1,8 @@
-"""A recording written anew as several files: some topics here, others there, each file on a clock of its own.
+"""A recording rewritten as several files with different topics, each file on a clock of its own.
 
-**Conventions.** A part's clock is `ahead_ns` ahead: its log times and the stamps of its messages show that much more.
-Written by `mcap` and `rosbags`, the stamps moved in the bytes and not by the code that moves them back. A name that
-ends in `.bag` is written as ROS 1 would.
+**Conventions.** A part's clock is `ahead_ns` ahead: its log times and the stamps of its messages are that much later.
+The files are written by `mcap` and `rosbags`; stamps are moved in the bytes, independently of the code that moves them
+back. A name that ends in `.bag` is written as ROS 1 would.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,7 +23,7 @@ HEADERLESS = ("/tf", "/tf_static")
 
 @dataclass(frozen=True)
 class RecordingPart:
-    """A file of the run: messages whose topic and log time `holds` says yes to."""
+    """A file of the run: messages whose topic and log time `holds` accepts."""
 
     name: str
     holds: Callable[[str, int], bool]
@@ -31,7 +31,7 @@ class RecordingPart:
 
 
 def split_into(source: Path, folder: Path, parts: Sequence[RecordingPart]) -> tuple[Path, ...]:
-    """The files, in order of the parts."""
+    """Write the files and return their paths, in order of the parts."""
     return tuple(_written(source, folder, part) for part in parts)
 
 
@@ -60,7 +60,7 @@ def _written(source: Path, folder: Path, part: RecordingPart) -> Path:
 
 
 def moved_stamp(data: bytes, ahead_ns: int) -> bytes:
-    """A message that begins with a header, stamped so much later."""
+    """Return a message that starts with a header, with a later stamp."""
     if not ahead_ns:
         return data
     sec, nanosec = STAMP.unpack_from(data, STAMP_AT)

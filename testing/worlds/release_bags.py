@@ -1,8 +1,8 @@
 """A simulated run as a bag of the release: rows topic after topic, one bag time a frame, mounts without translation.
 
-**Conventions.** `RELEASED` is the table of what is known of those bags. Camera topics are unknown, so they have the
-simulator's names. A frame is a sweep; a radar gives its list nearest to it, `radar_late_ns` off; the pose of a frame in
-`/pva/odom` is the exact one of an ego origin `ego_height_m` above the ground, as the release's probably is.
+**Conventions.** `RELEASED` contains the known facts of those bags. Camera topics are unknown, so they have the
+simulator's names. A frame is a sweep; a radar contributes its list nearest to it, `radar_late_ns` off. The pose of a
+frame in `/pva/odom` is the exact pose of an ego origin `ego_height_m` above the ground, as the release's probably is.
 """
 
 from collections.abc import Iterator, Mapping
@@ -34,7 +34,7 @@ NS_PER_S = 1_000_000_000
 
 @dataclass(frozen=True)
 class ReleasedRadar:
-    """A radar's topic and frame, and where `/tf_static` has it look; its frame's number names another direction."""
+    """A radar's topic, frame and direction in `/tf_static`; the number in the frame's name suggests another one."""
 
     topic: str
     frame_id: str
@@ -62,7 +62,7 @@ class ReleasedBag:
 
     @property
     def ego_height_m(self) -> float:
-        """How high the ego origin is above the ground, if the simulated LiDAR has the export's height in it."""
+        """The height of the ego origin above the ground, if the simulated LiDAR has the export's height in it."""
         return float(rig.EGO_FROM_LIDAR.translation_m[2]) - self.lidar_height_m
 
 
@@ -70,7 +70,7 @@ RELEASED = ReleasedBag()
 
 
 def write_release_bag(folder: Path, options: SimulateOptions, facts: ReleasedBag = RELEASED) -> Path:
-    """A database and `metadata.yaml` in the folder, which is new; the calibration of the export lies beside it."""
+    """Write a database and `metadata.yaml` into the new folder, with the export's calibration beside it."""
     source = folder.with_name(f"{folder.name}.simulated.mcap")
     simulate(source, options)
     write_calibration(_calibration(options, facts), release_calibration(folder))
@@ -89,7 +89,7 @@ def release_calibration(folder: Path) -> Path:
 
 
 def _calibration(options: SimulateOptions, facts: ReleasedBag) -> Calibration:
-    """The rig with its ego origin above the ground, without radars: the export has none."""
+    """Return the rig with its ego origin above the ground, without radars, as in the export."""
     made = rig.calibration(options.camera_width_px)
     lidar = SE3.from_parts(made.ego_from_lidar.wxyz, np.array([0.0, 0.0, facts.lidar_height_m]))
     mounts = tuple(one for one in made.mounts if one.kind == "camera")
@@ -105,7 +105,7 @@ Rows = Iterator[tuple[int, bytes]]
 
 
 def _topics(source: Path, options: SimulateOptions, facts: ReleasedBag) -> Iterator[tuple[str, str, Rows]]:
-    """Each topic with all its rows, of which every frame's have one bag time."""
+    """Yield each topic with all its rows; the rows of a frame have one bag time."""
     stamps_ns = sweep_stamps_ns(options)
     times_ns = [stamp_ns + rig.SWEEP_NS for stamp_ns in stamps_ns]
     recorded = _Recorded(source)
@@ -129,7 +129,7 @@ class _Recorded:
         self._path = path
 
     def messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
-        """Header stamp and payload of each, in the order of stamps."""
+        """Yield header stamp and payload of each message, in the order of stamps."""
         with self._path.open("rb") as stream:
             found = make_reader(stream).iter_messages(topics=[topic])
             yield from sorted((_stamp_ns(message.data), message.data) for _, _, message in found)
@@ -155,7 +155,7 @@ def _bytes(message: Any, kind: str) -> bytes:
 
 
 def _radar_clouds(recorded: _Recorded, channel: str, frame_id: str, of: list[tuple[int, int]]) -> Iterator[bytes]:
-    """The list nearest to each (stamp, how late it is), as points."""
+    """Yield the list nearest to each (stamp, delay), as points."""
     lists = list(recorded.messages(rig.radar_topic(channel)))
     stamps_ns = np.array([stamp_ns for stamp_ns, _ in lists])
     fields = [

@@ -1,10 +1,10 @@
 """A twin of the released dataset: ZIP, tables, sweeps and labels by the table of layouts, in a small hilly world.
 
-**Conventions.** `stone_files/dataset_layouts.py` has the facts; of what is written nothing else depends on the layout,
-so that the same world can be written in any. Scenes are chunks of drives. The ground is a formula of global x and y,
-with boxes on it: a return is a point of a surface, a voxel is occupied if a surface passes through it, and voxels below
-the ground are unknown. The LiDAR is turned by a quarter and tilted. Beside the tables lie boxes, with a key that the
-schema does not have, and a pickle that nobody may open.
+**Conventions.** Only `stone_files/dataset_layouts.py` determines the layout, so the same world can be written in any
+layout. Scenes are chunks of drives. The ground is a formula of global x and y, with boxes on it. A return is a point of
+a surface, a voxel is occupied if a surface passes through it, and voxels below the ground are unknown. The LiDAR is
+turned by a quarter and tilted. Beside the tables lie boxes, with a key outside the schema, and a pickle that no program
+may open.
 """
 
 import json
@@ -33,9 +33,9 @@ from testing.worlds.small_export import picture_of
 from testing.worlds.zip_stream import zip_stream
 
 SWEEP_SHOTS, NO_RETURN_SHARE, REACH_M = 6_000, 0.25, 38.0
-FARTHEST_M = 100.0  # away from whatever a grid has
+FARTHEST_M = 100.0  # outside every grid
 EGO_FROM_LIDAR = SE3.from_parts(np.array([0.69, 0.06, 0.04, -0.72]), np.array([0.16, 0.12, 0.54]))
-MOST_POSES = 1_000  # whose sweeps and labels are kept, to be written again
+MOST_POSES = 1_000  # number of poses whose sweeps and labels are cached
 BOX_CELL_M, BOX_HALF_M, BOX_HIGH_M = 9.0, 0.8, 1.9
 PICKLE = b"\x80\x04cposix\nsystem\n\x94."
 CAMERAS = ("CAM_FRONT_LEFT", "CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_BACK_LEFT", "CAM_BACK", "CAM_BACK_RIGHT")
@@ -51,12 +51,12 @@ RowChange = Callable[[str, Row], Row]
 
 @dataclass(frozen=True)
 class ReleasedDataset:
-    """What to write: `scenes` of `frames`, so many of each drive, in the layout of this name.
+    """The dataset to write: `scenes` of `frames`, grouped into drives, in the layout of this name.
 
-    Drives share the places of the release evenly, in their order, and those lie `apart_m` apart. After `turns_after`
-    frames the robot drives back and forth again, so that sweeps and labels repeat; 0: on and on. The LiDAR reaches
-    `reach_m`, and nothing is labelled beyond. `labels_in` is another grid than that of the layout to cut labels in.
-    `changed` alters rows of tables at the end.
+    Drives share the places of the release evenly, in their order; places lie `apart_m` apart. After `turns_after`
+    frames the robot drives back and forth again, so sweeps and labels repeat; 0: without turning. The LiDAR reaches
+    `reach_m`, and nothing beyond is labelled. `labels_in` is a grid for labels other than the layout's. `changed`
+    alters rows of tables at the end.
     """
 
     scenes: int = 2
@@ -86,12 +86,12 @@ class ReleasedDataset:
         return f"{self.layout.roots[0]}/" if self.layout.roots else ""
 
     def written(self, token: str) -> str:
-        """A frame token as the layout writes it."""
+        """Return a frame token as the layout writes it."""
         return dashed_token(token) if self.layout.has_dashes and token else token
 
 
 def write_released_zip(path: Path, what: ReleasedDataset) -> Path:
-    """The dataset as one ZIP; what is held does not grow with its frames if the robot drives back and forth."""
+    """Write the dataset as one ZIP; if the robot drives back and forth, memory does not grow with its frames."""
     with zip_stream(path, is_deflated=what.is_deflated) as archive:
         for name, pieces in _table_files(what):
             archive.add_pieces(f"{what.root}{name}", pieces)
@@ -101,7 +101,7 @@ def write_released_zip(path: Path, what: ReleasedDataset) -> Path:
 
 
 def write_released(folder: Path, what: ReleasedDataset) -> Path:
-    """The dataset as a folder."""
+    """Write the dataset as a folder."""
     for name, content in released_files(what):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(content)
@@ -109,7 +109,7 @@ def write_released(folder: Path, what: ReleasedDataset) -> Path:
 
 
 def released_files(what: ReleasedDataset) -> Iterator[tuple[str, bytes]]:
-    """Every file by its name below the root."""
+    """Yield every file by its name below the root."""
     yield from ((name, b"".join(pieces)) for name, pieces in _table_files(what))
     yield from _other_files(what)
 
@@ -142,14 +142,14 @@ def _other_files(what: ReleasedDataset) -> Iterator[tuple[str, bytes]]:
 
 
 def _seen_at(what: ReleasedDataset, numbers: tuple[float, ...]) -> tuple[bytes, bytes]:
-    """The sweep and the labels at a pose."""
+    """Return the sweep and the labels at a pose."""
     pose = SE3.from_parts(np.array(numbers[:4]), np.array(numbers[4:]))
     sweep = sweep_of(pose, seed=crc32(repr(numbers).encode()), layout=what.layout, reach_m=what.reach_m)
     return sweep, labels_of(pose, what.labels_in or what.layout.grid, what.layout, what.reach_m)
 
 
 def released_tables(what: ReleasedDataset) -> Mapping[str, Iterator[Row]]:
-    """Rows of every table, tokens of samples as the layout writes them."""
+    """Return the rows of every table, with tokens of samples as the layout writes them."""
     tables = dict(tables_of(what.tables)) | {"sample_annotation": _boxes(what), "instance": iter([_INSTANCE])}
     return {name: map(partial(_written, what, name), rows) for name, rows in tables.items()}
 
@@ -178,12 +178,12 @@ def _written(what: ReleasedDataset, table: str, row: Row) -> Row:
 
 
 def ground_m(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The height of the ground at global places."""
+    """Return the height of the ground at global points."""
     return np.asarray(0.13 + 0.33 * np.sin(x / 5) + 0.21 * np.sin(y / 7 + x / 13))
 
 
 def box_centres(pose: SE3) -> Points:
-    """Global x and y (N, 2) of the boxes around a pose: one in every cell, moved by a formula."""
+    """Return global x and y (N, 2) of the boxes around a pose: one in every cell, moved by a formula."""
     x, y, _ = pose.translation_m
     cells = np.stack(np.meshgrid(np.arange(-6, 7), np.arange(-6, 7), indexing="ij"), axis=-1).reshape(-1, 2)
     cells = cells + np.floor(np.array([x, y]) / BOX_CELL_M).astype(int)
@@ -196,7 +196,7 @@ def box_centres(pose: SE3) -> Points:
 
 
 def box_points(centres: Points, around: NDArray[np.float64], up: NDArray[np.float64]) -> Points:
-    """Global points (N, 3) of the sides of boxes: `around` (N,) in [0, 4) of the sides, `up` (N,) of the height."""
+    """Return global points (N, 3) of the sides of boxes; `around` (N,) in [0, 4), `up` (N,) is the share of the height."""
     side, along = around.astype(int), (around % 1 * 2 - 1) * BOX_HALF_M
     x = np.choose(side, [along, np.full_like(along, BOX_HALF_M), -along, np.full_like(along, -BOX_HALF_M)])
     y = np.choose(side, [np.full_like(along, -BOX_HALF_M), along, np.full_like(along, BOX_HALF_M), -along])
@@ -205,7 +205,7 @@ def box_points(centres: Points, around: NDArray[np.float64], up: NDArray[np.floa
 
 
 def sweep_of(pose: SE3, *, seed: int, layout: DatasetLayout, reach_m: float) -> bytes:
-    """The file of a sweep at a pose: a row for every shot if the layout has those, else of every return."""
+    """Return the file of a sweep at a pose: a row for every shot if the layout has those, else for every return."""
     random = np.random.default_rng(seed)
     low, count = SWEEP_SHOTS * 2 // 3, SWEEP_SHOTS // 3
     away_m, angle = REACH_M * random.uniform(0.06, 1, low), random.uniform(0, 2 * np.pi, low)
@@ -224,7 +224,7 @@ def sweep_of(pose: SE3, *, seed: int, layout: DatasetLayout, reach_m: float) -> 
 
 
 def labels_of(pose: SE3, grid: LabelGrid, layout: DatasetLayout, reach_m: float) -> bytes:
-    """labels.npz at a pose, which is turned about z alone, with the keys and values of the layout."""
+    """Return labels.npz at a pose, which is turned about z alone, with the keys and values of the layout."""
     classes = np.zeros(grid.shape, np.uint8)
     x, y = (grid.min_m[at] + np.arange(0.01, grid.shape[at] * grid.voxel_m, grid.voxel_m / 5) for at in (0, 1))
     ego = np.stack([*(one.reshape(-1) for one in np.meshgrid(x, y, indexing="ij")), np.zeros(len(x) * len(y))], axis=1)
@@ -253,10 +253,10 @@ def _mark(classes: NDArray[np.uint8], grid: LabelGrid, points: Points, values: N
 
 
 def with_quaternions_last(table: str, row: Row) -> Row:
-    """A row whose rotation is written x y z w."""
+    """Return a row whose rotation is written x y z w."""
     return row | ({"rotation": [*row["rotation"][1:], row["rotation"][0]]} if "rotation" in row else {})
 
 
 def of_tables(change: Callable[[Row], Row], *tables: str) -> RowChange:
-    """A change of the rows of these tables alone."""
+    """Return a change that applies only to rows of these tables."""
     return lambda table, row: change(row) if table in tables else row

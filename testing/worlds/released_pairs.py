@@ -1,8 +1,8 @@
-"""A bag of the release beside a ZIP whose labels our own labeler made of it, with settings of one's choice.
+"""A bag of the release beside a ZIP with labels that our labeler made of it, with any settings.
 
 **Conventions.** The dataset has the stamps, exact poses and LiDAR of the bag, so its ego origin is above the ground, by
-`ego_height_m` of the bag. Labels are cut around the origin that ground auto finds on the ground, by the release's grid
-raised as far as that origin was lowered; voxels that no ray reached are unknown.
+`ego_height_m` of the bag. Labels are cut around the origin that ground auto places on the ground, by the release's
+grid, raised by the same height. Voxels that no ray reached are unknown.
 """
 
 import json
@@ -34,11 +34,11 @@ from testing.worlds.release_bags import RELEASED, release_calibration, write_rel
 from testing.worlds.released_datasets import ReleasedDataset, released_tables
 
 SCENES, FIRST = 2, 1
-"""The dataset has so many scenes, and the frames of the bag from this one on."""
+"""The number of scenes in the dataset, and the first frame of the bag in it."""
 HALF_TURN = SE3.from_parts(np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3))
 Grid = NDArray[np.uint8]
 Change = Callable[[Grid, NDArray[np.float64]], Grid]
-"""From released labels and the returns (N, 3) of their frame, in its ego frame, to other labels."""
+"""Maps released labels and the returns (N, 3) of their frame, in its ego frame, to other labels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +53,10 @@ class MadePair:
     labels: NDArray[np.uint8]
 
     def write_zip(self, path: Path, change: Change | None = None, late_us: int = 0, turned_scenes: int = 0) -> Path:
-        """Write tables and labels; stamps are `late_us` later than the bag's, and the LiDAR of so many scenes is turned
-        by half a turn."""
+        """Write tables and labels; stamps are `late_us` later than the bag's.
+
+        In the first `turned_scenes` scenes the LiDAR is turned by half a turn.
+        """
         mounts = [self.ego_from_lidar] * SCENES
         mounts[:turned_scenes] = [self.ego_from_lidar @ HALF_TURN] * turned_scenes
         changed = self._changed(late_us, iter(mounts))

@@ -1,7 +1,7 @@
-"""A recording of ours as ROS 1 would have recorded it, by `rosbags`: its bytes, its types, its bags.
+"""A recording of ours in the form of ROS 1, by `rosbags`: its bytes, its types, its bags.
 
-**Conventions.** Types have the names and fields of ROS 1 Noetic where that has them, a header's `seq` is 0. A bag is
-`unclosed` as its recorder leaves it when it dies: without the index, and its header says nothing of one.
+**Conventions.** Types have the names and fields of ROS 1 Noetic if they exist there; a header's `seq` is 0. A bag is
+`unclosed` if its recorder died: it has no index, and its header mentions none.
 """
 
 from functools import cache
@@ -22,7 +22,7 @@ FORMATS = {"bz2": Writer.CompressionFormat.BZ2, "lz4": Writer.CompressionFormat.
 
 
 def as_ros1(source: Path, target: Path, compression: Ros1Compression = "none", chunk_bytes: int = 1 << 20) -> Path:
-    """`target`, an indexed bag of every message of an MCAP file, in the order of its log."""
+    """Write `target`, an indexed bag of every message of an MCAP file, in the order of its log."""
     writer = Writer(target)
     writer.chunk_threshold = chunk_bytes
     if compression != "none":
@@ -42,7 +42,7 @@ def as_ros1(source: Path, target: Path, compression: Ros1Compression = "none", c
 
 
 def unclosed(bag: Path, target: Path) -> Path:
-    """A closed bag as it was before its recorder wrote the index."""
+    """Write a closed bag as it was before its recorder wrote the index."""
     content = bytearray(bag.read_bytes())
     at = content.index(b"index_pos=", 0, HEAD_BYTES) + len(b"index_pos=")
     index_at = int.from_bytes(content[at : at + 8], "little")
@@ -56,7 +56,7 @@ def unclosed(bag: Path, target: Path) -> Path:
 
 @cache
 def ros1_types() -> Typestore:
-    """Definitions of ROS 1: Noetic's, and those of ours that it does not have."""
+    """Return the definitions of ROS 1: Noetic's, and our types that it lacks."""
     store = get_typestore(Stores.EMPTY)
     store.register({**typestore().fielddefs, **get_typestore(Stores.ROS1_NOETIC).fielddefs})
     return store

@@ -1,4 +1,4 @@
-"""Rows that several tests lay down as the platform would have."""
+"""Rows that several tests create as the platform would."""
 
 from services.runtime.orm import Recording, RecordingFile, Upload
 
@@ -6,7 +6,7 @@ from services.runtime.orm import Recording, RecordingFile, Upload
 def recording_of(
     upload: Upload, sequence_id: str, state: str = "received", blob_sha256: str | None = None
 ) -> Recording:
-    """A recording of one file; `blob_sha256` once it is kept."""
+    """Return a recording of one file; set `blob_sha256` for a stored file."""
     file = RecordingFile(ordinal=0, upload_id=upload.id, filename=upload.filename, blob_sha256=blob_sha256)
     file.size_bytes, file.sha256 = upload.length_bytes, upload.sha256 or blob_sha256 or ""
     recording = Recording(sequence_id=sequence_id, filename=upload.filename, state=state, files=[file])

@@ -1,4 +1,4 @@
-"""A sequence brought to a platform as the routes do it, and its jobs run in this process until none is left."""
+"""A sequence created on a platform as the routes do it, and its jobs run in this process until none is left."""
 
 import hashlib
 import json
@@ -45,7 +45,7 @@ Wrap = Callable[[str, Handler], Handler]
 
 
 def simulated(folder: Path) -> Path:
-    """The recording all of these tests share; its calibration lies beside it."""
+    """Return the recording that all of these tests share; its calibration lies beside it."""
     bag = folder / "run.mcap"
     simulate(bag, SMALL)
     return bag
@@ -81,7 +81,7 @@ class Brought:
             return list(session.scalars(select(LabelSet).where(LabelSet.sequence_id == self.sequence_id)))
 
     def add(self, path: Path, filename: str = "") -> str:
-        """Upload a file, or every file of a folder, as a recording; the id of the job that reads it."""
+        """Upload a file, or every file of a folder, as a recording; return the id of the job that reads it."""
         files = sorted(path.iterdir()) if path.is_dir() else [path]
         received = NewRecording(
             tuple(
@@ -107,13 +107,13 @@ class Brought:
             session.get_one(SequenceRow, self.sequence_id).calibration_id = calibration.id
 
     def process(self, **request: Any) -> str:
-        """The id of the run."""
+        """Start a run and return its id."""
         with self.platform.database.transaction() as session:
             sequence = session.get_one(SequenceRow, self.sequence_id)
             return start_processing(session, sequence, ProcessRequest(**request)).id
 
     def files(self) -> dict[str, bytes]:
-        """Every artefact of the one label set, the packs taken apart to `<token>/labels.npz`."""
+        """Return every artefact of the one label set, with packs split into `<token>/labels.npz`."""
         with self.platform.database.reading() as session:
             rows = session.execute(select(Artefact, Blob).join(Blob, Blob.sha256 == Artefact.blob_sha256)).all()
             frames = session.scalars(select(LabelledFrameRow).order_by(LabelledFrameRow.ordinal)).all()
@@ -130,7 +130,7 @@ class Brought:
 
 
 def uploaded(platform: Platform, owner_id: str, path: Path, *, purpose: str = "recording", filename: str = "") -> str:
-    """The id of a complete upload of the file."""
+    """Upload the file completely and return the upload's id."""
     with path.open("rb") as file:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()
     with platform.database.transaction() as session:
@@ -146,7 +146,7 @@ def uploaded(platform: Platform, owner_id: str, path: Path, *, purpose: str = "r
 
 
 def bring(platform: Platform, name: str = NAME) -> Brought:
-    """An owner with an empty sequence."""
+    """Create an owner with an empty sequence."""
     with platform.database.transaction() as session:
         owner = User(name=f"engineer-{name}", role="curator")
         session.add(owner)
@@ -158,7 +158,7 @@ def bring(platform: Platform, name: str = NAME) -> Brought:
 
 
 def bring_ready(platform: Platform, bag: Path, name: str = NAME) -> Brought:
-    """A sequence with its calibration and its recording registered."""
+    """Create a sequence with its calibration and its registered recording."""
     brought = bring(platform, name)
     brought.calibrate(calibration_path(bag))
     brought.add(bag)
@@ -171,7 +171,7 @@ def unchanged(_kind: str, handler: Handler) -> Handler:
 
 
 def run_all(*platforms: Platform, wrap: Wrap = unchanged) -> int:
-    """Run both queues until they are empty, the platforms (machines) in turn; how many attempts there were."""
+    """Run both queues until they are empty, alternating between platforms (machines); return the number of attempts."""
     tables = [
         (platform, queue, {kind: wrap(kind, handler) for kind, handler in made(platform).items()})
         for platform in platforms
@@ -185,7 +185,7 @@ def run_all(*platforms: Platform, wrap: Wrap = unchanged) -> int:
 
 @dataclass
 class Said:
-    """An attempt at `job` that counts its words, and passes them on where there is somebody to hear them."""
+    """An attempt at `job` that counts its reports, and forwards them if there is a receiver."""
 
     job: Job
     words: list[int] = field(default_factory=list)
@@ -210,7 +210,7 @@ class Said:
     def progress(self, stage: str, done: int, total: int) -> None:
         self.words.append(done)
         if self.heard_by:
-            time.sleep(0.05)  # as long as a stage takes between two words
+            time.sleep(0.05)  # the time of a stage between two reports
             self.heard_by.progress(stage, done, total)
 
     def log(self, event: str, level: str = "info", **facts: Any) -> None:
@@ -219,7 +219,7 @@ class Said:
 
 
 class Listening(Said):
-    """An attempt whose word lasts until it has heard of the cancellation: the platform asks about twice a second."""
+    """An attempt whose report lasts until it detects the cancellation: the platform checks about twice a second."""
 
     def progress(self, stage: str, done: int, total: int) -> None:
         for _ in range(200):
@@ -228,7 +228,7 @@ class Listening(Said):
 
 @dataclass
 class Interrupted:
-    """An attempt whose second word, or else whose end, is an interruption."""
+    """An attempt that is interrupted at its second report, or else at its end."""
 
     attempt: Attempt
     words: int = 0
@@ -260,7 +260,7 @@ class Interrupted:
 
 
 class Interruptions:
-    """Every kind of job is interrupted once: at its second word, else when it is done; `publishing`, as it commits."""
+    """Interrupt every kind of job once: at its second report, or else at its end; `publishing`, during the commit."""
 
     def __init__(self, publishing: str) -> None:
         self.publishing = publishing
@@ -286,7 +286,7 @@ def _broken(outcome: Outcome, session: Session) -> None:
 
 
 def lost_once(*kinds: str, at_end: bool = True) -> Wrap:
-    """The first attempt at each job, of these kinds or any, is lost: in the middle, or done with nothing written."""
+    """Lose the first attempt at each job, of these kinds or any: in the middle, or at the end with nothing written."""
     seen: set[str] = set()
 
     def wrap(kind: str, handler: Handler) -> Handler:
@@ -303,7 +303,7 @@ def lost_once(*kinds: str, at_end: bool = True) -> Wrap:
 
 
 def followed_by(act: Callable[[Session], object], platform: Platform, *kinds: str) -> Wrap:
-    """When a handler, of these kinds or any, has done its work and before that is written, this happens."""
+    """Call `act` when a handler, of these kinds or any, has done its work and before its result is written."""
 
     def wrap(kind: str, handler: Handler) -> Handler:
         def run(attempt: Attempt) -> Outcome:
@@ -318,7 +318,7 @@ def followed_by(act: Callable[[Session], object], platform: Platform, *kinds: st
 
 
 def files_of_label(folder: Path) -> dict[str, bytes]:
-    """What `stone label` wrote, named as `Brought.files` names it and without what was measured."""
+    """Return the output of `stone label`, named as in `Brought.files` and without measurements."""
     told = [path for path in (*folder.iterdir(), *folder.glob("scene/*")) if path.is_file()]
     files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in told}
     record = json.loads(files["report.json"])
@@ -330,5 +330,5 @@ def files_of_label(folder: Path) -> dict[str, bytes]:
 
 
 def differing(ours: dict[str, bytes], theirs: dict[str, bytes]) -> list[str]:
-    """The names of files that are not in both, or differ."""
+    """Return the names of files that differ or exist in only one of them."""
     return sorted(name for name in ours.keys() | theirs.keys() if ours.get(name) != theirs.get(name))

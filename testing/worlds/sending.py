@@ -1,7 +1,7 @@
-"""A world on a platform of its own for the tests of a module, and submissions sent into it as a client's are.
+"""A world on a separate platform for a module's tests, and submissions sent into it as a client does.
 
-**Conventions.** Every submission has bytes of its own, unless a test says otherwise, so that none meets what another
-left. What is asked of the rows is asked anew each time.
+**Conventions.** Every submission has unique bytes, unless a test changes this, so it never meets another's leftovers.
+Rows are read again at every call.
 """
 
 import shutil
@@ -29,7 +29,7 @@ from testing.worlds.submission_files import write_submission
 
 @contextmanager
 def standing_world(folder: Path, template: Path, frames: int = 1, grid: LabelGrid = PAPER) -> Iterator[World]:
-    """A world of few frames at a grid, copied from one that was made once, upon the migrated `template`."""
+    """Yield a small world at a grid, copied from a template world, on the migrated `template`."""
     kept = _made_world(template, frames, grid)
     settings = make_settings(folder)
     shutil.copytree(kept.platform.settings.root, settings.root)
@@ -40,7 +40,7 @@ def standing_world(folder: Path, template: Path, frames: int = 1, grid: LabelGri
 
 @cache
 def _made_world(template: Path, frames: int, grid: LabelGrid) -> World:
-    """The world that is copied; nobody works in it."""
+    """Return the world that is copied; it must not change."""
     settings = make_settings(template.parent / f"world-of-{frames}-{grid.name}")
     settings.root.mkdir(parents=True)
     shutil.copyfile(template, settings.root / "stone.sqlite3")
@@ -51,19 +51,19 @@ def _made_world(template: Path, frames: int, grid: LabelGrid) -> World:
 
 
 def guess(world: World, part: str = "val", turn: int = 0) -> dict[str, Grid]:
-    """A prediction that is half right: the truth moved by some voxels, others for each `turn`."""
+    """Return a half-right prediction: the truth moved by some voxels, differently for each `turn`."""
     return {token: np.roll(grid, 1 + turn, axis=1) for token, grid in world.truth(part).items()}
 
 
 def zipped(world: World, frames: Mapping[str, Grid]) -> bytes:
-    """These frames as a submission."""
+    """Return these frames as a submission."""
     path = Path(world.platform.settings.root) / f"{new_id()}.zip"
     write_submission(path, frames.items(), world.grid)
     return path.read_bytes()
 
 
 def truth_folder(world: World, part: str, folder: Path) -> Path:
-    """The labels of a part as files, as `stone score` takes them."""
+    """Write the labels of a part as files, as `stone score` takes them."""
     for sequence, grids in world.grids[part].items():
         for token, grid in grids.items():
             path = folder / "gts" / sequence / token / "labels.npz"
@@ -73,7 +73,7 @@ def truth_folder(world: World, part: str, folder: Path) -> Path:
 
 
 def send(world: World, content: bytes, part: str = "val", **said: Any) -> str:
-    """The id of a submission whose file has come and whose run is queued; `said` may set kind and team (its number)."""
+    """Submit a file and queue its run; return the submission's id. Keywords may set kind and team (number)."""
     digest, team = sha256(content).hexdigest(), said.get("team", 0)
     captain = world.captains[team]
     what = (said.get("kind", "entry"), "a guess", "", "L")
@@ -100,27 +100,27 @@ def scores_of(platform: Platform, submission_id: str) -> list[Score]:
 
 
 def jobs_of(platform: Platform, submission_id: str) -> list[Job]:
-    """Those of its run, in their order."""
+    """Return the jobs of its run, in their order."""
     root_id = row_of(platform, submission_id).job_id
     with platform.database.reading() as session:
         return list(session.scalars(select(Job).where(Job.root_id == root_id, Job.queue != "").order_by(Job.id)))
 
 
 def taken(platform: Platform, submission_id: str) -> int:
-    """How many scorings it holds."""
+    """Return the number of scorings that it uses."""
     with platform.database.reading() as session:
         amounts = select(ScoringEntry.amount).where(ScoringEntry.submission_id == submission_id)
         return sum(session.scalars(amounts))
 
 
 def parts_left(platform: Platform) -> int:
-    """How many counted parts wait for a join, of all submissions."""
+    """Return the number of counted parts that wait for a join, of all submissions."""
     with platform.database.reading() as session:
         return len(session.scalars(select(ScorePart.start)).all())
 
 
 def counts_of(platform: Platform, score: Score) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-    """The kept confusions [F, 3, 4, 4] and drivable columns [F, 3, 3] of a score."""
+    """Return the stored confusions [F, 3, 4, 4] and drivable columns [F, 3, 3] of a score."""
     with platform.database.reading() as session:
         key = session.get_one(Blob, score.confusions_sha256).object_key
     with np.load(platform.store.local(key), allow_pickle=False) as arrays:
@@ -128,7 +128,7 @@ def counts_of(platform: Platform, score: Score) -> tuple[np.ndarray[Any, Any], n
 
 
 def pair_of(world: World, part: str) -> EvaluationVersion:
-    """The evaluation version in force."""
+    """Return the active evaluation version."""
     with world.platform.database.reading() as session:
         found = active(session, world.phase(part))
     assert found is not None
@@ -136,7 +136,7 @@ def pair_of(world: World, part: str) -> EvaluationVersion:
 
 
 def said_of(platform: Platform, submission_id: str) -> list[Any]:
-    """Everything that its jobs told anybody: results, failures, log lines."""
+    """Return all results, failures and log lines of its jobs."""
     jobs = jobs_of(platform, submission_id)
     with platform.database.reading() as session:
         lines = session.scalars(select(JobLine).where(JobLine.job_id.in_([job.id for job in jobs]))).all()

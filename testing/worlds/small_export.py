@@ -1,8 +1,8 @@
-"""A small export of the nuScenes layout, written by formula in a few milliseconds: no recording, no labelling.
+"""A small export of the nuScenes layout, written by formula in a few milliseconds, without recording or labelling.
 
 **Conventions.** The ground is flat, 0.1 m above the ego origin: traversable within 1 m of the map's x axis, potentially
-traversable elsewhere, with boxes on it. Labels are exact within 3.2 m of the robot, elsewhere nothing was observed.
-Sweeps are points of the same surfaces, so that earlier ones fall on what later ones hit.
+traversable elsewhere, with boxes on it. Labels are exact within 3.2 m of the robot; voxels farther away are unobserved.
+Sweeps are points of the same surfaces, so earlier sweeps fit later ones.
 """
 
 import json
@@ -37,7 +37,7 @@ Points = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SmallExport:
-    """What to write. `lens` is of all cameras: its model, and coefficients of distortion.
+    """The export to write. `lens` applies to all cameras: its model, and coefficients of distortion.
 
     Tokens are those of the sequence's name and stamps, unless they are `named`.
     """
@@ -61,7 +61,7 @@ class SmallExport:
 
 
 def global_from_ego(stamp_us: int) -> SE3:
-    """The robot drives a gentle curve at three metres a second, far from the origin."""
+    """Return a pose on a gentle curve at three metres per second, far from the origin."""
     steps = (stamp_us - START_US) / STEP_US
     half_rad = 0.01 * steps
     wxyz = np.array([np.cos(half_rad), 0.0, 0.0, np.sin(half_rad)])
@@ -69,7 +69,7 @@ def global_from_ego(stamp_us: int) -> SE3:
 
 
 def classes_of(points_ego: Points, pose: SE3, voxel_m: float = PAPER.voxel_m) -> NDArray[np.uint8]:
-    """The class (N,) of the voxel around each point of the ego frame."""
+    """Return the class (N,) of the voxel around each point of the ego frame."""
     x, y, z = (pose @ points_ego - (800, 600, 50)).T
     is_ground = np.abs(z - GROUND_M) < voxel_m / 2 - 1e-6
     classes = np.where(is_ground, np.where(np.abs(y) < 1, 1, 2), 0).astype(np.uint8)
@@ -80,7 +80,7 @@ def classes_of(points_ego: Points, pose: SE3, voxel_m: float = PAPER.voxel_m) ->
 
 
 def labels_of(pose: SE3, grid: LabelGrid = PAPER) -> bytes:
-    """`labels.npz` of a frame at this pose, as the layout of the grid has it."""
+    """Return `labels.npz` of a frame at this pose, as the layout of the grid has it."""
     semantics, seen = np.zeros(grid.shape, np.uint8), np.zeros(grid.shape, np.uint8)
     low, high = (round((side * SEEN_M - grid.min_m[0]) / grid.voxel_m) for side in (-1, 1))
     columns = np.arange(low, high)
@@ -94,7 +94,7 @@ def labels_of(pose: SE3, grid: LabelGrid = PAPER) -> bytes:
 
 
 def surface_points(pose: SE3, seed: int, count: int = 1200) -> Points:
-    """Points (N, 3) of ground and of boxes' tops near the robot, ego frame."""
+    """Return points (N, 3) of ground and of boxes' tops near the robot, ego frame."""
     random = np.random.default_rng(seed)
     spread = random.uniform(-REACH_M, REACH_M, (count, 2))
     ground = np.column_stack([spread, np.full(count, GROUND_M)])
@@ -106,7 +106,7 @@ def surface_points(pose: SE3, seed: int, count: int = 1200) -> Points:
 
 
 def write_small_export(folder: Path, export: SmallExport) -> Path:
-    """The folder, filled."""
+    """Write the export and return its folder."""
     tables: dict[str, list[dict[str, Any]]] = {name: [] for name in ("sample", "ego_pose", "sample_data")}
     tables["scene"] = [{"token": "scene", "name": export.sequence}]
     tables["sensor"] = [
@@ -129,14 +129,14 @@ def write_small_export(folder: Path, export: SmallExport) -> Path:
 
 
 def write_table(folder: Path, name: str, rows: Sequence[Mapping[str, Any]]) -> None:
-    """A row a line, as exports are."""
+    """Write a row per line, as exports do."""
     path = folder / TABLES / f"{name}.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("[\n" + ",\n".join(map(json.dumps, rows)) + "\n]\n")
 
 
 def picture_of(stamp_us: int, channel: str) -> bytes:
-    """A JPEG of slow waves, another for each camera and time."""
+    """Return a JPEG of slow waves, different for each camera and time."""
     width, height = PICTURE_PX
     v, u = np.mgrid[0:height, 0:width]
     phase = stamp_us / STEP_US + 0.7 * len(channel)
@@ -191,7 +191,7 @@ def _mounted(export: SmallExport, sensor: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _looking(place: int, of: int) -> list[float]:
-    """`ego_from_camera` as wxyz: level, the first ahead, the others around the robot."""
+    """Return `ego_from_camera` as wxyz: level, the first ahead, the others around the robot."""
     yaw = 2 * np.pi * place / of
     turn = SE3.from_parts(np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]), np.zeros(3))
     ahead = SE3.from_parts(np.array([0.5, -0.5, 0.5, -0.5]), np.zeros(3))

@@ -8,5 +8,5 @@ from stone_submissions.archive import Grid, frame_file, write_files
 
 
 def write_submission(path: Path, frames: Iterable[tuple[str, Grid]], label_grid: LabelGrid = PAPER) -> None:
-    """Frames (token, grid) as a submission; the same frames give the same bytes."""
+    """Write frames (token, grid) as a submission; the same frames give the same bytes."""
     write_files(path, ((token, frame_file(grid, label_grid)) for token, grid in frames))

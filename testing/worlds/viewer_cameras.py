@@ -1,7 +1,7 @@
-"""Six cameras of a viewed run: their pictures, lenses and places, and the playback that holds them.
+"""Six cameras of a viewed run: pictures, lenses and mounts, and their playback.
 
-**Conventions.** They look around from the robot, 60° apart; the first has a lens that bends, and each takes its picture
-after the frame, the later the farther it looks left, when the robot has driven and turned on (`shutter_pose`).
+**Conventions.** They point away from the robot, 60° apart; the first has a distorting lens. Each takes its picture
+after the frame, when the robot has driven and turned further (`shutter_pose`): the farther left, the later.
 """
 
 import io
@@ -32,19 +32,19 @@ CHANNELS = {
     "CAM_BACK_RIGHT": 240.0,
     "CAM_FRONT_RIGHT": 300.0,
 }
-"""Where each camera looks, degrees to the left of forward."""
+"""Camera directions, degrees to the left of forward."""
 BENT = CameraIntrinsics("plumb_bob", 640, 400, 320, 322, 318, 203, (-0.12, 0.01, 1e-3, -5e-4, 0.0))
 PINHOLE = CameraIntrinsics("pinhole", 640, 400, 320, 320, 319.5, 199.5)
-OPTICAL = SE3(np.array([0.5, -0.5, 0.5, -0.5, 0.0, 0.0, 0.0]))  # of a camera that looks along x: z forward, y down
+OPTICAL = SE3(np.array([0.5, -0.5, 0.5, -0.5, 0.0, 0.0, 0.0]))  # a camera along x: z forward, y down
 
 
 def lens_of(channel: str) -> CameraIntrinsics:
-    """The front camera bends, the others do not."""
+    """Return the lens of a camera; only the front camera's distorts."""
     return BENT if channel == "CAM_FRONT" else PINHOLE
 
 
 def shutter_pose(channel: str) -> SE3:
-    """`ego_from_camera`: a metre high on the robot, where that stands at the shutter, in the ego of the frame."""
+    """Return `ego_from_camera`: a metre above the robot's position at the shutter, in the ego frame of the frame."""
     degrees = CHANNELS[channel]
     yaw, late = np.radians(degrees), degrees / 360.0
     mounted = (
@@ -55,7 +55,7 @@ def shutter_pose(channel: str) -> SE3:
 
 
 def camera_files(tokens: list[str], without: tuple[str, int] | None = None) -> dict[str, bytes]:
-    """Pictures in a colour of each camera and frame, and `cameras.bin`; `without` that of this channel and frame."""
+    """Return pictures in a colour per camera and frame, and `cameras.bin`; `without` drops this channel and frame."""
     has_picture = np.ones((len(CHANNELS), len(tokens)), np.bool_)
     files = dict[str, bytes]()
     for place, channel in enumerate(CHANNELS):
@@ -85,7 +85,7 @@ def _picture(red: int, green: int) -> bytes:
 
 
 def played(platform: Platform, owner: Person, sequence_id: str, files: dict[str, bytes]) -> None:
-    """A playback of these files, of a sequence that is given a recording."""
+    """Create a playback of these files, for a sequence that gets a recording."""
     upload_id = made.upload(platform, owner)
     with platform.database.transaction() as session:
         session.add(recording_of(session.get_one(Upload, upload_id), sequence_id, "registered"))

@@ -1,8 +1,8 @@
-"""A labelled run for the viewer: rolling ground by formula, a robot that drives over it, and everything made of both.
+"""A labelled run for the viewer: rolling ground by formula, a robot that drives over it, and all derived files.
 
-**Conventions.** The ground is z = `height_m(x, y)`; a map voxel is one that the ground passes through, its features are
-those of the formula at its centre, its class follows from D² and the track as the labeler does it. Frames are cut out
-of the map as ego grids. `reach_m` bounds how far around each pose there are voxels, and so how many.
+**Conventions.** The ground is z = `height_m(x, y)`, and a map voxel exists if the ground passes through it. Its
+features are those of the formula at its centre; its class follows from D² and the track, as in the labeler. Frames are
+cut from the map as ego grids. `reach_m` limits the distance of voxels from each pose, and so their number.
 """
 
 import json
@@ -31,7 +31,7 @@ FRAME_NS = 100_000_000
 REFERENCE = Reference(np.array([0.1, 0.09, -9.6]), np.diag([0.16, 0.003, 0.4]), 900, False)
 LIMIT = threshold(0.05)
 BLOCK_M = (6.0, -3.4, 7.0, -2.2, 1.4)
-"""A box upon the ground, N all over: x and y from and to, and how high."""
+"""A box on the ground, N all over: x from and to, y from and to, height."""
 
 SENSORS = (
     PlacedSensor("LIDAR_TOP", "lidar", (0.1, 0.0, 1.1, 1.0, 0.0, 0.0, 0.0)),
@@ -41,7 +41,7 @@ SENSORS = (
 
 @dataclass(frozen=True)
 class Run:
-    """`frames` poses `step_m` apart; voxels within `reach_m` of the track. Of imported labels they have no features.
+    """`frames` poses `step_m` apart; voxels within `reach_m` of the track. Imported labels have no features.
 
     With `has_confidence` the map has one, least near the limit of D². The frames have the grid `grid`; voxels of the
     map have the side `voxel_m`.
@@ -57,7 +57,7 @@ class Run:
 
     @cached_property
     def poses(self) -> Floats:
-        """(F, 7): translation and quaternion wxyz; a gentle bend over the ground."""
+        """Return (F, 7): translation and quaternion wxyz; a gentle bend over the ground."""
         along = np.arange(self.frames) * self.step_m
         yaw = 0.03 * np.arange(self.frames)
         x, y = along, 0.05 * along**1.5
@@ -67,7 +67,7 @@ class Run:
 
     @cached_property
     def voxels(self) -> TileVoxels:
-        """All voxels of the map, by index."""
+        """Return all voxels of the map, by index."""
         indices = np.unique(np.concatenate([self._ground(), _block(self.voxel_m)]), axis=0)
         features = features_at((indices + 0.5) * self.voxel_m)
         squared = distance_squared(features, REFERENCE)
@@ -77,7 +77,7 @@ class Run:
 
     @cached_property
     def grids(self) -> list[Grid]:
-        """The label grid of each frame."""
+        """Return the label grid of each frame."""
         return [_cut(pose, self) for pose in self.poses]
 
     def _confidence(self, squared: Floats, classes: Grid) -> Grid:
@@ -106,7 +106,7 @@ def height_m(x: Floats, y: Floats) -> Floats:
 
 
 def features_at(points: Floats) -> Floats:
-    """(K, 3): elevation, slope, roughness of the formula at points (K, 3)."""
+    """Return (K, 3): elevation, slope, roughness of the formula at points (K, 3)."""
     x, y = points[:, 0], points[:, 1]
     step = 1e-4
     dx = (height_m(x + step, y) - height_m(x - step, y)) / (2 * step)
@@ -132,9 +132,9 @@ def _block(voxel_m: float) -> NDArray[np.int64]:
 
 
 def _cut(pose: Floats, run: Run) -> Grid:
-    """The grid around the pose: each of its voxels has the class of the map's voxel that holds its centre.
+    """Return the grid around the pose: each voxel has the class of the map voxel that contains its centre.
 
-    One of several voxels of the map has the highest class of those that hold the centres of its parts.
+    A voxel larger than the map's has the highest class of the map voxels that contain the centres of its parts.
     """
     voxels, grid = run.voxels, run.grid
     w, z = pose[3], pose[6]
@@ -147,14 +147,14 @@ def _cut(pose: Floats, run: Run) -> Grid:
     fine = np.indices([size * parts for size in grid.shape], np.int16)
     centres = (np.moveaxis(fine, 0, -1) + 0.5) * (grid.voxel_m / parts) + grid.min_m
     index = np.floor((centres @ turn.T + pose[:3]) / run.voxel_m).astype(np.int64) - low
-    index = np.clip(index, 0, np.array(held.shape) - 1)  # its border holds nothing
+    index = np.clip(index, 0, np.array(held.shape) - 1)  # its border is empty
     x, y, z = grid.shape
     classes = held[tuple(np.moveaxis(index, -1, 0))].reshape(x, parts, y, parts, z, parts)
     return np.ascontiguousarray(classes.max(axis=(1, 3, 5)))
 
 
 def observed_of(grid: Grid) -> Grid:
-    """What the frame's LiDAR saw: everything but a wedge to the left behind the robot."""
+    """Return the LiDAR's observed mask: everything but a wedge to the left behind the robot."""
     across, along, _ = grid.shape
     x, y = np.meshgrid(np.arange(across) - across // 2, np.arange(along) - along // 2, indexing="ij")
     seen = ~((y > 6) & (x < -4))
@@ -170,7 +170,7 @@ def viewed(
     has_cameras: bool = False,
     name: str = "rolling-meadow",
 ) -> dict[str, Any]:
-    """A sequence of the run with labels and a scene as the labeler leaves them: its id, name and tokens."""
+    """Create a sequence of the run with labels and a scene as the labeler does; return its id, name and tokens."""
     run = run or Run()
     with platform.database.transaction() as session:
         row = SequenceRow(owner_id=owner.user_id, name=name, environment="meadow", illumination="day")
@@ -191,7 +191,7 @@ def viewed(
 
 
 def scene_files(name: str, tokens: list[str], run: Run) -> dict[str, bytes]:
-    """`scene/…` as the labeler writes it: one tile and its surface."""
+    """Return `scene/…` as the labeler writes it: one tile and its surface."""
     voxels = run.voxels
     low, high = voxels.indices.min(axis=0) * run.voxel_m, (voxels.indices.max(axis=0) + 1) * run.voxel_m
     if run.is_imported:
@@ -209,7 +209,7 @@ def scene_files(name: str, tokens: list[str], run: Run) -> dict[str, bytes]:
         "meshes": [{"name": "0_0", "triangles": 2 * 40 * 40, "bytes": len(mesh)}],
     }
     record["has_confidence"] = run.has_confidence
-    if run.grid != PAPER:  # else as scenes of earlier releases, of maps that name no voxel
+    if run.grid != PAPER:  # otherwise like scenes of earlier releases, whose maps name no voxel
         record |= {"grid": {key: run.grid.as_record()[key] for key in record["grid"]}, "map_voxel_m": run.voxel_m}
     if run.is_imported:
         record |= {"reference": None, "profile": "imported"}
@@ -243,7 +243,7 @@ def _cloud(run: Run, number: int) -> bytes:
 
 
 def radar_of(number: int) -> tuple[Floats, Floats]:
-    """Points (N, 3) of the ego frame and their speeds over ground: a frame more has a point more, which is faster."""
+    """Return points (N, 3) of the ego frame and their speeds over ground; later frames have more, faster points."""
     count = 3 + number
     return np.column_stack([np.arange(count) + 2.0, np.full(count, 1.5), np.full(count, 0.8)]), np.arange(count) * -1.25
 
@@ -254,7 +254,7 @@ def _radar(number: int) -> bytes:
 
 @cache
 def _label_files(run: Run) -> list[bytes]:
-    """Of each frame; cut once for all tests of a process."""
+    """Return the label file of each frame, cached for all tests of a process."""
     return [_labels(grid) for grid in run.grids]
 
 
@@ -264,7 +264,7 @@ def _labels(grid: Grid) -> bytes:
 
 
 def _replace_scene(platform: Platform, label_set_id: str, files: dict[str, bytes]) -> None:
-    """Instead of what `made.labels` lays down."""
+    """Replace the scene files that `made.labels` creates."""
     with platform.database.transaction() as session:
         session.get_one(LabelSet, label_set_id)
         laid = select(Artefact).where(Artefact.label_set_id == label_set_id, Artefact.name.startswith("scene/"))

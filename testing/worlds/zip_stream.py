@@ -1,6 +1,6 @@
-"""A ZIP as large as one likes, written in one pass: what is held does not grow with its members.
+"""A ZIP of any size, written in one pass: memory does not grow with its members.
 
-**Conventions.** Contents that are one object are packed once. The directory waits in a file beside; a member has less
+**Conventions.** Contents that are one object are packed once. The directory waits in a second file; a member has less
 than 4 GiB, the ZIP may have more.
 
 Source: PKWARE APPNOTE 6.3.10 §4.3, §4.5.3.
@@ -33,7 +33,7 @@ MOST_KEPT = 4096
 
 
 class PackedMember(NamedTuple):
-    """The bytes of a member as they lie in the ZIP, and what its headers have of it."""
+    """The bytes of a member as stored in the ZIP, and its facts for the headers."""
 
     payload: bytes
     crc32: int
@@ -58,14 +58,14 @@ class ZipStream:
         self._packed = lru_cache(MOST_KEPT)(self._pack)
 
     def add(self, name: str, content: bytes) -> None:
-        """A member of bytes; many of the same bytes cost one packing."""
+        """Add a member of bytes; equal bytes are packed only once."""
         packed = self._packed(content)
         self._file.write(self._headers(name, packed.crc32, (len(packed.payload), packed.size_bytes)))
         self._file.write(packed.payload)
         self._at = self._file.tell()
 
     def add_pieces(self, name: str, pieces: Iterable[bytes]) -> None:
-        """A member of pieces, none of which is kept."""
+        """Add a member of pieces, without keeping them in memory."""
         begin, crc32, size_bytes, packer = self._at, 0, 0, self._packer()
         self._file.seek(begin + LOCAL.size + len(name))
         for piece in pieces:
@@ -93,7 +93,7 @@ class ZipStream:
         return zlib.compressobj(1, wbits=-15) if self._method == DEFLATED else None
 
     def _headers(self, name: str, crc32: int, sizes: tuple[int, int]) -> bytes:
-        """The local header of a member that begins here; its entry of the directory is written."""
+        """Write the entry of the directory and return the local header of a member that starts here."""
         named = name.encode("ascii")
         extra = struct.pack("<2HQ", 1, 8, self._at) if self._at >= FULL32 else b""
         shared = (WITH_64, 0, self._method, 0, DOS_1980_01_01, crc32, *sizes, len(named))

@@ -1,1 +1,1 @@
-"""Faults of recordings, as data: what may be wrong, made of a sound drive that is altered in one way each."""
+"""Faults of recordings, as data: each alters a sound drive in one way."""

@@ -1,4 +1,4 @@
-"""The faults, by name: a line each. What inspection and labelling make of them is in docs/research/faults.md."""
+"""The faults, by name: a line each. Their effects on inspection and labelling are in docs/research/faults.md."""
 
 from testing.worlds.faults import cloud_edits as clouds
 from testing.worlds.faults import edits

@@ -1,4 +1,4 @@
-"""Edits of clouds: what drivers, networks and disks make of a sweep.
+"""Edits of clouds, as caused by drivers, networks and disks.
 
 **Conventions.** As in `testing.worlds.faults.edits`.
 """
@@ -12,7 +12,7 @@ from testing.worlds.faults.fault import Edit
 
 
 def declared(**said: int) -> Edit:
-    """With other numbers in its head."""
+    """Replace numbers in its head."""
 
     def edit(message: Any) -> Any:
         for name, value in said.items():
@@ -29,7 +29,7 @@ def emptied_cloud(message: Any) -> Any:
 
 
 def with_points(value: float, share: float = 1.0) -> Edit:
-    """So many of its points have this coordinate thrice."""
+    """Set all three coordinates of a share of its points to this value."""
 
     def edit(message: Any) -> Any:
         points = points_of(message)
@@ -45,7 +45,7 @@ def without_z(message: Any) -> Any:
 
 
 def of_xyz_alone(message: Any) -> Any:
-    """Another layout: packed, of 12 bytes a point."""
+    """Use another layout: packed, 12 bytes per point."""
     points = points_of(message).copy()
     message.fields = message.fields[:3]
     message.point_step, message.height = 12, 1
@@ -55,7 +55,7 @@ def of_xyz_alone(message: Any) -> Any:
 
 
 def of_another_sensor(message: Any) -> Any:
-    """In a frame of its own, turned by a right angle and 3 m higher."""
+    """Move it to a frame of its own, turned by a right angle and 3 m higher."""
     message.header.frame_id = "lidar_rear"
     points = points_of(message)
     points[:] = points[:, [1, 0, 2]] * np.array([-1.0, 1.0, 1.0], np.float32) + np.array([0, 0, 3.0], np.float32)
@@ -69,7 +69,7 @@ def big_endian_cloud(message: Any) -> Any:
 
 
 def with_times(value: float) -> Edit:
-    """All its points at one time of another clock, where it has times."""
+    """Set all its point times, if it has any, to one time of another clock."""
 
     def edit(message: Any) -> Any:
         at = next((field.offset for field in message.fields if field.name in ("timestamp", "time", "t")), None)

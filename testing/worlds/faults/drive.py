@@ -1,7 +1,7 @@
 """The sound drives that faults are made of, and the altered drive that a fault makes of one.
 
-**Conventions.** A drive is one MCAP file with its calibration; `topics` are its topics by role, "pose" that of the pose
-source, of several cameras or radars the first.
+**Conventions.** A drive is one MCAP file with its calibration. `topics` are its topics by role; the role "pose" is that
+of the pose source. If there are several cameras or radars, the first counts.
 """
 
 from collections import Counter
@@ -24,7 +24,7 @@ from testing.worlds.faults.fault import RecordingFault, listed
 KITTI = Path("kitti0005_ros2_mcap") / "kitti0005_lidar_odom.mcap"
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "kitti0005.calibration.yaml"
 SECONDS = 5.0
-# Its stamps are the receiver's: a host that stamps late is a finding of its own.
+# Its stamps are the receiver's: a host that stamps late would be another finding.
 SIMULATED = SimulateOptions(
     seconds=SECONDS,
     seed=5,
@@ -40,7 +40,7 @@ SIMULATED = SimulateOptions(
 
 @dataclass(frozen=True)
 class SoundDrive:
-    """One recording, its calibration, and which topics it has: type by name, name by role."""
+    """A recording, its calibration, and its topics: type by name, name by role."""
 
     name: str
     bag: Path
@@ -49,20 +49,20 @@ class SoundDrive:
     topics: Mapping[str, str]
 
     def has(self, fault: RecordingFault) -> bool:
-        """Whether the fault can be made of it."""
+        """Return whether the drive can have the fault."""
         topic = self.topics.get(fault.role)
         if fault.role and topic is None:
             return False
         return not fault.needs_type or (topic is not None and self.types[topic] == fault.needs_type)
 
     def rig(self, fault: RecordingFault | None = None) -> Calibration:
-        """Its calibration, as it is read wrongly by the fault."""
+        """Return its calibration, altered by the fault."""
         rig = read_calibration(self.calibration)[0]
         return rig if fault is None or fault.misreading is None else fault.misreading(rig)
 
 
 def simulated_drive(folder: Path) -> SoundDrive:
-    """A few seconds of the paper's rig, from an earlier call where there is one."""
+    """Return a few seconds of the paper's rig, reusing an earlier call's files."""
     bag = folder / "simulated.mcap"
     if not bag.exists():
         simulate(bag, SIMULATED)
@@ -70,7 +70,7 @@ def simulated_drive(folder: Path) -> SoundDrive:
 
 
 def kitti_drive(field_data: Path, folder: Path) -> SoundDrive:
-    """The first seconds of a car's drive with its odometry."""
+    """Return the first seconds of a car's drive with its odometry."""
     bag = folder / "kitti.mcap"
     if not bag.exists():
         with open_bag(field_data / KITTI) as whole:
@@ -89,7 +89,7 @@ def _drive(name: str, bag: Path, calibration: Path) -> SoundDrive:
 
 
 def faulty(drive: SoundDrive, fault: RecordingFault, target: Path) -> Path:
-    """The drive's recording with the fault in it; the drive's own where the fault is in the calibration."""
+    """Write the drive's recording with the fault; return the drive's own if the calibration has the fault."""
     if fault.edit is None and fault.damage is None:
         return drive.bag
     made = _Alteration(drive, fault)
@@ -101,7 +101,7 @@ def faulty(drive: SoundDrive, fault: RecordingFault, target: Path) -> Path:
 
 
 class _Alteration:
-    """Counts the messages of the topic that the fault is of, and edits those that it picks."""
+    """Count the messages of the fault's topic and edit the selected messages."""
 
     def __init__(self, drive: SoundDrive, fault: RecordingFault) -> None:
         self._fault, self._topic, self._seen = fault, drive.topics.get(fault.role), Counter[str]()

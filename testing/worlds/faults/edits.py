@@ -1,7 +1,7 @@
-"""Edits of single messages, as rosbags reads them: of any stamped message, of poses, of clouds.
+"""Edits of single messages, as rosbags reads them: any stamped message, poses, or clouds.
 
 **Conventions.** Lengths are metres in the pose source's fixed frame, x east and y north; times are nanoseconds. An
-INSPVAX has a place on Earth and three angles where an Odometry has a position and a quaternion; edits know both.
+INSPVAX has a position on Earth and three angles instead of an Odometry's position and quaternion; edits support both.
 """
 
 from typing import Any
@@ -13,7 +13,7 @@ from stone_recordings.messages.types.cdr import NS_PER_S
 from stone_recordings.messages.types.registry import typestore
 from testing.worlds.faults.fault import Edit
 
-FAR_FUTURE_S = 2_000_000_000  # 2033: what 32 bits still hold
+FAR_FUTURE_S = 2_000_000_000  # 2033: fits into 32 bits
 METRES_A_DEGREE = 111_320.0
 WEEKS_AHEAD = 400
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -21,14 +21,14 @@ STORE = typestore()
 
 
 def serialised(message: Any) -> bytes:
-    """The CDR of a message; what is bytes already stays so."""
+    """Return the CDR of a message; bytes stay unchanged."""
     if isinstance(message, bytes):
         return message
     return bytes(STORE.serialize_cdr(message, message.__msgtype__))
 
 
 def missing(message: Any) -> None:
-    """Not recorded."""
+    """Drop the message."""
 
 
 def doubled(message: Any) -> list[Any]:
@@ -40,13 +40,13 @@ def emptied(message: Any) -> bytes:
 
 
 def garbage(message: Any) -> bytes:
-    """As many bytes as it had, of nothing."""
+    """Replace its bytes by as many meaningless bytes."""
     noise = np.random.default_rng(7).integers(0, 256, len(serialised(message)), np.uint8)
     return bytes(noise)
 
 
 def cut(share: float) -> Edit:
-    """The first part of its bytes."""
+    """Keep the first part of its bytes."""
     return lambda message: serialised(message)[: int(len(serialised(message)) * share)]
 
 
@@ -57,7 +57,7 @@ def big_endian(message: Any) -> bytes:
 
 
 def stamped(seconds: int) -> Edit:
-    """With another stamp."""
+    """Set another stamp."""
 
     def edit(message: Any) -> Any:
         message.header.stamp.sec, message.header.stamp.nanosec = seconds, 0
@@ -68,7 +68,7 @@ def stamped(seconds: int) -> Edit:
 
 
 def later(seconds: float) -> Edit:
-    """Stamped later by so much."""
+    """Move its stamp by `seconds`."""
 
     def edit(message: Any) -> Any:
         stamp = message.header.stamp
@@ -83,7 +83,7 @@ def later(seconds: float) -> Edit:
 
 
 def in_frame(frame_id: str, child: str | None = None) -> Edit:
-    """Under other names of frames."""
+    """Set other names of frames."""
 
     def edit(message: Any) -> Any:
         message.header.frame_id = frame_id
@@ -95,7 +95,7 @@ def in_frame(frame_id: str, child: str | None = None) -> Edit:
 
 
 def moved(east_m: float, north_m: float, up_m: float) -> Edit:
-    """A pose elsewhere."""
+    """Move a pose."""
 
     def edit(message: Any) -> Any:
         if message.__msgtype__ == ODOMETRY:
@@ -112,7 +112,7 @@ def moved(east_m: float, north_m: float, up_m: float) -> Edit:
 
 
 def placed(value: float) -> Edit:
-    """A pose whose three coordinates are this number."""
+    """Set a pose's three coordinates to this number."""
 
     def edit(message: Any) -> Any:
         if message.__msgtype__ == ODOMETRY:
@@ -126,7 +126,7 @@ def placed(value: float) -> Edit:
 
 
 def turned(xyzw: tuple[float, float, float, float]) -> Edit:
-    """With this quaternion; an INS has three angles, and as many of them are NaN as the quaternion has."""
+    """Set this quaternion; an INS has three angles, and as many of these become NaN as the quaternion has."""
 
     def edit(message: Any) -> Any:
         if message.__msgtype__ == ODOMETRY:
@@ -140,7 +140,7 @@ def turned(xyzw: tuple[float, float, float, float]) -> Edit:
 
 
 def stretched(factor: float) -> Edit:
-    """With a quaternion of another length."""
+    """Scale the quaternion."""
 
     def edit(message: Any) -> Any:
         turn = message.pose.pose.orientation
@@ -151,7 +151,7 @@ def stretched(factor: float) -> Edit:
 
 
 def of_nothing(message: Any) -> Any:
-    """All-zero odometry: a driver that publishes what was never set, or wheels that are not turned."""
+    """Return all-zero odometry: a driver that publishes unset values, or wheels that stand."""
     place, turn = message.pose.pose.position, message.pose.pose.orientation
     place.x = place.y = place.z = turn.x = turn.y = turn.z = 0.0
     turn.w = 1.0
@@ -159,21 +159,21 @@ def of_nothing(message: Any) -> Any:
 
 
 def standing(message: Any) -> Any:
-    """The same pose in every message."""
+    """Return the same pose for every message."""
     message.latitude, message.longitude, message.height = 49.0, 8.4, 110.0
     message.roll = message.pitch = message.azimuth = 0.0
     return message
 
 
 def _tell_gps_time(message: Any, seconds: int) -> None:
-    """Where a receiver's message has its own time, that is the one which counts; week 0 is none."""
+    """If a receiver's message has its own time, set that one: it counts; week 0 is none."""
     header = getattr(message, "nov_header", None)
     if header is not None:
         header.gps_week_number = header.gps_week_number + WEEKS_AHEAD if seconds else 0
 
 
 def points_of(message: Any) -> NDArray[np.float32]:
-    """x, y, z (N, 3) of a cloud, to be written to; they are its first three fields in every drive here."""
+    """Return writable x, y, z (N, 3) of a cloud, its first three fields in every drive here."""
     message.data = message.data.copy()
     count = message.width * message.height
     steps = (message.point_step, 4)

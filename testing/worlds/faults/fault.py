@@ -1,7 +1,7 @@
-"""What a fault is: the messages of one role that are altered, the mounts, or the file.
+"""A fault: the altered messages of one role, the mounts, or the file.
 
-**Conventions.** A role is that of `stone_recordings.topics.roles`, "pose" is whatever the poses come from. An edit gets
-a message as rosbags reads it and gives what is recorded in its place: a message, its bytes, several of these, or None.
+**Conventions.** A role is that of `stone_recordings.topics.roles`, "pose" is the role of the pose source. An edit
+receives a message as rosbags reads it and returns its replacement: a message, its bytes, several of these, or None.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,48 +18,48 @@ Pick = Callable[[int, int], bool]
 
 
 def every(index: int, count: int) -> bool:
-    """Every message."""
+    """Pick every message."""
     return True
 
 
 def one(index: int, count: int) -> bool:
-    """The one in the middle."""
+    """Pick the message in the middle."""
     return index == count // 2
 
 
 def tenth(index: int, count: int) -> bool:
-    """Every tenth."""
+    """Pick every tenth message."""
     return index % 10 == 5
 
 
 def other(index: int, count: int) -> bool:
-    """Every other one."""
+    """Pick every other message."""
     return index % 2 == 1
 
 
 def last_half(index: int, count: int) -> bool:
-    """All from the middle on."""
+    """Pick all messages from the middle on."""
     return index >= count // 2
 
 
 def middle_third(index: int, count: int) -> bool:
-    """A pause, where they are dropped."""
+    """Pick the middle third: a pause, if dropped."""
     return count // 3 <= index < 2 * count // 3
 
 
 def all_but_tenths(index: int, count: int) -> bool:
-    """What is dropped where every tenth is left."""
+    """Pick all but every tenth message."""
     return index % 10 != 0
 
 
 def all_but_one(index: int, count: int) -> bool:
-    """What is dropped where one is left."""
+    """Pick all but one message."""
     return not one(index, count)
 
 
 @dataclass(frozen=True)
 class RecordingFault:
-    """`edit` of the messages of `role` that `pick` takes; `misreading` of the calibration; `damage` to the file.
+    """`edit` for the messages of `role` that `pick` selects; `misreading` of the calibration; `damage` to the file.
 
     `needs_type` is a type that the topic must have for the fault to exist. `is_compressed`: written in zstd chunks.
     """
@@ -75,5 +75,5 @@ class RecordingFault:
 
 
 def listed(made: Any) -> Sequence[Any]:
-    """What is recorded in place of a message, as many as it is."""
+    """Return the messages recorded in place of one message."""
     return () if made is None else made if isinstance(made, list) else [made]

@@ -1,4 +1,4 @@
-"""Edits of transforms, IMU, cameras and radars, damage to files, and calibrations that are wrong.
+"""Edits of transforms, IMU, cameras and radars, damage to files, and wrong calibrations.
 
 **Conventions.** As in `testing.worlds.faults.edits`.
 """
@@ -20,7 +20,7 @@ CRC_OFFSET_BYTES = 33  # in a Chunk record: opcode u8, length, start, end and un
 
 
 def tf_cycle(message: Any) -> Any:
-    """Every transform the other way round too."""
+    """Add the inverse of every transform."""
     for transform in list(message.transforms):
         back = copy.deepcopy(transform)
         back.header.frame_id, back.child_frame_id = transform.child_frame_id, transform.header.frame_id
@@ -72,13 +72,13 @@ def detections_nan(message: Any) -> Any:
 
 
 def lowered(by_m: float) -> Misreading:
-    """The LiDAR is entered so much lower than it sits."""
+    """Enter the LiDAR lower than it is, by this length."""
     lower = SE3.from_parts(np.array([1.0, 0, 0, 0]), np.array([0.0, 0.0, -by_m]))
     return lambda rig: replace(rig, ego_from_lidar=lower @ rig.ego_from_lidar)
 
 
 def rolled(by_deg: float, axis: int = 0) -> Misreading:
-    """The LiDAR is entered turned about its own axis x (roll), y (pitch) or z (yaw)."""
+    """Enter the LiDAR turned about its own axis x (roll), y (pitch) or z (yaw)."""
     wxyz = np.zeros(4)
     wxyz[0], wxyz[1 + axis] = np.cos(np.deg2rad(by_deg) / 2), np.sin(np.deg2rad(by_deg) / 2)
     turn = SE3.from_parts(wxyz, np.zeros(3))
@@ -90,13 +90,13 @@ def _with_lidar(rig: Calibration, ego_from_lidar: SE3) -> Calibration:
 
 
 def bad_chunk(path: Path) -> None:
-    """One byte of the chunk in the middle is another."""
+    """Change one byte of the chunk in the middle."""
     chunk = _middle_chunk(path)
     _flip(path, chunk.chunk_start_offset + chunk.chunk_length // 2)
 
 
 def bad_checksum(path: Path) -> None:
-    """The checksum of the chunk in the middle is another; its data is sound, however it was compressed."""
+    """Change the checksum of the chunk in the middle; its data stay sound, for any compression."""
     _flip(path, _middle_chunk(path).chunk_start_offset + CRC_OFFSET_BYTES)
 
 
@@ -117,12 +117,12 @@ def _flip(path: Path, at: int) -> None:
 
 
 def cut_off(path: Path) -> None:
-    """The last third of the file was never written."""
+    """Remove the last third of the file."""
     with path.open("r+b") as file:
         file.truncate(path.stat().st_size * 2 // 3)
 
 
 def trailing_zeros(path: Path) -> None:
-    """A disk that filled whole blocks."""
+    """Append zeros, as a disk that fills whole blocks."""
     with path.open("ab") as file:
         file.write(bytes(4096))

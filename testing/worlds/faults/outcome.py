@@ -1,7 +1,7 @@
-"""What inspection says of a faulty drive, what labelling does with it, and how far its labels are from the sound ones.
+"""The results of inspecting and labelling a faulty drive, and the difference of its labels from the sound labels.
 
-**Conventions.** Everything goes the ways that `stone inspect` and `stone label` go. Labels are compared in the frames
-that both runs have, by stamp, in the frame of the robot: where a track was moved as a whole they are the same.
+**Conventions.** Everything follows the paths of `stone inspect` and `stone label`. Labels are compared in the frames
+common to both runs, by stamp, in the frame of the robot: moving a track as a whole changes nothing.
 """
 
 from collections import Counter
@@ -38,7 +38,7 @@ EVERY_FRAME = 5
 
 @dataclass(frozen=True, eq=False)
 class LabelledDrive:
-    """What labelling made: its report, and the classes of a few frames by stamp."""
+    """The labels: report, and the classes of a few frames by stamp."""
 
     report: LabelReport
     grids: Mapping[int, NDArray[np.uint8]]
@@ -46,11 +46,10 @@ class LabelledDrive:
 
 @dataclass(frozen=True)
 class FaultOutcome:
-    """`named` are the codes of what inspection finds, `errors` those of its errors; `refusal` is the code of label's,
-    "" if it labelled.
+    """`named` are the codes of inspection's findings, `errors` those of errors; `refusal` is labelling's code or "".
 
-    `excluded` counts the frames left out by reason, `beyond` the T voxels beyond the footprint of any pose; `p_share`
-    is P's of the occupied voxels and `agreement` the share of voxels that are classed as in the sound run.
+    `excluded` counts the frames left out by reason, `beyond` the T voxels beyond the footprint of any pose. `p_share`
+    is P's share of the occupied voxels, and `agreement` the share of voxels classed as in the sound run.
     """
 
     fault: str
@@ -72,16 +71,16 @@ class FaultOutcome:
 
 
 def sound(drive: SoundDrive, folder: Path) -> LabelledDrive:
-    """The drive's labels without a fault."""
+    """Return the drive's labels without a fault."""
     return labelled(drive.bag, drive.rig(), folder, SynchroniseOptions())
 
 
 def outcome(
     drive: SoundDrive, fault: RecordingFault, folder: Path, clean: Mapping[int, NDArray[np.uint8]]
 ) -> FaultOutcome:
-    """`clean` are the grids of the sound run, by stamp.
+    """Return the outcome of a fault; `clean` are the grids of the sound run, by stamp.
 
-    Raises whatever is no refusal: a crash without a code is no outcome.
+    Raises any error that is not a refusal: a crash without a code is no outcome.
     """
     bag, rig = faulty(drive, fault, folder / "run.mcap"), drive.rig(fault)
     try:
@@ -111,7 +110,7 @@ def outcome(
 
 
 def inspected(bag: Path, rig: Calibration) -> tuple[Finding, ...]:
-    """What is said before anything is labelled."""
+    """Return the findings before labelling."""
     with open_bag(bag) as opened:
         known = inspect_in(opened).findings
         return with_new(known, outlook(opened, rig, SynchroniseOptions()))
@@ -122,12 +121,12 @@ def codes(findings: tuple[Finding, ...]) -> tuple[str, ...]:
 
 
 def reach_m(rig: Calibration) -> float:
-    """How far from a pose the robot can have driven on a voxel."""
+    """Return the largest distance of a driven voxel from a pose."""
     return float(np.hypot(rig.footprint.length_m, rig.footprint.width_m) / 2 + BAND_M + SLACK_M)
 
 
 def driven_off_track_m(sequence: Sequence, grids: Mapping[int, NDArray[np.uint8]]) -> NDArray[np.float64]:
-    """How far every T voxel is from the nearest pose of the track."""
+    """Return the distance of every T voxel from the nearest pose of the track."""
     assert sequence.track is not None
     poses_m = sequence.track.map_from_ego.translation_m
     rows = {stamp_ns: row for row, stamp_ns in enumerate(sequence.frames.stamps_ns.tolist())}
@@ -140,7 +139,7 @@ def driven_off_track_m(sequence: Sequence, grids: Mapping[int, NDArray[np.uint8]
 
 
 def agreement(ours: Mapping[int, NDArray[np.uint8]], theirs: Mapping[int, NDArray[np.uint8]]) -> float:
-    """Of the voxels that either calls occupied, the share that both class alike; NaN without a frame in common."""
+    """Return the share classed alike among voxels occupied in either; NaN without a common frame."""
     alike = total = 0
     for stamp_ns in ours.keys() & theirs.keys():
         is_occupied = (ours[stamp_ns] > 0) | (theirs[stamp_ns] > 0)
@@ -160,7 +159,7 @@ def labelled(bag: Path, rig: Calibration, folder: Path, options: SynchroniseOpti
 
 
 def _is_picked(stamp_ns: int) -> bool:
-    """By the stamp, so that two runs pick the same frames."""
+    """Return whether a frame is selected, by its stamp, so that two runs select the same frames."""
     return round(stamp_ns / 1e8) % EVERY_FRAME == 0
 
 

@@ -1,1 +1,1 @@
-"""Short recordings as the drivers and packages of others write them, for tests of what people really bring."""
+"""Short recordings as other drivers and packages write them, for tests with realistic input."""

@@ -1,6 +1,6 @@
-"""A drive of four seconds over rolling ground, and its messages, of which a case exchanges what its report is about.
+"""A drive of four seconds over rolling ground, and its messages, which a test case replaces in part.
 
-**Conventions.** Times `t` are seconds after the drive's beginning. The map is east, north, up; the LiDAR is mounted
+**Conventions.** Times `t` are seconds after the drive's start. The map is east, north, up; the LiDAR is mounted
 `LIDAR_UP_M` above the robot's base and not turned. Messages are serialised by `rosbags`. The ground is analytic:
 rolling hills, two round steps of 1.2 and 1.5 m. The robot moves during a sweep, so points need their times.
 """
@@ -31,7 +31,7 @@ HESAI = np.dtype(
 
 
 def ground_m(x: Array, y: Array) -> Array:
-    """Return the height of the ground at places (N,) of the map, metres."""
+    """Return the height of the ground at points (N,) of the map, metres."""
     steps = 1.2 * (np.hypot(x - 9, y - 6) < 1.1) + 1.5 * (np.hypot(x - 3, y + 6) < 0.9)
     return np.asarray(0.35 * np.sin(0.35 * x) * np.cos(0.28 * y) + steps)
 
@@ -43,7 +43,7 @@ def pose(t: Array | float) -> tuple[Any, Any, Any, Any]:
 
 
 def yaw_rate_rad_s(t: float) -> float:
-    """Return how fast the robot turns to the left."""
+    """Return the yaw rate of the robot, positive to the left."""
     return float((pose(t + 0.01)[3] - pose(t)[3]) * 100)
 
 
@@ -61,14 +61,14 @@ def sweep(t: float) -> tuple[NDArray[np.float32], Array, NDArray[np.int64]]:
 
 @dataclass(frozen=True)
 class BareMessage:
-    """A message whose bytes are given, whatever they are."""
+    """A message with given bytes of any content."""
 
     __msgtype__: str
     content: bytes
 
 
 class FieldTopic(NamedTuple):
-    """A topic: its messages begin `lead_s` before the drive, end as long after it, and are `step_s` apart.
+    """A topic: its messages start `lead_s` before the drive, end as long after it, and are `step_s` apart.
 
     A message that is None was not recorded.
     """
@@ -81,7 +81,7 @@ class FieldTopic(NamedTuple):
 
 @dataclass(frozen=True)
 class FieldDrive:
-    """The messages of one drive of so many sweeps; `begin_s` is when its stamps begin.
+    """The messages of a drive with this number of sweeps; `begin_s` is the start of its stamps.
 
     `definitions` describe further types of messages.
     """
@@ -116,7 +116,7 @@ class FieldDrive:
         return points, after_s
 
     def cloud(self, t: float, points: Points, frame_id: str = "lidar", **other: Any) -> Any:
-        """Return a PointCloud2 of these records; `other` replaces what it declares of itself."""
+        """Return a PointCloud2 of these records; `other` replaces its declared fields."""
         record = points.dtype
         fields = [
             self.of("sensor_msgs/msg/PointField", name, offset, DATATYPES[kind.str[1:]], 1)
@@ -141,7 +141,7 @@ class FieldDrive:
         return self.of("geometry_msgs/msg/Pose", self.of("geometry_msgs/msg/Point", x, y, z), turn)
 
     def odometry(self, t: float, frame_id: str = "odom", child: str = "base_link") -> Any:
-        """Return the pose of the robot's base, which is right."""
+        """Return the exact pose of the robot's base."""
         still = self.of("geometry_msgs/msg/Twist", *[self.vector(0.0, 0.0, 0.0)] * 2)
         return self.of(
             "nav_msgs/msg/Odometry",
@@ -152,7 +152,7 @@ class FieldDrive:
         )
 
     def imu(self, t: float, frame_id: str = "base_link") -> Any:
-        """Return what an IMU at the robot's base measures, its orientation filled."""
+        """Return the measurement of an IMU at the robot's base, including its orientation."""
         turn, none = self.pose_message(t).orientation, np.zeros(9)
         spin, force = self.vector(0.0, 0.0, yaw_rate_rad_s(t)), self.vector(0.0, 0.0, 9.81)
         return self.of("sensor_msgs/msg/Imu", self.header(t, frame_id), turn, none, spin, none, force, none)
@@ -177,7 +177,7 @@ class FieldDrive:
     def write(self, folder: Path, *topics: FieldTopic, sensors: str = "{}") -> tuple[Path, Path]:
         """Write `run` and `run.yaml` into a folder: the recording and its calibration; return their paths.
 
-        `sensors` is the calibration's value of that key. The recorder's clock is the date, whatever the stamps are.
+        `sensors` is the calibration's value of that key. The recorder's clock is the date, for any stamps.
         """
         folder.mkdir(parents=True, exist_ok=True)
         run = folder / "run"

@@ -1,4 +1,4 @@
-"""What becomes of a recording that somebody brings: what `inspect` finds, and the labels that are made of it."""
+"""The results of a user's recording: the findings of `inspect`, and its labels."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +20,7 @@ from stone_recordings.bags.bag import open_bag
 
 @dataclass(frozen=True)
 class FieldOutcome:
-    """`findings` of inspection; `refusal` is the code of the one that ended labelling, "" where `labels` were made."""
+    """`findings` of inspection; `refusal` is the code that ended labelling, or "" if there are `labels`."""
 
     findings: tuple[Finding, ...]
     refusal: str
@@ -51,7 +51,7 @@ def outcome_of(run: Path, calibration: Path, labels: Path, options: SynchroniseO
 def labelled(
     run: Path, calibration: Path, labels: Path, options: SynchroniseOptions, findings: tuple[Finding, ...] = ()
 ) -> FieldOutcome:
-    """Label a recording; return what became of it."""
+    """Label a recording; return the outcome."""
 
     def made(opened: OpenedSequence) -> LabelReport:
         late = LabelOptions(late_inputs=opened.recording_inputs, late_findings=opened.late_findings)

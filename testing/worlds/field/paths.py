@@ -1,4 +1,4 @@
-"""Drives along any path between pillars and walls, whose sweeps show every motion, and sources that get poses wrong.
+"""Drives along any path between pillars and walls, whose sweeps show every motion, and sources with wrong poses.
 
 **Conventions.** As in `testing.worlds.field.drive`; a path returns x, y, z in metres and yaw in radians at times (N,).
 """
@@ -21,30 +21,30 @@ PILLARS = PILLARS[(np.abs(PILLARS[:, 1]) > 3.5)]
 
 
 def level(x: Array, y: Array, yaw: Array) -> tuple[Any, Any, Any, Any]:
-    """Return places on the ground."""
+    """Return positions on the ground."""
     return x, y, field_drive.ground_m(x, y), yaw
 
 
 def straight(t: Any) -> tuple[Any, Any, Any, Any]:
-    """A straight way along x."""
+    """Return a straight path along x."""
     t = np.asarray(t, np.float64)
     return level(1.5 * t, 0 * t, 0 * t)
 
 
 def reversing(t: Any) -> tuple[Any, Any, Any, Any]:
-    """The drive's own way, backwards: the robot faces away from where it goes."""
+    """Return the drive's own path backwards: the robot faces away from its motion."""
     x, y, z, yaw = field_drive.pose(t)
     return x, y, z, yaw + np.pi
 
 
 def crabbing(t: Any) -> tuple[Any, Any, Any, Any]:
-    """The drive's own way by a robot that always faces along x."""
+    """Return the drive's own path for a robot that always faces along x."""
     x, y, z, yaw = field_drive.pose(t)
     return x, y, z, 0 * yaw
 
 
 def standing(t: Any) -> tuple[Any, Any, Any, Any]:
-    """A robot that stands, its receiver's noise being a millimetre."""
+    """Return the poses of a standing robot with a receiver noise of one millimetre."""
     t = np.asarray(t, np.float64)
     return level(1e-3 * np.sin(9 * t), 1e-3 * np.cos(7 * t), 0.3 + 0 * t)
 
@@ -86,7 +86,7 @@ class PathDrive(FieldDrive):
 
 
 def walls_m(x: Array, y: Array, azimuth: Array) -> NDArray[np.float64]:
-    """Return how far a pillar or a wall is from places (N,) of the map in directions (N,)."""
+    """Return the distance of a pillar or a wall from points (N,) of the map in directions (N,)."""
     east, north = np.cos(azimuth) + 1e-9, np.sin(azimuth) + 1e-9  # no direction is along a wall
     to_x = np.where(east > 0, WALLS_M[1] - x, WALLS_M[0] - x) / east
     to_y = np.where(north > 0, WALLS_M[3] - y, WALLS_M[2] - y) / north

@@ -1,4 +1,4 @@
-"""The sweeps of a field drive as other messages of points: Livox's own, and clouds that were compressed."""
+"""The sweeps of a field drive as other messages of points: Livox's own, and compressed clouds."""
 
 import gzip
 import zlib
@@ -68,5 +68,5 @@ def compressed_message(drive: FieldDrive, t: float, packer: str, most_points: in
 
 
 def topic(name: str, message: Callable[[float], Any]) -> FieldTopic:
-    """A topic of sweeps."""
+    """Return a topic of sweeps."""
     return FieldTopic(name, SWEEP_S, 0.0, message)
