@@ -204,7 +204,7 @@ def labelled(
         session.add(row)
         session.flush()
         facts = {"id": row.id, "name": row.name, "owner_id": owner.user_id}
-    made.labels(platform, facts, seed=row.id.encode(), contents=[labels_npz(one) for one in grids], grid=grid)
+    made.labels(platform, facts, seed=row.id.encode(), contents=[labels_npz(labels) for labels in grids], grid=grid)
     return row.id
 
 
@@ -212,8 +212,8 @@ def benchmark_over(platform: Platform, administrator: Person, dataset: str) -> t
     """Create a benchmark with phases over val (open) and test (hidden) of a version; return its name and phases."""
     with platform.database.transaction() as session:
         version = session.scalars(select(Dataset).where(Dataset.name == dataset)).one()
-        asked = NewBenchmark(f"stone-{new_id()[-6:]}", "STONE", "Traversability of voxels", administrator.user_id)
-        benchmark: Benchmark = create_benchmark(session, asked)
+        new = NewBenchmark(f"stone-{new_id()[-6:]}", "STONE", "Traversability of voxels", administrator.user_id)
+        benchmark: Benchmark = create_benchmark(session, new)
         val = create_phase(session, benchmark, version, NewPhase("val", part="val", is_hidden=False))
         test = create_phase(session, benchmark, version, NewPhase("test", part="test", is_hidden=True))
         for phase in (val, test):

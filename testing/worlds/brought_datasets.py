@@ -69,19 +69,19 @@ def an_owner(platform: Platform, role: str = "curator") -> str:
         return owner.id
 
 
-def bring_dataset(platform: Platform, tar: Path, owner_id: str, **asked: Any) -> BroughtDataset:
+def bring_dataset(platform: Platform, tar: Path, owner_id: str, **options: Any) -> BroughtDataset:
     """Start the import of a tar; keyword arguments as in `NewImport`."""
     upload_id = uploaded(platform, owner_id, tar, purpose="dataset")
     with platform.database.transaction() as session:
         owner = session.get_one(User, owner_id)
-        imported, _ = start_import(session, owner, NewImport(upload_id=upload_id, **asked))
+        imported, _ = start_import(session, owner, NewImport(upload_id=upload_id, **options))
         return BroughtDataset(platform, owner_id, imported.id)
 
 
-def place_dataset(platform: Platform, place: RecordingPlace, owner_id: str, **asked: Any) -> BroughtDataset:
+def place_dataset(platform: Platform, place: RecordingPlace, owner_id: str, **options: Any) -> BroughtDataset:
     """Start the import of an archive in place; keyword arguments as in `NewImport`."""
     with platform.database.transaction() as session:
-        owner, new = session.get_one(User, owner_id), NewImport(archive_place=place, **asked)
+        owner, new = session.get_one(User, owner_id), NewImport(archive_place=place, **options)
         imported, _ = start_import(session, owner, new, platform.settings.in_place)
         return BroughtDataset(platform, owner_id, imported.id)
 
@@ -96,11 +96,11 @@ def files_of(platform: Platform, owner_id: str) -> dict[str, bytes]:
             .join(Blob, Blob.sha256 == Artefact.blob_sha256)
             .where(SequenceRow.owner_id == owner_id)
         )
-        found = session.execute(named).all()
+        rows = session.execute(named).all()
         frames = session.scalars(select(LabelledFrameRow).order_by(LabelledFrameRow.ordinal)).all()
-    content = {artefact.id: b"".join(platform.store.read(key)) for _, artefact, key in found}
-    of = {artefact.id: name for name, artefact, _ in found}
-    files = {f"{name}/{one.name}": content[one.id] for name, one, _ in found if not one.name.startswith("labels/")}
+    content = {artefact.id: b"".join(platform.store.read(key)) for _, artefact, key in rows}
+    of = {artefact.id: name for name, artefact, _ in rows}
+    files = {f"{name}/{it.name}": content[it.id] for name, it, _ in rows if not it.name.startswith("labels/")}
     for frame in frames:
         if frame.pack_id in content:
             payload = content[frame.pack_id][frame.offset_bytes :][: frame.length_bytes]

@@ -66,7 +66,7 @@ def trial(world: CorrelatedWorld, random: np.random.Generator, entries: int = 2)
         for entry in range(entries):
             quality = expit(ground + own[entry, sequence] + OWN_WANDER * _wander(world, random, frames))
             counts[entry].append(_confusions(np.rint(size), quality))
-    truths = tuple(true_miou(world.frames_of_sequence, places + one) for one in own)
+    truths = tuple(true_miou(world.frames_of_sequence, places + own_places) for own_places in own)
     return CorrelatedTrial(tuple(np.concatenate(of_entry) for of_entry in counts), truths)
 
 
@@ -91,13 +91,13 @@ def _confusions(size: Floats, share: Floats) -> NDArray[np.int64]:
     """Return (F, 4, 4) from voxels and shares (3, F)."""
     hits = np.rint(size * share)
     wrong = np.floor((size - hits) / 2)
-    found = np.zeros((size.shape[1], 4, 4), np.int64)
+    counts = np.zeros((size.shape[1], 4, 4), np.int64)
     for of_class in range(3):
-        row = found[:, 1 + of_class]
+        row = counts[:, 1 + of_class]
         row[:, 1 + of_class] = hits[of_class]
         row[:, 1 + (of_class + 1) % 3] = wrong[of_class]
         row[:, 0] = size[of_class] - hits[of_class] - wrong[of_class]
-    return found
+    return counts
 
 
 def _wander(world: CorrelatedWorld, random: np.random.Generator, frames: int) -> Floats:

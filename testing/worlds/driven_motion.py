@@ -37,10 +37,10 @@ def standing_track() -> Trajectory:
 
 
 def motion_of(track: Trajectory) -> SensorMotion:
-    found = sensor_motion(track, EGO_FROM_SENSOR, GAP_NS)
-    if found is None:
+    motion = sensor_motion(track, EGO_FROM_SENSOR, GAP_NS)
+    if motion is None:
         raise ValueError("a track of 20 s has rates")
-    return found
+    return motion
 
 
 def turns_seen(motion: SensorMotion, told: SensorMotion, late_s: float, seed: int, noise: float = 0.3) -> TurnEvidence:

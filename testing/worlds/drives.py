@@ -69,10 +69,10 @@ def labels_of_two_parts(factory: pytest.TempPathFactory) -> dict[str, bytes]:
     bag = drive(factory, TWO_PARTS)
 
     def make(folder: Path) -> None:
-        with opened_sequence(bag, calibration_path(bag), NAME, SynchroniseOptions()) as found:
-            late = (found.recording_inputs, found.late_findings)
+        with opened_sequence(bag, calibration_path(bag), NAME, SynchroniseOptions()) as opened:
+            late = (opened.recording_inputs, opened.late_findings)
             options = LabelOptions(parameters_for(DEFAULT_PROFILE), 2, {}, *late)
-            label(found.sequence, found.sweeps, folder / "labels", options)
+            label(opened.sequence, opened.sweeps, folder / "labels", options)
 
     return files_of_label(made_once(factory, "labels-of-two-parts", make) / "labels")
 

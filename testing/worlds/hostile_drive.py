@@ -151,7 +151,7 @@ def edits_in(content: bytes) -> Iterator[Edit]:
 def edit_bytes(*edits: Edit) -> bytes:
     """Return the bytes of these edits; counts must be powers of two up to 2^15, steps odd and below 32."""
     names = sorted(sound_drive())
-    return b"".join(EDIT.pack(names.index(one.array), one.first, *_spanned(one), ANY, _raw(one)) for one in edits)
+    return b"".join(EDIT.pack(names.index(edit.array), edit.first, *_spanned(edit), ANY, _raw(edit)) for edit in edits)
 
 
 def attacked(*edits: Edit) -> Arrays:
@@ -242,9 +242,9 @@ def _odometry(arrays: Arrays) -> Iterator[tuple[int, Any]]:
     zeros, vector = np.zeros(36), types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
     twist = types["geometry_msgs/msg/TwistWithCovariance"](types["geometry_msgs/msg/Twist"](vector, vector), zeros)
     for row, log_ns in enumerate(arrays["pose_log_ns"].tolist()):
-        place = types["geometry_msgs/msg/Point"](*arrays["positions_m"][row].tolist())
+        position = types["geometry_msgs/msg/Point"](*arrays["positions_m"][row].tolist())
         turn = types["geometry_msgs/msg/Quaternion"](*arrays["turns_xyzw"][row].tolist())
-        pose = types["geometry_msgs/msg/PoseWithCovariance"](types["geometry_msgs/msg/Pose"](place, turn), zeros)
+        pose = types["geometry_msgs/msg/PoseWithCovariance"](types["geometry_msgs/msg/Pose"](position, turn), zeros)
         yield log_ns, types[ODOMETRY](_header(arrays, "pose", row, "odom"), "base_link", pose, twist)
 
 

@@ -19,10 +19,10 @@ def dataset(platform: Platform, user_id: str, parts: Mapping[str, list[str]], na
     with platform.database.reading() as session:
         revision, labelled = current_splits(session).revision, labelled_sequences(session)
     members: dict[str, tuple[CatalogueSequence, ...]] = {
-        part: tuple(one for one in labelled if one.entry.id in parts.get(part, ())) for part in PARTS
+        part: tuple(sequence for sequence in labelled if sequence.entry.id in parts.get(part, ())) for part in PARTS
     }
-    asked = NewDataset(name or f"v-{new_id()[-8:]}", "CC0", user_id)
-    prepared = assembled(platform, asked, folder, (revision, members))
+    new = NewDataset(name or f"v-{new_id()[-8:]}", "CC0", user_id)
+    prepared = assembled(platform, new, folder, (revision, members))
     with platform.database.transaction() as session:
         return write_dataset(session, prepared).name
 

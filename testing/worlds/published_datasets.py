@@ -162,9 +162,10 @@ def tables_of(what: SyntheticDataset) -> Mapping[str, Iterator[Row]]:
     """Return the rows of every required table, computed lazily."""
     return {
         "sensor": (
-            {"token": _of("sensor", one), "channel": one, "modality": kind} for one, kind in what.sensors.items()
+            {"token": _of("sensor", channel), "channel": channel, "modality": kind}
+            for channel, kind in what.sensors.items()
         ),
-        "calibrated_sensor": (_mount(what, name, one) for name in what.names for one in what.sensors),
+        "calibrated_sensor": (_mount(what, name, channel) for name in what.names for channel in what.sensors),
         "log": (
             {"token": _of("log", name), "logfile": LOGFILE, "vehicle": "rover", "location": what.location(scene)}
             for scene, name in enumerate(what.names)

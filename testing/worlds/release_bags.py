@@ -92,7 +92,7 @@ def _calibration(options: SimulateOptions, facts: ReleasedBag) -> Calibration:
     """Return the rig with its ego origin above the ground, without radars, as in the export."""
     made = rig.calibration(options.camera_width_px)
     lidar = SE3.from_parts(made.ego_from_lidar.wxyz, np.array([0.0, 0.0, facts.lidar_height_m]))
-    mounts = tuple(one for one in made.mounts if one.kind == "camera")
+    mounts = tuple(mount for mount in made.mounts if mount.kind == "camera")
     boxes = tuple(replace(box, **_lowered(box, facts.ego_height_m)) for box in made.self_boxes_ego)
     return replace(made, ego_from_lidar=lidar, mounts=mounts, self_boxes_ego=boxes)
 
@@ -131,8 +131,8 @@ class _Recorded:
     def messages(self, topic: str) -> Iterator[tuple[int, bytes]]:
         """Yield header stamp and payload of each message, in the order of stamps."""
         with self._path.open("rb") as stream:
-            found = make_reader(stream).iter_messages(topics=[topic])
-            yield from sorted((_stamp_ns(message.data), message.data) for _, _, message in found)
+            messages = make_reader(stream).iter_messages(topics=[topic])
+            yield from sorted((_stamp_ns(message.data), message.data) for _, _, message in messages)
 
 
 def _stamp_ns(payload: bytes) -> int:
@@ -181,16 +181,16 @@ def _radar_clouds(recorded: _Recorded, channel: str, frame_id: str, of: list[tup
 
 
 def _points(detections: Any) -> Any:
-    found = detections.list_detections[: detections.list_numofdetections]
-    points = np.zeros(len(found), DETECTIONS)
-    for number, one in enumerate(found):
-        flat_m = one.f_range * np.cos(one.f_elevationangle)
+    listed = detections.list_detections[: detections.list_numofdetections]
+    points = np.zeros(len(listed), DETECTIONS)
+    for number, detection in enumerate(listed):
+        flat_m = detection.f_range * np.cos(detection.f_elevationangle)
         x, y, z = (
-            flat_m * np.cos(one.f_azimuthangle),
-            flat_m * np.sin(one.f_azimuthangle),
-            one.f_range * np.sin(one.f_elevationangle),
+            flat_m * np.cos(detection.f_azimuthangle),
+            flat_m * np.sin(detection.f_azimuthangle),
+            detection.f_range * np.sin(detection.f_elevationangle),
         )
-        points[number] = (x, y, z, one.f_rangerate, one.s_rcs)
+        points[number] = (x, y, z, detection.f_rangerate, detection.s_rcs)
     return points
 
 
@@ -200,11 +200,11 @@ def _poses(options: SimulateOptions, stamps_ns: list[int], facts: ReleasedBag) -
     for number, stamp_ns in enumerate(stamps_ns):
         vector = _made("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
         twist = _made("geometry_msgs/msg/Twist", linear=vector, angular=vector)
-        place = dict(zip("xyz", poses.translation_m[number].tolist(), strict=True))
+        position = dict(zip("xyz", poses.translation_m[number].tolist(), strict=True))
         turn = dict(zip("wxyz", poses.wxyz[number].tolist(), strict=True))
         pose = _made(
             "geometry_msgs/msg/Pose",
-            position=_made("geometry_msgs/msg/Point", **place),
+            position=_made("geometry_msgs/msg/Point", **position),
             orientation=_made("geometry_msgs/msg/Quaternion", **turn),
         )
         odometry = _made(
@@ -236,19 +236,19 @@ def _raw(payload: bytes) -> bytes:
 
 
 def _static(facts: ReleasedBag, stamp_ns: int) -> bytes:
-    yaws_deg = {facts.lidar_frame: facts.lidar_yaw_deg} | {one.frame_id: one.yaw_deg for one in facts.radars}
+    yaws_deg = {facts.lidar_frame: facts.lidar_yaw_deg} | {radar.frame_id: radar.yaw_deg for radar in facts.radars}
     transforms = []
     for frame, yaw_deg in yaws_deg.items():
         half = np.deg2rad(yaw_deg) / 2
         x, y, z = facts.mounts_m.get(frame, (0.0, 0.0, 0.0))
         turn = _made("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=float(np.sin(half)), w=float(np.cos(half)))
-        place = _made("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+        translation = _made("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
         transforms.append(
             _made(
                 "geometry_msgs/msg/TransformStamped",
                 header=_header(stamp_ns, facts.base_frame),
                 child_frame_id=frame,
-                transform=_made("geometry_msgs/msg/Transform", translation=place, rotation=turn),
+                transform=_made("geometry_msgs/msg/Transform", translation=translation, rotation=turn),
             )
         )
     return _bytes(_made(TRANSFORMS, transforms=transforms), TRANSFORMS)

@@ -196,7 +196,7 @@ def box_centres(pose: SE3) -> Points:
 
 
 def box_points(centres: Points, around: NDArray[np.float64], up: NDArray[np.float64]) -> Points:
-    """Return global points (N, 3) of the sides of boxes; `around` (N,) in [0, 4), `up` (N,) is the share of the height."""
+    """Return global points (N, 3) of the sides of boxes: `around` (N,) in [0, 4), height share `up` (N,)."""
     side, along = around.astype(int), (around % 1 * 2 - 1) * BOX_HALF_M
     x = np.choose(side, [along, np.full_like(along, BOX_HALF_M), -along, np.full_like(along, -BOX_HALF_M)])
     y = np.choose(side, [np.full_like(along, -BOX_HALF_M), along, np.full_like(along, BOX_HALF_M), -along])
@@ -227,12 +227,14 @@ def labels_of(pose: SE3, grid: LabelGrid, layout: DatasetLayout, reach_m: float)
     """Return labels.npz at a pose, which is turned about z alone, with the keys and values of the layout."""
     classes = np.zeros(grid.shape, np.uint8)
     x, y = (grid.min_m[at] + np.arange(0.01, grid.shape[at] * grid.voxel_m, grid.voxel_m / 5) for at in (0, 1))
-    ego = np.stack([*(one.reshape(-1) for one in np.meshgrid(x, y, indexing="ij")), np.zeros(len(x) * len(y))], axis=1)
+    ego = np.stack(
+        [*(axis.reshape(-1) for axis in np.meshgrid(x, y, indexing="ij")), np.zeros(len(x) * len(y))], axis=1
+    )
     placed = pose @ ego
     ego[:, 2] = ground_m(placed[:, 0], placed[:, 1])
     _mark(classes, grid, ego, np.where(np.abs(ego[:, 1]) < 2, 1, 2).astype(np.uint8))
     centres = box_centres(pose)
-    around, up = (one.reshape(-1) for one in np.meshgrid(np.arange(0, 4, 0.03), np.arange(0, 1, 0.02), indexing="ij"))
+    around, up = (axis.reshape(-1) for axis in np.meshgrid(np.arange(0, 4, 0.03), np.arange(0, 1, 0.02), indexing="ij"))
     for centre in centres:
         sides = pose.inverse() @ box_points(np.broadcast_to(centre, (len(around), 2)), around, up)
         _mark(classes, grid, sides, np.full(len(sides), 3, np.uint8))

@@ -61,7 +61,7 @@ class MadePair:
         mounts[:turned_scenes] = [self.ego_from_lidar @ HALF_TURN] * turned_scenes
         changed = self._changed(late_us, iter(mounts))
         what = ReleasedDataset(SCENES, len(self.labels) // SCENES, cameras=(), changed=changed)
-        names = [(one, token) for at, one in enumerate(what.tables.names) for token in what.tables.tokens(at)]
+        names = [(name, token) for at, name in enumerate(what.tables.names) for token in what.tables.tokens(at)]
         with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
             for table, rows in released_tables(what).items():
                 content = json.dumps([changed(table, row) for row in rows])

@@ -32,9 +32,14 @@ def as_ros1(source: Path, target: Path, compression: Ros1Compression = "none", c
         for schema, channel, message in make_reader(stream).iter_messages():
             assert schema is not None
             if channel.id not in connections:
-                told = ros1_types().generate_msgdef(schema.name, ros_version=1)
+                definition = ros1_types().generate_msgdef(schema.name, ros_version=1)
                 connections[channel.id] = writer.add_connection(
-                    channel.topic, schema.name, msgdef=told[0], md5sum=told[1], callerid="/recorder", latching=0
+                    channel.topic,
+                    schema.name,
+                    msgdef=definition[0],
+                    md5sum=definition[1],
+                    callerid="/recorder",
+                    latching=0,
                 )
             data = typestore().cdr_to_ros1(message.data, schema.name)
             writer.write(connections[channel.id], message.log_time, data)

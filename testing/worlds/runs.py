@@ -319,8 +319,8 @@ def followed_by(act: Callable[[Session], object], platform: Platform, *kinds: st
 
 def files_of_label(folder: Path) -> dict[str, bytes]:
     """Return the output of `stone label`, named as in `Brought.files` and without measurements."""
-    told = [path for path in (*folder.iterdir(), *folder.glob("scene/*")) if path.is_file()]
-    files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in told}
+    paths = [path for path in (*folder.iterdir(), *folder.glob("scene/*")) if path.is_file()]
+    files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
     record = json.loads(files["report.json"])
     for name in ("stages_busy_s", "cpu_s", "peak_bytes"):
         del record[name]

@@ -130,9 +130,9 @@ def counts_of(platform: Platform, score: Score) -> tuple[np.ndarray[Any, Any], n
 def pair_of(world: World, part: str) -> EvaluationVersion:
     """Return the active evaluation version."""
     with world.platform.database.reading() as session:
-        found = active(session, world.phase(part))
-    assert found is not None
-    return found
+        version = active(session, world.phase(part))
+    assert version is not None
+    return version
 
 
 def said_of(platform: Platform, submission_id: str) -> list[Any]:

@@ -153,8 +153,8 @@ def _add_datum(folder: Path, tables: Mapping[str, list[dict[str, Any]]], what: t
     (folder / name).parent.mkdir(parents=True, exist_ok=True)
     (folder / name).write_bytes(_content(stamp_us, channel))
     pose, pose_token = global_from_ego(stamp_us), f"pose-{channel}-{stamp_us}"
-    said = {"rotation": pose.wxyz.tolist(), "translation": pose.translation_m.tolist()}
-    tables["ego_pose"].append({"token": pose_token, "timestamp": stamp_us, **said})
+    pose_fields = {"rotation": pose.wxyz.tolist(), "translation": pose.translation_m.tolist()}
+    tables["ego_pose"].append({"token": pose_token, "timestamp": stamp_us, **pose_fields})
     datum = {
         "token": f"datum-{channel}-{stamp_us}",
         "sample_token": token,

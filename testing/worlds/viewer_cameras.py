@@ -58,12 +58,12 @@ def camera_files(tokens: list[str], without: tuple[str, int] | None = None) -> d
     """Return pictures in a colour per camera and frame, and `cameras.bin`; `without` drops this channel and frame."""
     has_picture = np.ones((len(CHANNELS), len(tokens)), np.bool_)
     files = dict[str, bytes]()
-    for place, channel in enumerate(CHANNELS):
+    for index, channel in enumerate(CHANNELS):
         for number, token in enumerate(tokens):
             if (channel, number) == without:
-                has_picture[place, number] = False
+                has_picture[index, number] = False
                 continue
-            files[camera_file(channel, token)] = _picture(40 * place, min(255, 20 * number))
+            files[camera_file(channel, token)] = _picture(40 * index, min(255, 20 * number))
     poses = [shutter_pose(channel).wxyz_xyz for channel in CHANNELS]
     each = np.stack([np.concatenate([pose[4:], pose[:4]]) for pose in poses])
     rays = np.stack([_rays(lens_of(channel)) for channel in CHANNELS])

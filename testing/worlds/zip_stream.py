@@ -97,8 +97,8 @@ class ZipStream:
         named = name.encode("ascii")
         extra = struct.pack("<2HQ", 1, 8, self._at) if self._at >= FULL32 else b""
         shared = (WITH_64, 0, self._method, 0, DOS_1980_01_01, crc32, *sizes, len(named))
-        place = (0, 0, 0, REGULAR_0644, min(self._at, FULL32))
-        entry = CENTRAL.pack(b"PK\1\2", UNIX | WITH_64, *shared, len(extra), *place)
+        location = (0, 0, 0, REGULAR_0644, min(self._at, FULL32))
+        entry = CENTRAL.pack(b"PK\1\2", UNIX | WITH_64, *shared, len(extra), *location)
         self._directory.write(entry + named + extra)
         self._count += 1
         return LOCAL.pack(b"PK\3\4", *shared, 0) + named

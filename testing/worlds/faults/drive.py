@@ -80,11 +80,11 @@ def kitti_drive(field_data: Path, folder: Path) -> SoundDrive:
 
 
 def _drive(name: str, bag: Path, calibration: Path) -> SoundDrive:
-    found = inspect(bag).topics
-    roles: dict[str, str] = {one.role: one.topic.name for one in reversed(found)}
+    topics = inspect(bag).topics
+    roles: dict[str, str] = {topic.role: topic.topic.name for topic in reversed(topics)}
     pose = roles.get("ins") or roles["odometry"]
     return SoundDrive(
-        name, bag, calibration, {one.topic.name: one.topic.type for one in found}, {**roles, "pose": pose}
+        name, bag, calibration, {topic.topic.name: topic.topic.type for topic in topics}, {**roles, "pose": pose}
     )
 
 
@@ -107,7 +107,7 @@ class _Alteration:
         self._fault, self._topic, self._seen = fault, drive.topics.get(fault.role), Counter[str]()
         self._type = drive.types.get(self._topic or "", "")
         with open_bag(drive.bag) as bag:
-            self._count = next((one.count for one in bag.topics if one.name == self._topic), 0)
+            self._count = next((topic.count for topic in bag.topics if topic.name == self._topic), 0)
 
     def of(self, topic: str, _log_ns: int, data: bytearray) -> list[bytes]:
         index = self._seen[topic]
@@ -115,4 +115,4 @@ class _Alteration:
         if self._fault.edit is None or topic != self._topic or not self._fault.pick(index, self._count):
             return [bytes(data)]
         message = STORE.deserialize_cdr(bytes(data), self._type)
-        return [serialised(one) for one in listed(self._fault.edit(message))]
+        return [serialised(edited) for edited in listed(self._fault.edit(message))]

@@ -99,8 +99,8 @@ def moved(east_m: float, north_m: float, up_m: float) -> Edit:
 
     def edit(message: Any) -> Any:
         if message.__msgtype__ == ODOMETRY:
-            place = message.pose.pose.position
-            place.x, place.y, place.z = place.x + east_m, place.y + north_m, place.z + up_m
+            position = message.pose.pose.position
+            position.x, position.y, position.z = position.x + east_m, position.y + north_m, position.z + up_m
         else:
             narrow = np.cos(np.deg2rad(message.latitude))
             message.longitude += east_m / (METRES_A_DEGREE * narrow)
@@ -116,8 +116,8 @@ def placed(value: float) -> Edit:
 
     def edit(message: Any) -> Any:
         if message.__msgtype__ == ODOMETRY:
-            place = message.pose.pose.position
-            place.x = place.y = place.z = value
+            position = message.pose.pose.position
+            position.x = position.y = position.z = value
         else:
             message.latitude = message.longitude = message.height = value
         return message
@@ -152,8 +152,8 @@ def stretched(factor: float) -> Edit:
 
 def of_nothing(message: Any) -> Any:
     """Return all-zero odometry: a driver that publishes unset values, or wheels that stand."""
-    place, turn = message.pose.pose.position, message.pose.pose.orientation
-    place.x = place.y = place.z = turn.x = turn.y = turn.z = 0.0
+    position, turn = message.pose.pose.position, message.pose.pose.orientation
+    position.x = position.y = position.z = turn.x = turn.y = turn.z = 0.0
     turn.w = 1.0
     return message
 

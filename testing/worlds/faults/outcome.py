@@ -130,12 +130,12 @@ def driven_off_track_m(sequence: Sequence, grids: Mapping[int, NDArray[np.uint8]
     assert sequence.track is not None
     poses_m = sequence.track.map_from_ego.translation_m
     rows = {stamp_ns: row for row, stamp_ns in enumerate(sequence.frames.stamps_ns.tolist())}
-    found = [np.zeros(0)]
+    distances = [np.zeros(0)]
     for stamp_ns, grid in grids.items():
         ego_m = (np.argwhere(grid == 1) * VOXEL_M + PAPER.min_m + VOXEL_M / 2).astype(np.float64)
         driven_m = sequence.frames.map_from_ego[rows[stamp_ns]] @ ego_m
-        found.append(np.linalg.norm(driven_m[:, None] - poses_m, axis=2).min(axis=1))
-    return np.concatenate(found)
+        distances.append(np.linalg.norm(driven_m[:, None] - poses_m, axis=2).min(axis=1))
+    return np.concatenate(distances)
 
 
 def agreement(ours: Mapping[int, NDArray[np.uint8]], theirs: Mapping[int, NDArray[np.uint8]]) -> float:

@@ -161,9 +161,9 @@ class FieldDrive:
         """Return the position of the robot's base by its receiver."""
         x, y, z, _yaw = map(float, pose(t))
         status = self.of("sensor_msgs/msg/NavSatStatus", 0, 1)
-        place = (49.0149 + y / 111_200, 8.3887 + x / 73_010, 312.6 + z)
+        position = (49.0149 + y / 111_200, 8.3887 + x / 73_010, 312.6 + z)
         spread = np.diag([1e-4, 1e-4, 4e-4]).ravel()
-        return self.of("sensor_msgs/msg/NavSatFix", self.header(t, frame_id), status, *place, spread, 3)
+        return self.of("sensor_msgs/msg/NavSatFix", self.header(t, frame_id), status, *position, spread, 3)
 
     def vector(self, x: float, y: float, z: float) -> Any:
         return self.of("geometry_msgs/msg/Vector3", x, y, z)

@@ -61,8 +61,8 @@ def labelled(
         report = with_sequence(run, calibration, "run", options, made)
     except StoneError as error:
         return FieldOutcome(findings, error.code, None)
-    told = tuple(Finding(**one) for one in report.as_record()["findings"])
-    return FieldOutcome(findings, "", labels, told)
+    reported = tuple(Finding(**record) for record in report.as_record()["findings"])
+    return FieldOutcome(findings, "", labels, reported)
 
 
 def occupied_iou(one: Path, other: Path) -> float:
