@@ -42,7 +42,7 @@ def admit(session: Session, identity: VerifiedIdentity, settings: OidcSettings) 
     Raises `not_admitted`, `account_deactivated`, `last_administrator`.
     """
     role = role_of(identity.claims, settings)
-    _one_at_a_time(session)
+    _lock_sign_ins(session)
     known = session.get(ExternalIdentity, _key(identity))
     if known is not None:
         known.used_ns = now_ns()
@@ -125,7 +125,7 @@ def _groups(claims: Mapping[str, Any], name: str) -> frozenset[str]:
     return frozenset(group for group in listed if isinstance(group, str))
 
 
-def _one_at_a_time(session: Session) -> None:
+def _lock_sign_ins(session: Session) -> None:
     """Lock, so that two concurrent first sign-ins create one account; on SQLite a write transaction is a lock."""
     if session.get_bind().dialect.name == "postgresql":
         session.execute(text("SELECT pg_advisory_xact_lock(:number)"), {"number": LOCK})

@@ -129,15 +129,15 @@ class CodeRequest:
 
     @property
     def state(self) -> str:
-        return _derived("state", self.secret)
+        return _derive("state", self.secret)
 
     @property
     def nonce(self) -> str:
-        return _derived("nonce", self.secret)
+        return _derive("nonce", self.secret)
 
     @property
     def verifier(self) -> str:
-        return _derived("verifier", self.secret)
+        return _derive("verifier", self.secret)
 
     @property
     def challenge(self) -> str:
@@ -168,7 +168,7 @@ class Provider:
 
         Raises `no_provider`, `provider_unavailable`, `provider_answer`.
         """
-        with self._asking():
+        with self._limited():
             where = self._kept.metadata().authorization_url
         request = CodeRequest(token_urlsafe(32))
         parameters = {
@@ -188,8 +188,8 @@ class Provider:
 
         Raises `sign_in_state`, `provider_refused`, `id_token_refused`, and as `begin` does.
         """
-        with self._asking():
-            _refuse_strange(request, answer, self._settings.issuer)
+        with self._limited():
+            _refuse_foreign(request, answer, self._settings.issuer)
             assert request is not None  # noqa: S101  (a strange one otherwise)
             token = self._id_token(self._kept.metadata(), request, answer.code)
             expected = TokenExpectation(self._settings.issuer, self._settings.client_id, request.nonce)
@@ -205,7 +205,7 @@ class Provider:
         proof, headers = self._credentials(metadata)
         status, reply = send_form(metadata.token_url, form | proof, headers, self._settings.timeout_s)
         if status != 200:
-            raise _refusal(status, _word(reply.get("error")))
+            raise _refusal(status, _printable(reply.get("error")))
         token = reply.get("id_token")
         if not isinstance(token, str):
             raise provider_answer("token endpoint", "gave no id_token")
@@ -222,7 +222,7 @@ class Provider:
         return {}, {"Authorization": f"Basic {basic}"}
 
     @contextmanager
-    def _asking(self) -> Iterator[None]:
+    def _limited(self) -> Iterator[None]:
         if not self._settings.issuer:
             raise Refused(
                 "no_provider", "this platform has no sign-in provider; an administrator can set STONE_OIDC__ISSUER"
@@ -236,7 +236,7 @@ class Provider:
             self._places.release()
 
 
-def _refuse_strange(request: CodeRequest | None, answer: CodeAnswer, issuer: str) -> None:
+def _refuse_foreign(request: CodeRequest | None, answer: CodeAnswer, issuer: str) -> None:
     if request is None:
         raise sign_in_state("this browser has no sign-in in progress")
     if not compare_digest(answer.state.encode(), request.state.encode()):
@@ -244,7 +244,7 @@ def _refuse_strange(request: CodeRequest | None, answer: CodeAnswer, issuer: str
     if answer.issuer and answer.issuer != issuer:
         raise sign_in_state("the answer comes from another provider")
     if answer.error:
-        raise provider_refused(_word(answer.error))
+        raise provider_refused(_printable(answer.error))
     if not 0 < len(answer.code) <= LONGEST_CODE:
         raise sign_in_state("the answer contains no code")
 
@@ -257,7 +257,7 @@ def _refusal(status: int, error: str) -> Refused | PlatformFaultError:
     return provider_answer("token endpoint", reason)
 
 
-def _word(error: Any) -> str:
+def _printable(error: Any) -> str:
     """Return the printable part of a provider's error word."""
     return (
         "".join(
@@ -268,7 +268,7 @@ def _word(error: Any) -> str:
     )
 
 
-def _derived(purpose: str, secret: str) -> str:
+def _derive(purpose: str, secret: str) -> str:
     return _url64(sha256(f"{purpose} {secret}".encode()).digest())
 
 

@@ -60,7 +60,7 @@ class HeartbeatFile:
 
     @property
     def _path(self) -> Path:
-        return self._folder / f"{socket.gethostname()}.{os.getpid()}.{_started(os.getpid())}{self._end}"
+        return self._folder / f"{socket.gethostname()}.{os.getpid()}.{_start_ticks(os.getpid())}{self._end}"
 
 
 def live_processes(root: Path) -> list[LiveProcess]:
@@ -71,7 +71,7 @@ def live_processes(root: Path) -> list[LiveProcess]:
         if (match := ours.fullmatch(path.name)) is None:
             continue
         pid, ticks, part = match.groups(default="")
-        if _started(int(pid)) != ticks:
+        if _start_ticks(int(pid)) != ticks:
             path.unlink(missing_ok=True)
             continue
         with suppress(FileNotFoundError):
@@ -79,7 +79,7 @@ def live_processes(root: Path) -> list[LiveProcess]:
     return processes
 
 
-def _started(pid: int) -> str:
+def _start_ticks(pid: int) -> str:
     """Return the start time of a process in clock ticks since boot; empty if it does not exist."""
     try:
         return Path(f"/proc/{pid}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()[_START]

@@ -60,9 +60,9 @@ class SandboxTask:
         except MemoryError:
             return MEMORY, b""
         except OSError as error:
-            return (CRASH if error.errno in OF_OUR_LIMITS else MACHINE), _exception(error)
+            return (CRASH if error.errno in OF_OUR_LIMITS else MACHINE), _describe_exception(error)
         except BaseException as error:
-            return CRASH, _exception(error)
+            return CRASH, _describe_exception(error)
 
     def _tell(self, stage: str, done: int, total: int) -> None:
         send_message(self.writing, TICK, tick_of(stage, done, total))
@@ -74,9 +74,9 @@ def run_child(answer: SandboxTask, parent: int) -> NoReturn:
     try:
         leave_the_user()
         die_with(parent)  # after the change of user, which would reset it
-        _forget_the_parent()
+        _reset_parent_state()
         _import_first(answer)
-        _keep_nothing_compiled()
+        _disable_kernel_cache()
         replace_inherited_descriptors(answer.writing, answer.reading)
         apply_limits(answer.limits)
         send_message(answer.writing, FENCED, texts_of(**enter_sandbox(answer.limits)))
@@ -87,7 +87,7 @@ def run_child(answer: SandboxTask, parent: int) -> NoReturn:
         os._exit(status)
 
 
-def _forget_the_parent() -> None:
+def _reset_parent_state() -> None:
     """Neither finalise the parent's garbage nor handle its signals."""
     gc.freeze()
     signal.set_wakeup_fd(-1)
@@ -105,17 +105,17 @@ def _import_first(answer: SandboxTask) -> None:
         for name in answer.limits.imports:
             import_module(name)
     except Exception as error:
-        send_message(answer.writing, MACHINE, _exception(error))
+        send_message(answer.writing, MACHINE, _describe_exception(error))
         raise
 
 
-def _keep_nothing_compiled() -> None:
+def _disable_kernel_cache() -> None:
     """Disable numba's cache: a kernel that a child adds to it would run in every worker."""
     caching = sys.modules.get("numba.core.caching")
     if caching is not None:
         caching.FunctionCache.save_overload = lambda *_: None
 
 
-def _exception(error: BaseException) -> bytes:
+def _describe_exception(error: BaseException) -> bytes:
     """Return the type for the caller; the text, which may quote anything, is for the operator's log."""
     return texts_of(exception=type(error).__name__, traceback=traceback.format_exc()[-1900:])

@@ -135,7 +135,7 @@ def restrict_files(limits: SandboxLimits) -> bool:
     if ruleset < 0:
         return False
     try:
-        for path, rights in _allowed(limits):
+        for path, rights in _list_allowed(limits):
             with suppress(FileNotFoundError):
                 if not _allow(ruleset, path, held & rights):
                     return False
@@ -144,7 +144,7 @@ def restrict_files(limits: SandboxLimits) -> bool:
         os.close(ruleset)
 
 
-def _allowed(limits: SandboxLimits) -> Iterable[tuple[Path, int]]:
+def _list_allowed(limits: SandboxLimits) -> Iterable[tuple[Path, int]]:
     """Yield the allowed paths and their rights."""
     reading = READ_FILE | READ_DIR
     yield from ((path, reading) for path in (*system_files(), *limits.reads))

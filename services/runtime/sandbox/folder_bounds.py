@@ -44,7 +44,7 @@ class FolderWatch:
         if self.limits.folder is None:
             return
         held_bytes = 0
-        for files, facts in enumerate(_found(self.limits.folder, pid), start=1):
+        for files, facts in enumerate(_walk(self.limits.folder, pid), start=1):
             held_bytes += facts.st_blocks * BLOCK_BYTES
             if files > self.limits.folder_files:
                 raise SandboxCrashedError(f"left more than {self.limits.folder_files} files and folders")
@@ -52,18 +52,18 @@ class FolderWatch:
                 raise SandboxCrashedError(f"left more than {self.limits.folder_bytes} bytes in its files")
 
 
-def _found(folder: Path, pid: int) -> Iterator[os.stat_result]:
+def _walk(folder: Path, pid: int) -> Iterator[os.stat_result]:
     """Yield every entry below the folder once, then the files that the process holds open without a name."""
-    for directory, folders, files, descriptor in os.fwalk(folder, onerror=_unseen):
+    for directory, folders, files, descriptor in os.fwalk(folder, onerror=_refuse_unreadable):
         if len(Path(directory).relative_to(folder).parts) >= DEEPEST:
             raise SandboxCrashedError(f"left nested folders, {DEEPEST} deep")
         for name in (*folders, *files):
             with suppress(FileNotFoundError):
                 yield os.stat(name, dir_fd=descriptor, follow_symlinks=False)
-    yield from _nameless(os.stat(folder).st_dev, pid)
+    yield from _list_nameless(os.stat(folder).st_dev, pid)
 
 
-def _nameless(device: int, pid: int) -> Iterator[os.stat_result]:
+def _list_nameless(device: int, pid: int) -> Iterator[os.stat_result]:
     """Yield the files without a name on the device that the process holds open, except its logs."""
     logs = [os.fstat(number) for number in (1, 2)]
     with suppress(OSError):
@@ -75,7 +75,7 @@ def _nameless(device: int, pid: int) -> Iterator[os.stat_result]:
                     yield held
 
 
-def _unseen(error: OSError) -> None:
+def _refuse_unreadable(error: OSError) -> None:
     """Ignore a deleted folder. Raises `SandboxCrashedError` for an unreadable folder, which may contain anything."""
     if not isinstance(error, FileNotFoundError | NotADirectoryError):
         raise SandboxCrashedError("left an unreadable folder") from error

@@ -45,7 +45,7 @@ class ForkServer:
     def ensure_running(self) -> None:
         with self._lock:
             if self._requests is None:
-                self._process, self._requests = _started(self.warmed_by)
+                self._process, self._requests = _start(self.warmed_by)
 
     @property
     def pid(self) -> int | None:
@@ -194,7 +194,7 @@ def harmless(environment: Mapping[str, str]) -> dict[str, str]:
     return {name: value for name, value in environment.items() if name in PASSED or name.startswith(PASSED_BEGINNINGS)}
 
 
-def _started(warmed_by: Sequence[str]) -> tuple[subprocess.Popen[bytes], socket.socket]:
+def _start(warmed_by: Sequence[str]) -> tuple[subprocess.Popen[bytes], socket.socket]:
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     command = [sys.executable, "-P", "-c", PROGRAM, str(theirs.fileno()), *warmed_by]
     with theirs:

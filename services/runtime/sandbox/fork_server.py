@@ -91,7 +91,7 @@ def _answer_request(requests: socket.socket, selector: selectors.BaseSelector) -
         asker.close()  # the client treats this as a fault of the machine, which it is
     else:
         if pid == 0:
-            run_child(*_task(task, writing))
+            run_child(*_read_task(task, writing))
         asker.send(FORKED.pack(CHILD_FORKED, pid))
         child = _Child(pid, os.pidfd_open(pid), asker)
         selector.register(asker, selectors.EVENT_READ, child)
@@ -108,14 +108,14 @@ def _forget(selector: selectors.BaseSelector, child: _Child) -> None:
         selector.unregister(child.asker)
 
 
-def _task(task: int, writing: int) -> tuple[SandboxTask, int]:
+def _read_task(task: int, writing: int) -> tuple[SandboxTask, int]:
     """Read the task in the child. The works themselves are unpickled within the fences."""
     tasks = os.fdopen(os.dup(task), "rb")
-    limits = pickle.loads(next(_parcels(tasks)))
-    return SandboxTask(map(_Unpickled, _parcels(tasks)), limits, writing, tasks.fileno()), os.getppid()
+    limits = pickle.loads(next(_read_parcels(tasks)))
+    return SandboxTask(map(_Unpickled, _read_parcels(tasks)), limits, writing, tasks.fileno()), os.getppid()
 
 
-def _parcels(tasks: BinaryIO) -> Iterator[bytes]:
+def _read_parcels(tasks: BinaryIO) -> Iterator[bytes]:
     """Yield length-prefixed bytes as they arrive, until no writer is left."""
     while head := tasks.read(LENGTH.size):
         yield tasks.read(*LENGTH.unpack(head))

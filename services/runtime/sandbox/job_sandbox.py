@@ -171,7 +171,7 @@ class RunChild:
         is_enough = is_enough and set(limits.reads) <= set(self.limits.reads)
         is_alike = replace(limits, reads=self.limits.reads, **given) == self.limits
         is_theirs = self.run_id == run_id and is_enough and is_alike
-        return is_theirs and self.inodes == _inodes(self.limits) and self.process.is_waiting
+        return is_theirs and self.inodes == _identify_files(self.limits) and self.process.is_waiting
 
     def close(self) -> None:
         """End the child and remove everything of it."""
@@ -181,7 +181,7 @@ class RunChild:
 
 def begun_child(server: ForkServer, run_id: str, limits: SandboxLimits) -> RunChild:
     """Start a fresh child of the run."""
-    inodes = _inodes(limits)
+    inodes = _identify_files(limits)
     reading, works = os.pipe()
     begun = list[ServedChild]()
 
@@ -200,7 +200,7 @@ def begun_child(server: ForkServer, run_id: str, limits: SandboxLimits) -> RunCh
     return RunChild(run_id, limits, process, begun[0], works, inodes)
 
 
-def _inodes(limits: SandboxLimits) -> tuple[tuple[int, int], ...]:
+def _identify_files(limits: SandboxLimits) -> tuple[tuple[int, int], ...]:
     """Return the files that its fences allow, as inodes: names may refer to other files later."""
     files = (os.stat(path) for path in (*limits.reads, *([limits.folder] if limits.folder else [])) if path.exists())
     return tuple((facts.st_dev, facts.st_ino) for facts in files)
@@ -225,7 +225,7 @@ class RunChildren:
 
     def answer(self, server: ForkServer, wanted: RunWork) -> bytes:
         """Run the work in the kept child or a fresh one. Raises as `sandboxed`."""
-        kept = self._taken(wanted)
+        kept = self._take(wanted)
         if kept is not None:
             try:
                 return self._answer(kept, wanted)
@@ -249,7 +249,7 @@ class RunChildren:
             else:
                 child.close()
 
-    def _taken(self, wanted: RunWork) -> RunChild | None:
+    def _take(self, wanted: RunWork) -> RunChild | None:
         """Return the kept child if it serves; otherwise end it."""
         with self._lock:
             kept, self._kept = self._kept, None

@@ -106,12 +106,12 @@ def sandboxed_with_progress(
 ) -> bytes:
     """Do as `sandboxed`, for work that reports progress: `work(progress)`."""
     server = fork_server()
-    begin = partial(_OwnChild, work, limits) if server is None else partial(_served, server, work, limits)
+    begin = partial(_OwnChild, work, limits) if server is None else partial(_start_served, server, work, limits)
     with closing(SandboxProcess(begin, limits)) as child:
         return child.answer(watch)
 
 
-def _served(
+def _start_served(
     server: ForkServer, work: Callable[[ProgressCallback], bytes], limits: SandboxLimits, pipe: Pipe
 ) -> ForkedChild:
     """Return a child of the fork server for this work alone."""
@@ -135,11 +135,11 @@ class _OwnChild:
         self._status: int | None = None
         parent = os.getpid()
         system_files()  # cached here for all children
-        self._pid = _forked()
+        self._pid = _fork()
         if self._pid == 0:
             os.close(reading)
             run_child(SandboxTask((work,), limits, writing), parent)
-        self._ended = os.pidfd_open(self._pid)
+        self._reason_of_end = os.pidfd_open(self._pid)
 
     @property
     def pid(self) -> int:
@@ -149,11 +149,11 @@ class _OwnChild:
     @property
     def ended(self) -> int:
         """The descriptor that signals its end."""
-        return self._ended
+        return self._reason_of_end
 
     def has_ended(self) -> bool:
         """Return whether it has ended."""
-        return bool(_readable([self._ended], 0))
+        return bool(_poll([self._reason_of_end], 0))
 
     def reap(self) -> int:
         """Return the wait status, ending the child first if it still runs."""
@@ -165,7 +165,7 @@ class _OwnChild:
     def close(self) -> None:
         """End the child and remove everything of it."""
         self.reap()
-        os.close(self._ended)
+        os.close(self._reason_of_end)
 
 
 class SandboxProcess:
@@ -191,7 +191,7 @@ class SandboxProcess:
     @property
     def is_waiting(self) -> bool:
         """Whether it answered its work and has sent nothing since."""
-        return self._is_sound and self._reader.is_quiet and not _readable([self._reading], 0)
+        return self._is_sound and self._reader.is_quiet and not _poll([self._reading], 0)
 
     def answer(self, watch: SandboxWatch) -> bytes:
         """Return its answer to the last work. Raises as `sandboxed`."""
@@ -199,17 +199,17 @@ class SandboxProcess:
         word = self._listen(watch)
         self._folder.look(self.child.pid)
         self._is_sound = word is not None and word.kind in (ANSWER, REFUSAL)
-        return _answered(word, self, self._limits)
+        return _read_answer(word, self, self._limits)
 
     def _listen(self, watch: SandboxWatch) -> SandboxMessage | None:
         """Return its final message, None without one. Raises `SandboxInterruptedError` at the time limit."""
         reader, asked_s = self._reader, time.monotonic()
         while True:
-            _readable([self.child.ended, *([] if reader.is_closed else [self._reading])], GLANCE_MS)
+            _poll([self.child.ended, *([] if reader.is_closed else [self._reading])], GLANCE_MS)
             is_over = self.child.has_ended()  # its earlier messages are then in the pipe
             for word in reader.words():
                 if word.kind == FENCED:
-                    _note(word.texts())
+                    _warn_of_missing(word.texts())
                 elif word.kind == TICK:
                     watch.progress(*self._tick(word))
                 else:
@@ -242,7 +242,7 @@ class SandboxProcess:
             raise SandboxInterruptedError(f"took longer than {self._limits.wall_s:g} s of wall time")
 
 
-def _readable(descriptors: list[int], within_ms: int) -> list[int]:
+def _poll(descriptors: list[int], within_ms: int) -> list[int]:
     """Return the descriptors that are readable or whose other end is closed."""
     poller = select.poll()
     for descriptor in descriptors:
@@ -250,14 +250,14 @@ def _readable(descriptors: list[int], within_ms: int) -> list[int]:
     return [descriptor for descriptor, _ in poller.poll(within_ms)]
 
 
-def _forked() -> int:
+def _fork() -> int:
     """Fork without Python 3.12's warning of forks beside threads; the child takes no lock that a thread may have."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         return os.fork()
 
 
-def _note(fences: SandboxMechanisms) -> None:
+def _warn_of_missing(fences: SandboxMechanisms) -> None:
     """Log a warning once per process if a fence is missing on this machine."""
     known = tuple(sorted(fences.items()))
     if NONE not in fences.values() or known in _NOTED or len(_NOTED) >= MOST_NOTED:
@@ -266,13 +266,13 @@ def _note(fences: SandboxMechanisms) -> None:
     log.warning("sandbox fences are missing", **dict(known))
 
 
-def _answered(word: SandboxMessage | None, child: SandboxProcess, limits: SandboxLimits) -> bytes:
+def _read_answer(word: SandboxMessage | None, child: SandboxProcess, limits: SandboxLimits) -> bytes:
     if word is None:
-        raise _ended(child.reap(), limits)
+        raise _reason_of_end(child.reap(), limits)
     if word.kind == ANSWER:
         return word.payload
     if word.kind == REFUSAL and limits.may_quote:
-        raise _refusal(word)
+        raise _make_refusal(word)
     if word.kind == MEMORY:
         raise SandboxCrashedError(f"needed more than {limits.memory_bytes >> 20} MiB")
     if word.kind == FLOODED:
@@ -285,7 +285,7 @@ def _answered(word: SandboxMessage | None, child: SandboxProcess, limits: Sandbo
     raise SandboxCrashedError(f"raised {raised}")
 
 
-def _ended(status: int, limits: SandboxLimits) -> StoneError:
+def _reason_of_end(status: int, limits: SandboxLimits) -> StoneError:
     """Return the reason why the child ended without an answer."""
     code = os.waitstatus_to_exitcode(status)
     if code == -signal.SIGXCPU:
@@ -295,11 +295,11 @@ def _ended(status: int, limits: SandboxLimits) -> StoneError:
     return SandboxCrashedError(f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}")
 
 
-def _refusal(word: SandboxMessage) -> StoneError:
+def _make_refusal(word: SandboxMessage) -> StoneError:
     """Return an error of the same class, code and sentence. The message is untrusted: the class must exist here."""
     texts = word.texts()
     code = texts.get("code", "")
-    for leaf in _leaves(StoneError):
+    for leaf in _list_subclasses(StoneError):
         if (leaf.__module__, leaf.__qualname__) == (texts.get("module"), texts.get("name")):
             if not CODE.fullmatch(code) or getattr(leaf, "code", code) != code:
                 break
@@ -310,5 +310,5 @@ def _refusal(word: SandboxMessage) -> StoneError:
     return SandboxCrashedError("sent an unknown refusal")
 
 
-def _leaves(root: type[StoneError]) -> list[type[StoneError]]:
-    return [descendant for leaf in root.__subclasses__() for descendant in (leaf, *_leaves(leaf))]
+def _list_subclasses(root: type[StoneError]) -> list[type[StoneError]]:
+    return [descendant for leaf in root.__subclasses__() for descendant in (leaf, *_list_subclasses(leaf))]

@@ -42,16 +42,16 @@ def packed(record: dict[str, Any], files: Iterable[File] = ()) -> bytes:
 def unpacked(answer: bytes) -> SandboxResult:
     """Return the result from its bytes. Raises `SandboxCrashedError` for a malformed result."""
     if len(answer) < HEAD.size or HEAD.unpack_from(answer)[0] > min(len(answer) - HEAD.size, LONGEST_JSON_BYTES):
-        raise _nonsense()
+        raise _malformed()
     start = HEAD.size + HEAD.unpack_from(answer)[0]
     try:
         head = json.loads(answer[HEAD.size : start])
     except (ValueError, RecursionError):
-        raise _nonsense() from None
+        raise _malformed() from None
     match head:
         case {"record": dict(record), "files": list(listed)} if len(listed) <= MOST_FILES:
             return SandboxResult(record, tuple(_files(listed, answer, start)))
-    raise _nonsense()
+    raise _malformed()
 
 
 def _files(listed: list[Any], answer: bytes, start: int) -> Iterable[File]:
@@ -60,14 +60,14 @@ def _files(listed: list[Any], answer: bytes, start: int) -> Iterable[File]:
             case [str(name), str(media_type), int(length)] if NAME.fullmatch(name) and media_type in MEDIA_TYPES:
                 stop = start + length
             case _:
-                raise _nonsense()
+                raise _malformed()
         if not start <= stop <= len(answer):
-            raise _nonsense()
+            raise _malformed()
         yield name, media_type, answer[start:stop]
         start = stop
     if start != len(answer):
-        raise _nonsense()
+        raise _malformed()
 
 
-def _nonsense() -> SandboxCrashedError:
+def _malformed() -> SandboxCrashedError:
     return SandboxCrashedError("sent a malformed result")

@@ -103,7 +103,7 @@ def program_of(machine: str, pid: int, kind: str) -> Program:
     program = [_op(LOAD, ARCH_AT), _op(EQUAL, AUDIT_ARCH[machine], 1, 0), _op(RETURN, KILL), _op(LOAD, NUMBER_AT)]
     if machine == "x86_64":
         program += [_op(AT_LEAST, X32_BIT, 0, 1), _op(RETURN, KILL)]
-    blocks = _blocks(pid, may_write=kind != "reads")
+    blocks = _checked_calls(pid, may_write=kind != "reads")
     for name, number in system_calls.JUDGED[machine].items():
         program += [_op(EQUAL, number, 0, len(blocks[name])), *blocks[name]]
     for number in allowed(machine, kind).values():
@@ -125,26 +125,26 @@ def allowed(machine: str, kind: str) -> Mapping[str, int]:
     return {name: number for group in groups for name, number in group[machine].items()}
 
 
-def _blocks(pid: int, *, may_write: bool) -> dict[str, Program]:
+def _checked_calls(pid: int, *, may_write: bool) -> dict[str, Program]:
     """Return the instructions for calls that depend on their arguments."""
-    to_itself = _passes_if_one_of(0, pid)
-    opening = _cuts_off_what_it_writes if may_write else _opens_to_read
+    to_itself = _allow_one_of(0, pid)
+    opening = _refuse_truncation if may_write else _opens_to_read
     return {
         "openat": opening(2),
         "open": opening(1),
-        "fcntl": [*_refused_if(1, fcntl.F_SETFL, 2, os.O_ASYNC), *_passes_if_one_of(1, *OF_DESCRIPTORS)],
-        "ioctl": _passes_if_one_of(1, *OF_DEVICES),
-        "prctl": _passes_if_one_of(0, *OF_ITSELF),
-        "prlimit64": _reads_only(2),
+        "fcntl": [*_refuse_if(1, fcntl.F_SETFL, 2, os.O_ASYNC), *_allow_one_of(1, *OF_DESCRIPTORS)],
+        "ioctl": _allow_one_of(1, *OF_DEVICES),
+        "prctl": _allow_one_of(0, *OF_ITSELF),
+        "prlimit64": _require_null(2),
         "clone": [_op(LOAD, _at(0)), _op(SET, CLONE_THREAD, 1, 0), *ENDS],
         "kill": to_itself,
         "tgkill": to_itself,
         "tkill": to_itself,
-        "socketpair": _passes_if_one_of(0, socket.AF_UNIX),
+        "socketpair": _allow_one_of(0, socket.AF_UNIX),
     }
 
 
-def _passes_if_one_of(argument: int, *values: int) -> Program:
+def _allow_one_of(argument: int, *values: int) -> Program:
     """Allow only these values of the argument's lower half, which is all that the kernel reads of 32-bit numbers."""
     last = len(values)
     return [
@@ -154,7 +154,7 @@ def _passes_if_one_of(argument: int, *values: int) -> Program:
     ]
 
 
-def _refused_if(argument: int, value: int, beside: int, flags: int) -> Program:
+def _refuse_if(argument: int, value: int, beside: int, flags: int) -> Program:
     """Refuse the value if the argument `beside` has one of the `flags`; otherwise continue."""
     return [
         _op(LOAD, _at(argument)),
@@ -169,12 +169,12 @@ def _opens_to_read(flags: int) -> Program:
     return [_op(LOAD, _at(flags)), _op(SET, CHANGING, 0, 1), *ENDS]
 
 
-def _cuts_off_what_it_writes(flags: int) -> Program:
+def _refuse_truncation(flags: int) -> Program:
     """Refuse to truncate a file that is opened for reading, which Landlock before its version 3 allows."""
     return [_op(LOAD, _at(flags)), _op(SET, os.O_TRUNC, 0, 2), _op(SET, WRITING, 1, 0), *ENDS]
 
 
-def _reads_only(argument: int) -> Program:
+def _require_null(argument: int) -> Program:
     """Allow the call only if the pointer, in both halves, is null."""
     low, high = _at(argument), _at(argument) + 4
     return [_op(LOAD, low), _op(EQUAL, 0, 0, 2), _op(LOAD, high), _op(EQUAL, 0, 1, 0), *ENDS]

@@ -24,16 +24,16 @@ DEVICES = tuple(Path("/dev", name) for name in ("null", "zero", "full", "random"
 
 def system_files() -> tuple[Path, ...]:
     """Return the existing files and folders of the list, including this process's own `/proc`."""
-    return (*_installed(), Path("/proc/self"))
+    return (*_find_installed(), Path("/proc/self"))
 
 
 @cache
-def _installed() -> tuple[Path, ...]:
-    paths = {*map(Path, (*SYSTEM, *KERNEL, *GROUPS, sys.prefix, sys.base_prefix)), *_packages()}
-    return tuple(sorted(path for path in (*paths, *_compiled()) if path.exists()))
+def _find_installed() -> tuple[Path, ...]:
+    paths = {*map(Path, (*SYSTEM, *KERNEL, *GROUPS, sys.prefix, sys.base_prefix)), *_find_packages()}
+    return tuple(sorted(path for path in (*paths, *_find_compiled()) if path.exists()))
 
 
-def _packages() -> set[Path]:
+def _find_packages() -> set[Path]:
     """Import the installed packages and return their folders.
 
     Python reads the folder around them again after it changed; a child may not, and would not find them there.
@@ -42,7 +42,7 @@ def _packages() -> set[Path]:
     return {Path(folder) for package in packages for folder in package.__path__}
 
 
-def _compiled() -> set[Path]:
+def _find_compiled() -> set[Path]:
     """Return the folders of numba's compiled kernels: beside the code, configured, or in the user's cache."""
     named = os.environ.get("NUMBA_CACHE_DIR")
     cache_home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")

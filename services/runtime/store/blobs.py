@@ -68,7 +68,7 @@ def keep(session: Session, store: Store, path: Path, *, adopt: bool = False) -> 
 
     For large files call `prepare` before the transaction and `link` inside it.
     """
-    prepared = _hashed(store, path, adopt)
+    prepared = _hash(store, path, adopt)
     if _mend(prepared, _object_keys(session, [prepared])):
         forget(session, [prepared.sha256])
     return link(session, prepared)
@@ -105,7 +105,7 @@ def hashed_beside(
     """
     given_up = Event()
     with ThreadPoolExecutor(HASHERS) as pool:
-        coming = [pool.submit(_hashed, store, path, adopt, given_up.is_set) for path in paths]
+        coming = [pool.submit(_hash, store, path, adopt, given_up.is_set) for path in paths]
         try:
             yield lambda: [future.result() for future in coming]
         finally:
@@ -139,13 +139,13 @@ def link(session: Session, prepared: PreparedBlob) -> Blob:
 def link_all(session: Session, prepared: Iterable[PreparedBlob]) -> dict[str, Blob]:
     """Return the rows of several contents by sha256, locked in an order that avoids deadlocks."""
     wanted = {blob.sha256: blob for blob in sorted(prepared, key=lambda blob: blob.sha256)}
-    keys = _taken(session, [blob.object_key for blob in wanted.values() if blob.object_key])
+    keys = _take_keys(session, [blob.object_key for blob in wanted.values() if blob.object_key])
     ours = {sha256: blob.object_key for sha256, blob in wanted.items() if blob.object_key in keys}
     blobs = _held(session, wanted)
     while missing := [blob for sha256, blob in wanted.items() if sha256 not in blobs]:
         for blob in missing:
             if blob.sha256 not in ours:
-                ours[blob.sha256] = _stored_within(session, blob)
+                ours[blob.sha256] = _store_within(session, blob)
         facts = [
             {"sha256": blob.sha256, "object_key": ours[blob.sha256], "size_bytes": blob.size_bytes} for blob in missing
         ]
@@ -169,7 +169,7 @@ def _make_known(database: Database, fresh: Sequence[PreparedBlob]) -> None:
         insert_new(session, LooseObject, rows)
 
 
-def _taken(session: Session, keys: Sequence[str]) -> set[str]:
+def _take_keys(session: Session, keys: Sequence[str]) -> set[str]:
     """Take these keys out of `loose_objects`; return the keys taken: garbage collection condemned the others."""
     if not keys:
         return set()
@@ -188,15 +188,15 @@ def _object_keys(session: Session, prepared: Iterable[PreparedBlob]) -> dict[str
     return {sha256: key for sha256, key in session.execute(statement)}
 
 
-def _stored_within(session: Session, prepared: PreparedBlob) -> str:
+def _store_within(session: Session, prepared: PreparedBlob) -> str:
     """Store under a key whose row is uncommitted; garbage collection waits for our commit to judge the object."""
     key = _fresh_key(prepared.sha256)
     insert_new(session, LooseObject, [{"object_key": key}])
     _store(prepared, key)
-    return next(iter(_taken(session, [key])), "")
+    return next(iter(_take_keys(session, [key])), "")
 
 
-def _hashed(store: Store, path: Path, adopt: bool, is_given_up: Callable[[], bool] = lambda: False) -> PreparedBlob:
+def _hash(store: Store, path: Path, adopt: bool, is_given_up: Callable[[], bool] = lambda: False) -> PreparedBlob:
     with path.open("rb", buffering=0) as file:
         sha256 = stream_sha256(file, is_given_up)
         return PreparedBlob(store, path, adopt, sha256, file.tell())

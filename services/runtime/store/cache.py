@@ -37,7 +37,7 @@ class Cache:
         with refusing_full(self._objects):
             for folder in (path.parent, self._partial):
                 folder.mkdir(parents=True, exist_ok=True)
-            if not self._used(path):
+            if not self._mark_used(path):
                 self._fill(key, path, download)
         return path
 
@@ -51,7 +51,7 @@ class Cache:
         """Yield the file of `key`, safe from eviction; delete it afterwards unless another process borrows it."""
         while True:
             path = self.file(key, download)
-            with _shared(path) as descriptor:
+            with _share_lock(path) as descriptor:
                 if descriptor is None:
                     continue  # another borrower deleted it in between
                 try:
@@ -65,14 +65,14 @@ class Cache:
         removed = 0
         for partial in self._partial.iterdir() if self._partial.is_dir() else ():
             with suppress(BlockingIOError), _lock(partial, fcntl.LOCK_EX | fcntl.LOCK_NB) as descriptor:
-                removed += _removed(partial, descriptor)
+                removed += _remove(partial, descriptor)
         for mirror in self.work.iterdir() if self.work.is_dir() else ():
             if _unused_s(mirror) > MIRROR_S:
                 shutil.rmtree(mirror, ignore_errors=True)
                 removed += 1
         return removed
 
-    def _used(self, path: Path) -> bool:
+    def _mark_used(self, path: Path) -> bool:
         """Mark the file as used, safely against eviction; return whether it exists."""
         with suppress(FileNotFoundError), _lock(self._use, fcntl.LOCK_SH):
             os.utime(path)
@@ -80,8 +80,8 @@ class Cache:
         return False
 
     def _fill(self, key: str, path: Path, download: Callable[[str, Path], None]) -> None:
-        with _own(self._partial / hashlib.sha256(key.encode()).hexdigest()) as partial:
-            if not self._used(path):
+        with _hold_partial(self._partial / hashlib.sha256(key.encode()).hexdigest()) as partial:
+            if not self._mark_used(path):
                 try:
                     download(key, partial)
                 except StorageFullError:  # files unused for an hour make room
@@ -118,7 +118,7 @@ def _unused_s(path: Path) -> float:
 
 
 @contextmanager
-def _shared(path: Path) -> Iterator[int | None]:
+def _share_lock(path: Path) -> Iterator[int | None]:
     """Yield a descriptor with a shared lock on the file; None if the file is gone."""
     try:
         descriptor = os.open(path, os.O_RDONLY)
@@ -136,11 +136,11 @@ def _remove_unless_borrowed(path: Path, descriptor: int) -> bool:
     with suppress(BlockingIOError):
         # Changing a lock's kind releases it for a moment, in which another process may delete or replace the file.
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        return _removed(path, descriptor)
+        return _remove(path, descriptor)
     return False
 
 
-def _removed(path: Path, descriptor: int) -> bool:
+def _remove(path: Path, descriptor: int) -> bool:
     """Delete `path`, unless it is another file than that of `descriptor`, which has the exclusive lock."""
     if not _is_file_of(descriptor, path):
         return False
@@ -149,12 +149,12 @@ def _removed(path: Path, descriptor: int) -> bool:
 
 
 def _evicted(path: Path) -> bool:
-    with _shared(path) as descriptor:
+    with _share_lock(path) as descriptor:
         return descriptor is None or _remove_unless_borrowed(path, descriptor)
 
 
 @contextmanager
-def _own(partial: Path) -> Iterator[Path]:
+def _hold_partial(partial: Path) -> Iterator[Path]:
     """Yield `partial`, empty or half full, locked by this process alone; it is deleted afterwards."""
     while True:
         with _lock(partial, fcntl.LOCK_EX) as descriptor:
@@ -163,7 +163,7 @@ def _own(partial: Path) -> Iterator[Path]:
             try:
                 yield partial
             finally:
-                _removed(partial, descriptor)  # after the rename, its name belongs to the next downloader
+                _remove(partial, descriptor)  # after the rename, its name belongs to the next downloader
             return
 
 

@@ -49,7 +49,7 @@ class FolderStore:
             shutil.copyfile(source, staging)
             flush(staging)
             size_bytes = staging.stat().st_size
-            _placed(lambda: os.replace(staging, target), staging, target)
+            _place(lambda: os.replace(staging, target), staging, target)
         process_counters().add(STORE_BYTES, ("in",), size_bytes)
 
     def adopt(self, key: str, source: Path) -> None:
@@ -59,7 +59,7 @@ class FolderStore:
         os.utime(source)  # the object is new even if the file is old: its age must not make it look abandoned
         try:
             with refusing_full(self.root):
-                _placed(lambda: os.link(source, target), source, target)
+                _place(lambda: os.link(source, target), source, target)
             process_counters().add(STORE_BYTES, ("in",), source.stat().st_size)
         except OSError as error:
             if error.errno not in NO_LINK:
@@ -131,7 +131,7 @@ class FolderStore:
     @contextmanager
     def _staged(self) -> Iterator[Path]:
         make_folder(self._staging)
-        staging, descriptor = _held(self._staging)
+        staging, descriptor = _make_locked(self._staging)
         try:
             yield staging
         finally:
@@ -139,7 +139,7 @@ class FolderStore:
             os.close(descriptor)
 
 
-def _held(folder: Path) -> tuple[Path, int]:
+def _make_locked(folder: Path) -> tuple[Path, int]:
     """Return a new folder and a descriptor that locks it; retry if `tidy` deleted the folder before the lock."""
     while True:
         staging = folder / f"{token_hex(8)}.partial"
@@ -150,7 +150,7 @@ def _held(folder: Path) -> tuple[Path, int]:
         os.close(descriptor)
 
 
-def _placed(move: Callable[[], None], source: Path, target: Path) -> None:
+def _place(move: Callable[[], None], source: Path, target: Path) -> None:
     """Move or link into place; retry if a deletion removed the empty folder in between."""
     while True:
         make_folder(target.parent)

@@ -115,13 +115,13 @@ def _condemn_unknown(platform: Platform, before_ns: int, listed: Iterable[Stored
     old = (stored for stored in listed if stored.modified_ns <= before_ns)
     while batch := [stored.key for stored in islice(old, BATCH)]:
         with platform.database.reading() as session:
-            unknown = sorted(set(batch) - _known(session, batch))
+            unknown = sorted(set(batch) - _find_known(session, batch))
         with platform.database.transaction() as session:
             condemned = insert_new(session, LooseObject, [{"object_key": key, "is_condemned": True} for key in unknown])
             _spare(session, condemned)
 
 
-def _known(session: Session, keys: Sequence[str]) -> set[str]:
+def _find_known(session: Session, keys: Sequence[str]) -> set[str]:
     """Return the keys that a row names. One statement is required, since a key may move from one table to another."""
     columns = (LooseObject.object_key, *NAMING)
     return set(session.scalars(union_all(*(select(column).where(column.in_(keys)) for column in columns))))
@@ -151,14 +151,14 @@ def _delete_condemned(platform: Platform, share_s: float) -> int:
 def _delete_work(platform: Platform, before_ns: int, turn: GcCursor) -> int:
     """Delete the workspaces of ended runs; return the number of their objects."""
     deleted = 0
-    for root_id, modified_ns in turn.of_work.turn(_workspaces(platform), turn.workspaces):
+    for root_id, modified_ns in turn.of_work.turn(_list_workspaces(platform), turn.workspaces):
         if _is_over(platform, root_id, max(modified_ns) <= before_ns):
             Workspace(platform.store, platform.settings, root_id).remove()
             deleted += len(modified_ns)
     return deleted
 
 
-def _workspaces(platform: Platform) -> Iterator[tuple[str, list[int]]]:
+def _list_workspaces(platform: Platform) -> Iterator[tuple[str, list[int]]]:
     """Yield each run with work files, and the times when these were written."""
     for root_id, objects in groupby(platform.store.listed(WORK), key=lambda stored: stored.key.split("/")[1]):
         yield root_id, [stored.modified_ns for stored in objects]

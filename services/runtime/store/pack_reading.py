@@ -128,7 +128,7 @@ def locate_export(session: Session, export: Export) -> ExportLocation:
 
 def stored_files(store: Store, located: ExportLocation) -> StoredFiles:
     """Return the files of an export; it reads the index from the store, so call it outside transactions."""
-    return StoredFiles(_index(store, located.index_key), located.pack_keys)
+    return StoredFiles(_read_index(store, located.index_key), located.pack_keys)
 
 
 @lru_cache(maxsize=HELD)
@@ -138,6 +138,6 @@ def archive_of(files: PackedFiles, kind: Kind) -> Archive:
 
 
 @lru_cache(maxsize=HELD)
-def _index(store: Store, object_key: str) -> PackedFiles:
+def _read_index(store: Store, object_key: str) -> PackedFiles:
     """Return the index, cached because objects never change."""
     return read_index(b"".join(store.read(object_key)))

@@ -65,7 +65,7 @@ class S3Store:
     def write(self, key: str, source: Path) -> None:
         """Upload `source`, in parts if it is large. Raises `StoreFullError`."""
         size_bytes = source.stat().st_size
-        with self._translated(checked(key)), span("store write", attributes={"stone.size_bytes": size_bytes}):
+        with self._translating(checked(key)), span("store write", attributes={"stone.size_bytes": size_bytes}):
             self._client.upload_file(str(source), self.bucket, key, Config=TRANSFER)
         self.forget_copy(key)
         process_counters().add(STORE_BYTES, ("in",), size_bytes)
@@ -81,7 +81,7 @@ class S3Store:
         return self._pieces(key, start, end if stop is None else min(stop, end))
 
     def size_bytes(self, key: str) -> int:
-        with self._translated(checked(key)):
+        with self._translating(checked(key)):
             length = self._client.head_object(Bucket=self.bucket, Key=key).get("ContentLength")
         if length is None:  # the reply broke off within its header, which no layer below detects
             raise store_unavailable(self._place, f"it sent no length for {key}")
@@ -115,14 +115,14 @@ class S3Store:
         self.cache.forget(checked(key))
 
     def delete(self, key: str) -> None:
-        with self._translated(checked(key)):
+        with self._translating(checked(key)):
             self._client.delete_object(Bucket=self.bucket, Key=key)
 
     def listed(self, prefix: str) -> Iterator[StoredObject]:
         pages = self._client.get_paginator("list_objects_v2").paginate(
             Bucket=self.bucket, Prefix=checked_prefix(prefix)
         )
-        with self._translated(prefix):
+        with self._translating(prefix):
             for page in pages:
                 for entry in page.get("Contents", []):
                     modified_ns = int(entry["LastModified"].timestamp() * 1e9)
@@ -132,7 +132,7 @@ class S3Store:
         """Abort multipart uploads started before the grace, and delete leftovers of dead downloads from the cache."""
         before = datetime.now(UTC) - timedelta(seconds=grace_s)
         aborted = 0
-        with self._translated(""), suppress(self._client.exceptions.NoSuchUpload):  # another process aborted it first
+        with self._translating(""), suppress(self._client.exceptions.NoSuchUpload):  # another process aborted it first
             for page in self._client.get_paginator("list_multipart_uploads").paginate(Bucket=self.bucket):
                 for upload in page.get("Uploads", []):
                     aborted += upload["Initiated"] <= before and self._aborted(upload["Key"], upload["UploadId"])
@@ -159,7 +159,7 @@ class S3Store:
                 raise store_unavailable(self._place, reason)
 
     def _opened(self, key: str, start: int, stop: int) -> "GetObjectOutputTypeDef":
-        with self._translated(key):
+        with self._translating(key):
             return self._client.get_object(Bucket=self.bucket, Key=key, Range=f"bytes={start}-{stop - 1}")
 
     @property
@@ -167,7 +167,7 @@ class S3Store:
         return f"{self._client.meta.endpoint_url}/{self.bucket}"
 
     @contextmanager
-    def _translated(self, key: str) -> Iterator[None]:
+    def _translating(self, key: str) -> Iterator[None]:
         """Raise the store's errors instead of the client's."""
         try:
             yield
@@ -211,12 +211,12 @@ def ensure_bucket(store: StoreSettings) -> bool:
     """
     client, bucket = client_of(store), store.s3_bucket
     try:
-        return not _stands(client, bucket) and _made(client, store)
+        return not _exists(client, bucket) and _create(client, store)
     except (BotoCoreError, ClientError) as error:
         raise store_unavailable(f"{client.meta.endpoint_url}/{bucket}", str(error)) from error
 
 
-def _stands(client: "S3Client", bucket: str) -> bool:
+def _exists(client: "S3Client", bucket: str) -> bool:
     try:
         client.head_bucket(Bucket=bucket)
     except ClientError as error:
@@ -227,7 +227,7 @@ def _stands(client: "S3Client", bucket: str) -> bool:
     return True
 
 
-def _made(client: "S3Client", store: StoreSettings) -> bool:
+def _create(client: "S3Client", store: StoreSettings) -> bool:
     constraint: dict[str, Any] = {"LocationConstraint": store.s3_region}
     arguments: dict[str, Any] = {} if store.s3_region == UNCONSTRAINED else {"CreateBucketConfiguration": constraint}
     try:

@@ -63,7 +63,7 @@ class Workspace:
             _flush_all(self._folder, files.values())
             return
         os.utime(self.folder)
-        heads = _heads(prefixes)
+        heads = _list_prefixes(prefixes)
         stored = self._stored(heads)
         new = {key for key, path in files.items() if key not in stored or not _is_same(path, stored[key])}
         _all(lambda key: self._store.write(key, files[key]), new)
@@ -113,7 +113,7 @@ class Workspace:
         return {stored.key: stored for prefix in prefixes for stored in self._store.listed(self._prefix + prefix)}
 
 
-def _heads(prefixes: Iterable[str]) -> set[str]:
+def _list_prefixes(prefixes: Iterable[str]) -> set[str]:
     """Return the prefixes to list: each folder once, however many of the names it contains."""
     folders = {prefix: prefix[: prefix.rfind("/") + 1] for prefix in prefixes}
     shared = Counter(folders.values())

@@ -42,7 +42,7 @@ class CounterWriter:
         if now == self._told:
             return _nothing
         row_id, base = self._id, self._base
-        if not _rewritten(session, row_id, less(now, base)):
+        if not _rewrite(session, row_id, less(now, base)):
             if self._is_there:  # folded meanwhile, with its last written counts
                 row_id, base = new_id(), self._told
             session.add(CounterRow(id=row_id, counts=less(now, base), told_ns=database_ns()))
@@ -83,7 +83,7 @@ def fold(platform: Platform, quiet_s: float = FOLDED_AFTER_S) -> int:
     return len(rows)
 
 
-def _rewritten(session: Session, row_id: str, counts: Counts) -> bool:
+def _rewrite(session: Session, row_id: str, counts: Counts) -> bool:
     row = update(CounterRow).where(CounterRow.id == row_id).values(counts=counts, told_ns=database_ns())
     return rows_changed(session, row) == 1
 

@@ -124,7 +124,7 @@ def summed(parts: Iterable[Mapping[str, Mapping[str, Value]]]) -> Counts:
 
 def less(now: Counts, before: Counts) -> Counts:
     """Return the counts made between `before` and `now`."""
-    negative = {name: {key: _negated(value) for key, value in of.items()} for name, of in before.items()}
+    negative = {name: {key: _negate(value) for key, value in of.items()} for name, of in before.items()}
     return summed((now, negative))
 
 
@@ -140,7 +140,7 @@ def _copied(value: Value) -> Value:
     return list(value) if isinstance(value, list) else value
 
 
-def _negated(value: Value) -> Value:
+def _negate(value: Value) -> Value:
     return [-count for count in value] if isinstance(value, list) else -value
 
 

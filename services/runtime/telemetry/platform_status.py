@@ -43,7 +43,7 @@ class PlatformStatus:
 def platform_status(session: Session, heartbeat_s: float) -> PlatformStatus:
     """Return the current platform status with every queue, also empty ones."""
     return PlatformStatus(
-        jobs={key: count for state, predicate in STATES for key, count in _counted(session, state, predicate).items()},
+        jobs={key: count for state, predicate in STATES for key, count in _count(session, state, predicate).items()},
         oldest_ready_s={queue: _oldest_s(session, queue) for queue in QUEUES},
         paused=frozenset(session.scalars(select(Queue.name).where(Queue.mode == "paused"))),
         uploads_open=_uploads_open(session),
@@ -58,7 +58,7 @@ def _age() -> ColumnElement[int]:
     return database_ns() - ChoreRow.done_ns
 
 
-def _counted(session: Session, state: str, predicate: str) -> dict[tuple[str, str], int]:
+def _count(session: Session, state: str, predicate: str) -> dict[tuple[str, str], int]:
     """Return the number of jobs by queue, from the partial index of this predicate."""
     counts = {}
     for queue in QUEUES:

@@ -53,7 +53,7 @@ def terminate(platform: Platform, upload: Upload) -> None:
 
     If its row cannot be written because the disk is full, its bytes are deleted first.
     """
-    held = _held_if_there(platform, upload) if upload.state == "open" else None
+    held = _hold_if_present(platform, upload) if upload.state == "open" else None
     try:
         current = find(platform.database, upload.id, upload.owner_id)
         if current.state not in ENDABLE:
@@ -74,7 +74,7 @@ def terminate(platform: Platform, upload: Upload) -> None:
             held.close()
 
 
-def _held_if_there(platform: Platform, upload: Upload) -> LockedUpload | None:
+def _hold_if_present(platform: Platform, upload: Upload) -> LockedUpload | None:
     """Return its bytes, locked; None if they were deleted before its row could be written."""
     with suppress(FileNotFoundError):
         return backend_of(platform, upload).hold(upload)

@@ -183,7 +183,7 @@ def hold_draft(session: Session, settings: Settings, declared: UploadDeclaration
     if session.scalar(draft) != "draft":
         raise upload_target_missing(declared.purpose, declared.target_id)
     limit = settings.submissions.draft_waiting
-    if _waiting(session, Upload.target_id == declared.target_id, limit) >= limit:
+    if _count_waiting(session, Upload.target_id == declared.target_id, limit) >= limit:
         raise Refused(
             "too_many_uploads_of_draft",
             f"the draft {declared.target_id[:64]!r} has {limit} unfinished or unused uploads, which is the limit; "
@@ -194,7 +194,7 @@ def hold_draft(session: Session, settings: Settings, declared: UploadDeclaration
 def refuse_too_many(session: Session, settings: Settings, owner: UploadOwner) -> None:
     """Raise `too_many_uploads` if the owner, whose row the caller has locked, may have no further upload."""
     limit = settings.submissions.participant_waiting if owner.is_participant else settings.uploads.owner_waiting
-    if _waiting(session, Upload.owner_id == owner.user_id, limit) >= limit:
+    if _count_waiting(session, Upload.owner_id == owner.user_id, limit) >= limit:
         raise Refused(
             "too_many_uploads",
             f"you have {limit} unfinished or unused uploads, which is the limit; resume, use or delete uploads "
@@ -202,7 +202,7 @@ def refuse_too_many(session: Session, settings: Settings, owner: UploadOwner) ->
         )
 
 
-def _waiting(session: Session, among: ColumnElement[bool], most: int) -> int:
+def _count_waiting(session: Session, among: ColumnElement[bool], most: int) -> int:
     """Return the number of waiting uploads among these, at most `most`."""
     some = select(literal_column("1")).select_from(Upload).where(among, is_waiting()).limit(most).subquery()
     return session.scalar(select(func.count()).select_from(some)) or 0

@@ -148,7 +148,7 @@ def _remove_superfluous(platform: Platform, backend: UploadBackend, cursor: Uplo
 
 
 def _superfluous(platform: Platform, backend: UploadBackend, upload_ids: Sequence[str]) -> Iterator[str]:
-    statement = select(Upload.id, _is_needed_no_more()).where(Upload.id.in_(upload_ids))
+    statement = select(Upload.id, _is_superfluous()).where(Upload.id.in_(upload_ids))
     with platform.database.reading() as session:
         known = {upload_id: is_superfluous for upload_id, is_superfluous in session.execute(statement)}
     for upload_id in upload_ids:
@@ -156,7 +156,7 @@ def _superfluous(platform: Platform, backend: UploadBackend, upload_ids: Sequenc
             yield upload_id
 
 
-def _is_needed_no_more() -> ColumnElement[bool]:
+def _is_superfluous() -> ColumnElement[bool]:
     """Return whether an upload ended without its bytes, or its user has them in the store or is deleted."""
     recorded = exists().where(RecordingFile.upload_id == Upload.id, RecordingFile.blob_sha256.is_(None))
     submitted = exists().where(SubmissionRow.upload_id == Upload.id, SubmissionRow.blob_sha256.is_(None))

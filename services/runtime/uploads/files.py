@@ -58,7 +58,7 @@ def sync_folder(folder: Path) -> None:
 def offset_of(path: Path) -> int:
     """Return the number of bytes that count. Raises `FileNotFoundError`."""
     size_bytes = path.stat().st_size
-    marked = _marked_offset(path)
+    marked = _read_mark(path)
     return size_bytes if marked is None else min(size_bytes, marked)
 
 
@@ -130,7 +130,7 @@ class LockedUploadFile:
 
     def _discard_unverified(self) -> None:
         """Discard the bytes of a request with a checksum that was killed before `accept`."""
-        marked = _marked_offset(self.path)
+        marked = _read_mark(self.path)
         if marked is not None and marked < self.kept_bytes:
             os.ftruncate(self._descriptor, marked)
         self._mark_verified()
@@ -151,7 +151,7 @@ def write_all(descriptor: int, pieces: Sequence[memoryview], offset_bytes: int, 
     while left:
         written = os.pwritev(descriptor, left[:MOST_PIECES], offset_bytes)
         offset_bytes += written
-        left = _after(left, written)
+        left = _drop_written(left, written)
     return offset_bytes
 
 
@@ -168,7 +168,7 @@ def refusing_full(kept_bytes: Callable[[], int]) -> Iterator[None]:
         raise
 
 
-def _after(views: list[memoryview], written: int) -> list[memoryview]:
+def _drop_written(views: list[memoryview], written: int) -> list[memoryview]:
     """Return the pieces after the first `written` bytes."""
     for index, view in enumerate(views):
         if written < len(view):
@@ -181,7 +181,7 @@ def _mark_of(path: Path) -> Path:
     return path.with_name(f"{path.name}.unverified")
 
 
-def _marked_offset(path: Path) -> int | None:
+def _read_mark(path: Path) -> int | None:
     with suppress(FileNotFoundError, ValueError):  # an empty mark: killed before a byte was written
         return int(_mark_of(path).read_text("ascii"))
     return None

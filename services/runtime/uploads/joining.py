@@ -46,7 +46,7 @@ def create_joined(
         raise _bad_parts(f"the request names {len(part_ids)} parts, {len(set(part_ids))} of them different")
     refuse_foreign_target(platform, owner, declared)
     with platform.database.transaction() as session:
-        parts = [_taken_part(session, part_id, owner) for part_id in sorted(part_ids)]
+        parts = [_lock_part(session, part_id, owner) for part_id in sorted(part_ids)]
         parts.sort(key=lambda part: part_ids.index(part.id))
         length_bytes, limit_bytes = sum(part.length_bytes for part in parts), platform.settings.uploads.max_bytes
         if length_bytes > limit_bytes:
@@ -82,7 +82,7 @@ def join_parts(platform: Platform, whole: Upload, held: LockedUpload) -> str:
     backend = FolderUploadBackend(platform)
     state, start = sha256(), 0
     is_seen = held.kept_bytes == 0
-    for part in _parts_of(platform, whole):
+    for part in _find_parts(platform, whole):
         stop = start + part.length_bytes
         if held.kept_bytes < stop:
             with backend.local(part) as path, path.open("rb", buffering=0) as file:
@@ -96,12 +96,12 @@ def join_parts(platform: Platform, whole: Upload, held: LockedUpload) -> str:
     return state.hexdigest() if is_seen else ""
 
 
-def _parts_of(platform: Platform, whole: Upload) -> list[Upload]:
+def _find_parts(platform: Platform, whole: Upload) -> list[Upload]:
     with platform.database.reading() as session:
         return [session.get_one(Upload, part_id) for part_id in part_ids_of(whole)]
 
 
-def _taken_part(session: Session, part_id: str, owner: UploadOwner) -> Upload:
+def _lock_part(session: Session, part_id: str, owner: UploadOwner) -> Upload:
     """Return a complete part of the owner's, locked."""
     held = select(Upload).where(Upload.id == part_id, Upload.owner_id == owner.user_id).with_for_update()
     part = session.scalar(held)

@@ -75,7 +75,7 @@ def add(platform: Platform, upload_id: str, parts: Sequence[UploadPart]) -> None
         if upload.state != "open":  # an overdue upload that receives bytes continues
             refuse_gone(upload)
         end = upload.length_bytes if upload.state in WHOLE else end_of(session, upload_id)
-        if end != first or not _taken(session, [part.key for part in parts]):
+        if end != first or not _take_objects(session, [part.key for part in parts]):
             raise Refused("offset_mismatch", f"the server has {end} bytes, not {first}; resume from byte {end}")
         session.add_all(_row(upload_id, part) for part in parts)
         if upload.expires_ns - now_ns() < platform.settings.uploads.expires_s * 5e8:
@@ -143,7 +143,7 @@ def _row(upload_id: str, part: UploadPart) -> UploadPartRow:
     return row
 
 
-def _taken(session: Session, keys: Sequence[str]) -> bool:
+def _take_objects(session: Session, keys: Sequence[str]) -> bool:
     """Take all objects; return False if garbage collection condemned any of them."""
     taken = 0
     for batch in _batches(keys):

@@ -97,7 +97,7 @@ class LockedUploadParts:
 
         Raises `DiskFullError`, `too_many_small_requests`, and the errors of adding.
         """
-        with self._failing():
+        with self._giving_up_on_error():
             if self._count >= MOST_PARTS:
                 raise Refused(
                     "too_many_small_requests",
@@ -113,7 +113,7 @@ class LockedUploadParts:
 
     def accept(self, *, is_whole: bool) -> None:
         """Store and add all bytes. Raises as `append`."""
-        with self._failing():
+        with self._giving_up_on_error():
             self._is_unverified = False
             self._store_all()
 
@@ -200,7 +200,7 @@ class LockedUploadParts:
             self._stored = []
 
     @contextmanager
-    def _failing(self) -> Iterator[None]:
+    def _giving_up_on_error(self) -> Iterator[None]:
         """Release all parts not added yet if the block raises."""
         try:
             yield

@@ -51,7 +51,7 @@ class UploadReceiver:
 
     def __init__(self, platform: Platform, upload: Upload, held: LockedUpload, piece: UploadChunk) -> None:
         self.offset_bytes = self._first_byte = piece.offset_bytes
-        self._platform, self._upload, self._held = platform, upload, held
+        self._platform, self._upload, self._hold = platform, upload, held
         self._guard = threading.Lock()
         self._rolling = ROLLING.take(upload.id, piece.offset_bytes)
         self._before = self._rolling.copy() if self._rolling and piece.checksum else None
@@ -80,12 +80,12 @@ class UploadReceiver:
         with self._guard:
             self._give_up_unverified()
             if self._checksum is None:
-                self._held.accept(is_whole=False)
+                self._hold.accept(is_whole=False)
                 self._remember()
 
     def close(self) -> None:
         with self._guard:
-            self._held.close()
+            self._hold.close()
 
     def _write(self, pieces: Sequence[bytes]) -> None:
         reached = self.offset_bytes + sum(map(len, pieces))
@@ -93,14 +93,14 @@ class UploadReceiver:
             self._cut()
             raise over_length(reached, self._upload.length_bytes)
         try:
-            self._held.append(pieces, self.offset_bytes)
+            self._hold.append(pieces, self.offset_bytes)
         except OSError:
             self._rolling = None
             raise
         except DiskFullError as error:
             self._rolling = None
             self._give_up_unverified()
-            raise DiskFullError(self._held.kept_bytes, error.why) from None
+            raise DiskFullError(self._hold.kept_bytes, error.why) from None
         for piece in pieces:
             for state in (self._rolling, self._checking):
                 if state is not None:
@@ -110,11 +110,11 @@ class UploadReceiver:
     def _end(self) -> Upload:
         self._verify()
         is_whole = self.offset_bytes == self._upload.length_bytes
-        self._held.accept(is_whole=is_whole)
+        self._hold.accept(is_whole=is_whole)
         if is_whole:
-            return settle(self._platform, self._upload, self._held, self._rolling.hexdigest() if self._rolling else "")
+            return settle(self._platform, self._upload, self._hold, self._rolling.hexdigest() if self._rolling else "")
         self._remember()
-        return self._extended()
+        return self._extend()
 
     def _verify(self) -> None:
         if self._checksum is None or self._checking is None or self._checking.digest() == self._checksum.digest:
@@ -133,7 +133,7 @@ class UploadReceiver:
 
     def _cut(self) -> None:
         """Discard this request's bytes."""
-        self._held.discard()
+        self._hold.discard()
         self.offset_bytes = self._first_byte
         if self._before is not None:
             ROLLING.keep(self._upload.id, self._first_byte, self._before)
@@ -142,7 +142,7 @@ class UploadReceiver:
         if self._rolling is not None:
             ROLLING.keep(self._upload.id, self.offset_bytes, self._rolling)
 
-    def _extended(self) -> Upload:
+    def _extend(self) -> Upload:
         """Return the upload; renew its full time if less than half is left."""
         half_ns = int(self._platform.settings.uploads.expires_s * 5e8)
         if self._upload.expires_ns - now_ns() < half_ns:
@@ -163,7 +163,7 @@ def receive(platform: Platform, upload_id: str, owner_id: str, piece: UploadChun
         return None
     if part_ids_of(upload):
         raise Refused("joined_upload", f"upload {upload.id} is made from its parts; do not send bytes to it")
-    held = _held(platform, upload)
+    held = _hold(platform, upload)
     try:
         upload = find_alive(platform.database, upload_id, owner_id)
         refuse_gone(upload)
@@ -177,7 +177,7 @@ def receive(platform: Platform, upload_id: str, owner_id: str, piece: UploadChun
     return None
 
 
-def _held(platform: Platform, upload: Upload) -> LockedUpload:
+def _hold(platform: Platform, upload: Upload) -> LockedUpload:
     try:
         return backend_of(platform, upload).hold(upload)
     except FileNotFoundError:  # it ended after the row was read, or a person deleted the file
