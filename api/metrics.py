@@ -247,7 +247,7 @@ def _gauges(name: str, help_text: str, label: str, values: Mapping[str, float]) 
 
 
 def _counter(meter: MetricDefinition, counts: Mapping[str, Value]) -> CounterMetricFamily:
-    family = CounterMetricFamily(meter.name, meter.told, labels=meter.labels)
+    family = CounterMetricFamily(meter.name, meter.description, labels=meter.labels)
     for key, value in counts.items():
         labels = key.split(BETWEEN)
         if len(labels) == len(meter.labels) and not isinstance(value, list):
@@ -256,7 +256,7 @@ def _counter(meter: MetricDefinition, counts: Mapping[str, Value]) -> CounterMet
 
 
 def _histogram(meter: MetricDefinition, counts: Mapping[str, Value]) -> HistogramMetricFamily:
-    family = HistogramMetricFamily(meter.name, meter.told, labels=meter.labels)
+    family = HistogramMetricFamily(meter.name, meter.description, labels=meter.labels)
     ends = [*map(floatToGoString, meter.bounds), "+Inf"]
     for key, value in counts.items():
         labels = key.split(BETWEEN)

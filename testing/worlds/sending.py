@@ -135,7 +135,7 @@ def pair_of(world: World, part: str) -> EvaluationVersion:
     return version
 
 
-def said_of(platform: Platform, submission_id: str) -> list[Any]:
+def outputs_of(platform: Platform, submission_id: str) -> list[Any]:
     """Return all results, failures and log lines of its jobs."""
     jobs = jobs_of(platform, submission_id)
     with platform.database.reading() as session:

@@ -49,7 +49,7 @@ class SandboxTask:
     writing: int
     reading: int | None = None
 
-    def told(self, work: Callable[[ProgressCallback], bytes]) -> tuple[int, bytes]:
+    def run(self, work: Callable[[ProgressCallback], bytes]) -> tuple[int, bytes]:
         """Return the final message of a work: its kind and payload."""
         try:
             payload = work(self._tell)
@@ -81,7 +81,7 @@ def run_child(answer: SandboxTask, parent: int) -> NoReturn:
         apply_limits(answer.limits)
         send_message(answer.writing, FENCED, texts_of(**enter_sandbox(answer.limits)))
         for work in answer.works:
-            send_message(answer.writing, *answer.told(work))
+            send_message(answer.writing, *answer.run(work))
         status = 0
     finally:
         os._exit(status)

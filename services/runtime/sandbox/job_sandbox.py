@@ -109,11 +109,11 @@ def sandbox_watch_of(attempt: Attempt, stage: str, total: int) -> SandboxWatch:
     """Return a watch that forwards the child's progress and repeats the last, which detects cancellation."""
     last = [(stage, 0, total)]
 
-    def told(stage: str, done: int, total: int) -> None:
+    def forward(stage: str, done: int, total: int) -> None:
         last[0] = (stage, done, total)
         attempt.progress(*last[0])
 
-    return SandboxWatch(on_poll=lambda: attempt.progress(*last[0]), progress=told)
+    return SandboxWatch(on_poll=lambda: attempt.progress(*last[0]), progress=forward)
 
 
 # A sandboxed child that is kept for the next job of the same run, which reuses its process and memory.

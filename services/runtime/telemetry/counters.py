@@ -26,7 +26,7 @@ class MetricDefinition:
     """A counter, or with `bounds` a histogram."""
 
     name: str
-    told: str
+    description: str
     labels: tuple[str, ...]
     bounds: tuple[float, ...] = ()
 

@@ -24,10 +24,10 @@ from testing.worlds.sending import (
     counts_of,
     guess,
     jobs_of,
+    outputs_of,
     pair_of,
     parts_left,
     row_of,
-    said_of,
     scores_of,
     send,
     taken,
@@ -112,7 +112,7 @@ def test_jobs_tell_nothing_but_where_the_submission_stands(world: World, monkeyp
     run_eval(world.platform)
     (row,) = scores_of(world.platform, submission_id)
     assert row.miou is not None
-    told = [one for one in said_of(world.platform, submission_id) if one is not None]
+    told = [one for one in outputs_of(world.platform, submission_id) if one is not None]
     assert {name for result, *_ in told if isinstance(result, dict) for name in result} == {"state", "frames"}
     words = json.dumps(told)
     counts = [count for count in np.array(row.record["confusion"]).ravel().tolist() if count > 999]

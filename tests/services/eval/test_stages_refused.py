@@ -30,7 +30,18 @@ from testing.worlds.benchmark_world import Grid, World, run_eval
 from testing.worlds.decay import flip
 from testing.worlds.made import row_of as job_row
 from testing.worlds.runs import Said
-from testing.worlds.sending import guess, jobs_of, pair_of, parts_left, row_of, said_of, scores_of, send, taken, zipped
+from testing.worlds.sending import (
+    guess,
+    jobs_of,
+    outputs_of,
+    pair_of,
+    parts_left,
+    row_of,
+    scores_of,
+    send,
+    taken,
+    zipped,
+)
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +154,7 @@ def test_nothing_that_a_counting_child_says_is_kept(
     monkeypatch.setattr(examination, "count_submission", say)
     row = ended(world, send(world, zipped(world, guess(world, turn=40))))
     assert (row.state, row.failure_code) == ("failed", "scoring_crashed")
-    told = json.dumps([row.failure, row.problems, said_of(world.platform, row.id)])
+    told = json.dumps([row.failure, row.problems, outputs_of(world.platform, row.id)])
     assert "scoring_crashed" in told
     assert not [word for word in ("a_code_of_its_own", "voxels") if word in told]
 
