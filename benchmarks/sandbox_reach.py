@@ -1,5 +1,4 @@
-"""The reach of a sandboxed child after an attacker has taken it over: `python -m benchmarks.sandbox_reach [--kernel
-NAME]`.
+"""The reach of a compromised sandboxed child: `python -m benchmarks.sandbox_reach [--kernel NAME]`.
 
 A child of each kind tries all `ATTEMPTS` by native means. It may write in one folder and read one file. A file, a
 folder and a process of the same user are outside its grants. If an attempt leaves a trace outside, the trace is checked

@@ -1,5 +1,4 @@
-"""Uploads through a real uvicorn compared with a plain write of the same bytes: `python -m benchmarks.upload [--place
-…]`.
+"""Uploads through a real uvicorn, and plain writes of the same bytes: `python -m benchmarks.upload [--place …]`.
 
 Both read the same file from the page cache and write to the same disk. They end when the bytes are on it (fsync; the
 upload also has its sha256 by then). They take turns in one run. The client is one process that sends one PATCH by

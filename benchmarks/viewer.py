@@ -1,5 +1,4 @@
-"""Speed of the 3D viewer: `python -m benchmarks.viewer [--voxels 60000] [--pictures 40] [--openings 12] [--size
-1280x720]`.
+"""Speed of the 3D viewer: `python -m benchmarks.viewer [--voxels N] [--pictures N] [--openings N] [--size 1280x720]`.
 
 A generated run on an embedded platform is opened in Debian's Chromium with software rendering (SwiftShader), so that
 the figures need no graphics card and are a floor. *First voxel* is from the navigation to the first image with labels.

@@ -15,8 +15,8 @@ def shown(made: Outcomes, before: Outcomes) -> str:
 def goes_through(row: Mapping[str, Any]) -> bool:
     """Return whether the fault went undetected.
 
-    This is a crash, T outside the driven ground, a refusal without an inspection error, or an inspection error without
-    a refusal.
+    This is a crash, T outside the driven ground, a refusal or an exclusion that inspection did not report, or an
+    inspection error without a refusal.
     """
     if row["refusal"]:
         return row["refusal"] not in row["errors"]

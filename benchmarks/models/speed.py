@@ -1,6 +1,6 @@
 """CPU-seconds per frame of a recording with torch and onnxruntime: `python -m benchmarks.models.speed`.
 
-        python -m benchmarks.models.speed column-net RUN --bag BAG --calibration CAL
+    python -m benchmarks.models.speed column-net RUN --bag BAG --calibration CAL
 
 A row is a run, or a shipped row, untrained: ColumnNet's cost does not depend on training, CoNet's on the number of
 voxels predicted occupied. One thread; CPU-seconds, so that other load matters little; the median of all frames except

@@ -29,8 +29,11 @@ SEEN_M = VOXEL_M
 class MoverCounts:
     """Counts of voxels with surface.
 
-    They are all voxels; falsely occupied voxels of movers that left, absent from the drive without movers; and voxels
-    of parked vehicles. Further counts are static voxels without movers and in this drive, and the lost ones.
+    - `voxels`: all of them.
+    - `left`: remains of movers that drove or walked on, absent from the drive without movers.
+    - `parked`: surface of parked vehicles.
+    - `standing`: surface of the drive without movers that this drive's LiDAR hit too.
+    - `lost`: the part of `standing` without surface in this drive's labels.
     """
 
     voxels: int
@@ -77,7 +80,7 @@ def _half_sweep_ns(drive: Drive) -> int:
 
 
 def _standing_points(drive: Drive, movers: Sequence[Mover], moments_ns: NDArray[np.int64]) -> Array:
-    """Return the map positions of hits on standing movers (M, 3), thinned."""
+    """Return the map positions (M, 3) of LiDAR hits outside all movers, thinned."""
     kept, world_from_ego = list[Keys](), drive.world_from_ego()
     for frame, stamp_ns in enumerate(moments_ns.tolist()):
         seen = points_ego(drive, frame)

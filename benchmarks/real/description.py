@@ -140,7 +140,7 @@ def read_description(path: Path, folder: Path) -> Described:
 
 
 def _of_one_name_each(described: list[Described]) -> list[Described]:
-    """Return the descriptions. Raises `DescriptionError` if two have item name, as their labels would collide."""
+    """Return the descriptions. Raises `DescriptionError` if two have the same name, as their labels would collide."""
     paths: dict[str, Path] = {}
     for item in described:
         name = item.description.name

@@ -46,7 +46,7 @@ def _tile(path: Path) -> tuple[Keys, NDArray[np.uint8]]:
 
 
 def disagreement(first: LabelledMap, second: LabelledMap) -> tuple[float | None, float | None]:
-    """Return shares of the voxels that both label: with another class, and N in only first of them."""
+    """Return shares of the voxels that both label: with different classes, and with N in only one of them."""
     _, mine, theirs = np.intersect1d(first.keys, second.keys, assume_unique=True, return_indices=True)
     ours, others = first.classes[mine], second.classes[theirs]
     return share(ours != others), share((ours == NON_TRAVERSABLE) != (others == NON_TRAVERSABLE))

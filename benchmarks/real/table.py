@@ -1,4 +1,4 @@
-"""The figures of `benchmarks.real` as Markdown tables: a row per profile and option."""
+"""The figures of `benchmarks.real` as tables for a docs page: a row per profile and option."""
 
 from collections.abc import Iterable, Mapping
 

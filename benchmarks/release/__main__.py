@@ -109,7 +109,7 @@ def _grid_in(out: Path, name: str) -> Path:
 
 
 def _picture(pair: ReleasedPair, variant: Variant) -> bytes:
-    """Return the frame in the middle of the compared frames."""
+    """Return the picture of the middle one of the compared frames."""
     middle = len(pair.rows) // 2
     classes, is_known = released_labels(pair, middle)
     return comparison_picture(variant.frame(middle), (classes, is_known.astype(np.uint8)))

@@ -151,7 +151,7 @@ def _labelled(index: DatasetIndex) -> Iterator[tuple[DatasetSequence, int, Expor
 
 
 def matched(ours_ns: NDArray[np.int64], theirs_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the indices (M,) of matching stamps in `ours_ns` (N,) and in `theirs_ns` (K,), both not empty."""
+    """Return the indices (M,) of matching stamps in `ours_ns` (N,) and in `theirs_ns` (K,), which is not empty."""
     order = np.argsort(theirs_ns, kind="stable")
     right = np.searchsorted(theirs_ns[order], ours_ns)
     beside = order[np.clip([right - 1, right], 0, len(order) - 1)]

@@ -255,7 +255,7 @@ class NearReturns:
         return is_near
 
     def _tree(self, row: int) -> cKDTree:
-        """Return the returns of the sweep of a frame, in the map."""
+        """Return the tree of the returns of a frame's sweep, in the map."""
         if row not in self._trees:
             sequence = self._pair.sequence
             map_from_lidar = sequence.frames.map_from_ego[row] @ sequence.calibration.ego_from_lidar

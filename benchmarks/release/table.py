@@ -1,4 +1,4 @@
-"""The results of `benchmarks.release` as Markdown tables."""
+"""The results of `benchmarks.release` as tables for a docs page."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence

@@ -69,7 +69,7 @@ class ScoreTimes:
 
 @dataclass(frozen=True, eq=False)
 class ScoreInputs:
-    """All open inputs."""
+    """The open submission, pack and peers of one measurement."""
 
     data: Material
     submission: SubmissionZip
