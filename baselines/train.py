@@ -1,6 +1,6 @@
 """Training of a row, from exports to weights. The page to read first.
 
-        sources → cache → dataset → batches → losses → steps → checkpoint; validation → the best weights
+    sources → cache → dataset → batches → losses → steps → checkpoint; validation → the best weights
 
 **Conventions.** A run is a folder: `row.json`, `checkpoint.safetensors`, `weights.safetensors`, `log.jsonl`,
 `tensorboard/`, and `frames/`, the cache, unless another is named. A killed run continues from its checkpoint; on a CPU
@@ -283,7 +283,7 @@ class _Run:
         return TrainingReport(step + 1, self.schedule.steps, 0, terms, scores, rate)
 
     def _end_of(self, epoch: int, say: Reports) -> None:
-        """Score the validation data, keep the best weights, report, and begin the next epoch."""
+        """Score the validation data, keep the best weights, report, and start the next epoch."""
         scores, best = dict[str, float | None](), self.state.provenance.best_miou
         if self.watched:
             request = FrameRequest(

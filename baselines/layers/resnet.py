@@ -37,7 +37,7 @@ class ResNetConfig:
     checkpoint_gradients: bool = False
 
     def channels(self) -> tuple[int, int, int, int]:
-        """Return the channels of the four maps."""
+        """Return the numbers of channels of the four maps."""
         first = self.width * EXPANSION
         return first, 2 * first, 4 * first, 8 * first
 

@@ -91,7 +91,7 @@ def windows_of(cells: Tensor, window: int) -> Tensor:
 
 
 def maps_of(windows: Tensor, size: tuple[int, int]) -> Tensor:
-    """Return the inverse of `windows_of` for a map of `size` (H, W)."""
+    """Return the map of `size` (H, W) from its windows, the inverse of `windows_of`."""
     n, _, cells, channels = windows.shape
     height, width, window = *size, round(cells**0.5)
     tiles = windows.reshape(n, height // window, width // window, window, window, channels)

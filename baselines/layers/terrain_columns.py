@@ -93,9 +93,10 @@ EVIDENCE = 3
 
 
 def evidence_of(hits: ColumnHits, terrain: TerrainColumns, alignment: ColumnAlignment, newest_s: float) -> Tensor:
-    """Return maps (B, 3 K, X, Y) of aligned heights: hits, hits in the last `newest_s`, mean position within the voxel.
+    """Return maps (B, 3 K, X, Y) of aligned heights: hits, recent hits, and mean position within the voxel.
 
-    The first is `log(1 + points) / 3`, the second 0 or 1, the third −½ … ½. `features` end with the age.
+    The first is `log(1 + points) / 3`. The second is 1 with a hit in the last `newest_s`, else 0. The third is −½ … ½.
+    `features` end with the age.
     """
     x, y, _ = alignment.lattice.shape
     frames, heights = len(terrain.base), alignment.heights

@@ -41,7 +41,7 @@ def depth_divergence(probabilities: Tensor, depth_m: Tensor, frustum: Frustum) -
 def depth_cross_entropy(probabilities: Tensor, depth_m: Tensor, frustum: Frustum) -> Tensor:
     """Return the binary cross entropy of all bins against the bin nearest to the depth, summed over bins.
 
-    In the official code the target is the bin before the nearest.
+    In the official code the target is the bin before the nearest one.
     """
     with torch.autocast(probabilities.device.type, enabled=False):
         depth, is_known = targets(depth_m, frustum)

@@ -28,7 +28,7 @@ from baselines.layers.masked_attention import MaskPrediction
 
 @dataclass(frozen=True)
 class PointSettings:
-    """`points` voxels for a mask: a share `uncertain_ratio` of the least decided, the others uniform draws.
+    """`points` voxels per mask: the share `uncertain_ratio` is the least decided ones, the rest is drawn uniformly.
 
     The least decided are chosen from `oversampling` times as many drawn by class. A class is drawn in proportion to its
     rarity to the power `rarity_exponent`.

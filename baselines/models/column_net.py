@@ -42,7 +42,9 @@ WARMEST = 3.0  # upper limit of |log temperature|
 
 
 class ColumnOutputs(NamedTuple):
-    """`logits` (B, 4, X, Y, Z), and `log_temperature` (B, 1, X, Y, Z), the divisor of the logits for probabilities."""
+    """`logits` (B, 4, X, Y, Z), and `log_temperature` (B, 1, X, Y, Z), the logarithm of their divisor for
+    probabilities.
+    """
 
     logits: Tensor
     log_temperature: Tensor

@@ -1,7 +1,7 @@
 """ColumnNet as a program of static shapes for export: all learned layers, without geometry.
 
-        points → maps, base (`ColumnNet.geometry`)      calibration → cells (`column_cells`)
-        maps, base, images, cells → logits, log_temperature
+    points → maps, base (`ColumnNet.geometry`)      calibration → cells (`column_cells`)
+    maps, base, images, cells → logits, log_temperature
 
 **Conventions.** One frame at a time. `cells` (N, 2, X, Y) int64 are the cells of camera n's features at the two
 surfaces of each column, row · width + column, −1 for invisible surfaces.
@@ -27,7 +27,9 @@ class ColumnNetProgram(nn.Module):
     def forward(
         self, maps: Tensor, base: Tensor, images: Tensor | None = None, cells: Tensor | None = None
     ) -> tuple[Tensor, Tensor]:
-        """Return logits (1, 4, X, Y, Z) and temperatures (1, 1, X, Y, Z) of `maps` (1, C, X, Y), `base` (1, X, Y)."""
+        """Return logits (1, 4, X, Y, Z) and log temperatures (1, 1, X, Y, Z) of `maps` (1, C, X, Y), `base` (1, X,
+        Y).
+        """
         if self.encoder is not None and images is not None and cells is not None:
             maps = torch.cat([maps, looked_up(self.encoder(images), cells)], dim=1)
         logits, log_temperature = self.net(maps, base)

@@ -44,7 +44,7 @@ class OccupancyModel(nn.Module, ABC, Generic[Outputs]):
 def likeliest(logits: Tensor) -> Tensor:
     """Return classes (B, ...) uint8 of the largest of logits (B, C, ...), the first of equal ones.
 
-    It equals `argmax` over dimension 1, in a tenth of its time on a CPU.
+    Without NaN it equals `argmax` over dimension 1, in a tenth of its time on a CPU.
     """
     most = logits[:, 0]
     classes = torch.zeros_like(most, dtype=torch.uint8)

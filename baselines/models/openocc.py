@@ -1,8 +1,8 @@
 """OpenOccupancy's baselines and CoNet: cameras, LiDAR or both to a coarse volume, and with the cascade to a fine one.
 
 Source: Wang et al., OpenOccupancy, ICCV 2023; official code `occ_plugin/occupancy/detectors/occnet.py`. Differences are
-stated in their modules: norms (`layers/sparse_encoder.py`), places of children (`openocc_cascade.py`), cells with
-single occupied voxels (`losses/coarse_labels.py`).
+stated in their modules: norms (`layers/sparse_convolution.py`), positions of children (`openocc_cascade.py`), cells
+with single occupied voxels (`losses/voxels.py`).
 """
 
 from dataclasses import dataclass

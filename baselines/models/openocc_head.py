@@ -21,7 +21,7 @@ class CoarseVolume:
 
 
 class SoftWeightedHead(nn.Module):
-    """Volumes of `channels`, finest first, to a sum of half as many, and from it to logits."""
+    """Volumes of `channels`, finest first, to a sum of half as many channels, and from it to logits."""
 
     def __init__(self, levels: int, channels: int, classes: int) -> None:
         super().__init__()
