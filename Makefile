@@ -123,6 +123,7 @@ check-beside: develop
 style: develop
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
+	$(BIN)/python -m testing.english
 
 static: style
 	$(BIN)/mypy
