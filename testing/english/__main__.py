@@ -26,6 +26,9 @@ def main() -> int:
     parser.add_argument("--sample", type=int, metavar="N", help="Print N sentences, drawn by stratum")
     parser.add_argument("--seed", type=int, default=0, help="Seed of the sample (default: 0)")
     options = parser.parse_args()
+    if not (ROOT / ".git").exists():
+        _write(["not a git checkout, so the project's own files are unknown: nothing is checked"])
+        return 0
     texts = [text for path in _chosen(options.paths) for text in texts_of(path)]
     if options.sample:
         drawn = draw(texts, options.sample, options.seed)
