@@ -67,7 +67,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--short", type=float, nargs="*", default=[2.0, 5.0, 10.0])
-    parser.add_argument("--only", nargs="*", help="only decisions whose names begin with these words")
+    parser.add_argument("--only", nargs="*", help="only decisions whose names start with these words")
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "stone-truth")
     parser.add_argument("--table", action="store_true", help="only print stored figures")
     options = parser.parse_args()

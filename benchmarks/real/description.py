@@ -78,7 +78,7 @@ class Description(_Part):
         if (self.recording is None) == (self.scan is None):
             raise ValueError("give either `recording`, a bag, or `scan`, a file of points")
         if self.recording is not None and self.tracks_m:
-            raise ValueError("`tracks_m` is for a scan; a recording has its poses")
+            raise ValueError("`tracks_m` applies to scans only; the track of a recording follows from its poses")
         if self.semantics is not None and self.recording is not None:
             stampless = [scan.points for scan in self.semantics.scans if scan.stamp_ns is None]
             if stampless:
@@ -130,7 +130,7 @@ def read_description(path: Path, folder: Path) -> Described:
         raise DescriptionError(path, f"has {path.stat().st_size} bytes; a description has at most {MOST_BYTES}")
     documents = parse_documents(path.name, path.read_bytes())
     if len(documents) != 1:
-        raise DescriptionError(path, f"holds {len(documents)} documents; a description is one")
+        raise DescriptionError(path, f"contains {len(documents)} documents, but must be one")
     try:
         return Described(Description.model_validate(documents[0]), path, folder)
     except ValidationError as error:
@@ -145,6 +145,6 @@ def _of_one_name_each(described: list[Described]) -> list[Described]:
     for item in described:
         name = item.description.name
         if name in paths:
-            raise DescriptionError(item.path, f"is called {name!r}, and so is {paths[name]}; give it another name")
+            raise DescriptionError(item.path, f"has the name {name!r} of {paths[name]}; give it another name")
         paths[name] = item.path
     return described

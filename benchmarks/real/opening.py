@@ -114,7 +114,7 @@ def _rows_of(path: Path) -> NDArray[np.float32]:
         raise DescriptionError(path, "does not exist")
     size = path.stat().st_size
     if size == 0 or size % POINT_BYTES:
-        raise DescriptionError(path, f"has {size} bytes, no multiple of {POINT_BYTES}: x, y, z, intensity a point")
+        raise DescriptionError(path, f"has {size} bytes, not a multiple of {POINT_BYTES} (x, y, z, intensity)")
     rows: NDArray[np.float32] = np.fromfile(path, "<f4").reshape(-1, 4)[:, :3].astype(np.float32)
     if not np.isfinite(rows).all():
         raise DescriptionError(path, "contains a coordinate that is not finite")

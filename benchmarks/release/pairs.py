@@ -77,7 +77,7 @@ class ReleasedPair:
 def dataset_in(folder: Path) -> DatasetIndex:
     """Return the dataset of a folder: a ZIP or tar in it, or unpacked. Raises `no_release`, a `DatasetFaultError`."""
     if not folder.is_dir():
-        raise Refused("no_release", f"{folder} is no folder (is the path right?)")
+        raise Refused("no_release", f"{folder} is not an existing folder (is the path right?)")
     archives = (file for file in sorted(folder.iterdir()) if file.suffix in (".zip", ".tar"))
     for path in (*archives, folder):
         try:
@@ -87,7 +87,7 @@ def dataset_in(folder: Path) -> DatasetIndex:
                 raise
     raise Refused(
         "no_release",
-        f"{folder} holds no dataset: the released ZIP, or the folder STONE_nus_dataset of it, is expected there",
+        f"{folder} contains no dataset: put the released ZIP, or its folder STONE_nus_dataset, there",
     )
 
 
@@ -101,7 +101,7 @@ def bags_in(folder: Path) -> list[Path]:
     if not bags:
         raise Refused(
             "no_release",
-            f"{folder} holds no bag: one or more of the release's (a folder with metadata.yaml and a .db3) is expected",
+            f"{folder} contains no bag: put a bag of the release there (a folder with metadata.yaml and a .db3)",
         )
     return bags
 
@@ -178,8 +178,8 @@ def _mount(bag: Bag, index: DatasetIndex) -> SE3:
     if len(mounts) != 1:
         raise Refused(
             "no_release",
-            f"{bag.path.name}: the scenes of its time have {len(mounts)} mounts of {LIDAR_CHANNEL} in "
-            "calibrated_sensor, and one is needed (is it a bag of this dataset?)",
+            f"{bag.path.name}: the scenes at its time have {len(mounts)} mounts of {LIDAR_CHANNEL} in "
+            "calibrated_sensor, but the comparison requires one (is it a bag of this dataset?)",
         )
     return mounts[0]
 

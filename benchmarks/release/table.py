@@ -37,7 +37,7 @@ def show_pair(pair: ReleasedPair) -> None:
     )
     codes = Counter(finding.code for finding in pair.sequence.excluded)
     for code, frames in codes.items():
-        print(f"  {code}: {frames} sweeps of the bag are no frames")
+        print(f"  {code}: {frames} sweeps of the bag have no frame")
 
 
 def show_findings(findings: Iterable[Finding]) -> None:

@@ -32,8 +32,8 @@ def twin_of(scenes: int, frames: int, grid: str) -> ReleasedDataset:
 
 def main(words: Sequence[str]) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scenes", type=int, default=RELEASE_FACTS.scenes, help="three drives of nine or more")
-    parser.add_argument("--frames", type=int, default=RELEASE_FACTS.frames_a_scene, help="23 of a scene or more")
+    parser.add_argument("--scenes", type=int, default=RELEASE_FACTS.scenes, help="at least 27 (three drives)")
+    parser.add_argument("--frames", type=int, default=RELEASE_FACTS.frames_a_scene, help="per scene, at least 23")
     parser.add_argument("--grid", choices=("release", "paper"), default="release")
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()), help="work folder (30 GB)")
     parser.add_argument("--zip", type=Path, help="path of the ZIP; written if it is missing")

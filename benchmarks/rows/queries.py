@@ -83,19 +83,19 @@ def _route(name: str, who: str, path: str, bound: str = "") -> Question:
 
 
 def _lists() -> tuple[Question, ...]:
-    all_of = "a count of all there is"
+    all_of = "a count of all rows"
     return (
         _route("sequences, all", "administrator", "/sequences"),
         _route("sequences, of a rare region", "administrator", "/sequences?region=islet"),
         _route("sequences, of an environment", "administrator", "/sequences?environment=desert"),
-        _route("sequences, by the begin of a name", "administrator", "/sequences?name=run-999"),
+        _route("sequences, by the start of a name", "administrator", "/sequences?name=run-999"),
         _route("sequences, of one owner", "administrator", "/sequences?owner_id={modest}"),
         _route("sequences, own and public, of a fifth", "rich", "/sequences"),
         _route("sequences, own and public, of five", "modest", "/sequences"),
         _route("sequences, of a visitor", "", "/sequences"),
         _route("runs of an owner of many", "rich", "/jobs"),
         _route("runs of an owner of five", "modest", "/jobs"),
-        _route("runs that failed, of an owner of five", "modest", "/jobs?state=failed"),
+        _route("failed runs of an owner of five", "modest", "/jobs?state=failed"),
         _route("jobs, all", "administrator", "/admin/jobs"),
         _route("jobs that failed", "administrator", "/admin/jobs?state=failed"),
         _route("jobs that run", "administrator", "/admin/jobs?state=running"),
@@ -104,7 +104,7 @@ def _lists() -> tuple[Question, ...]:
         _route("jobs of a kind without jobs", "administrator", "/admin/jobs?kind=labeler.export"),
         _route("jobs of an owner", "administrator", "/admin/jobs?owner=person-2"),
         _route("counts of jobs by state", "administrator", "/admin/jobs/counts", all_of),
-        _route("queues", "administrator", "/admin/queues", "a count of what waits and of what ended lately"),
+        _route("queues", "administrator", "/admin/queues", "counts of queued and of recently ended jobs"),
         _route("audit log of a rare act", "administrator", "/admin/audit-log?act=token.revoke"),
         _route("audit log of one person", "administrator", "/admin/audit-log?actor=person-2"),
         _route("audit log of one object", "administrator", "/admin/audit-log?subject_id={sequence}"),
@@ -141,7 +141,7 @@ def _balance(kit: Kit, _chance: Random) -> None:
 
 
 def _of_boards() -> tuple[Question, ...]:
-    whole = "every entry of the board is read, to be ordered"
+    whole = "every entry of the board is read and sorted"
     return (
         Question("a board of some thousand entries", lambda kit, _: _board(kit, 3), whole),
         Question("a board of half of all entries", lambda kit, _: _board(kit, 0), whole),
@@ -174,8 +174,8 @@ def _of_workers() -> tuple[Question, ...]:
     return (
         Question("claim of an ingest job", lambda kit, _: _claim(kit, "ingest")),
         Question("claim without a ready job", lambda kit, _: _claim(kit, "eval")),
-        Question("wake-ups wanted", _wake_ups, "a count of what waits, at most 10,000"),
-        Question("attempts that fell silent", _recover, "all that run"),
+        Question("wake-ups wanted", _wake_ups, "a count of queued jobs, at most 10,000"),
+        Question("attempts without heartbeats", _recover, "all that run"),
         Question("workers and what they hold", _workers, "all that run"),
         Question("submissions whose run ended", lambda kit, _: settle_ended(kit.platform)),
         Question("submissions to be tidied", lambda kit, _: tidy_submissions(kit.platform)),

@@ -183,7 +183,7 @@ def main() -> None:
     console.print(verdicts(clocks, peak))
     facts = f"{frame_count} frames at {data.grid}, zip of {sizes[0]:.0f} MB, pack of {sizes[1]:.0f} MB"
     console.print(f"{facts}; the zip's directory is checked in {1e3 * open_s:.0f} ms")
-    console.print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}: wall means little where the load is above 1")
+    console.print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}: wall times mean little at a load above 1")
 
 
 if __name__ == "__main__":

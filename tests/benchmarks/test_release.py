@@ -113,16 +113,16 @@ def test_voxels_near_the_own_sweep_are_found_to_be_all_that_is_known_over_two_ba
 def test_a_folder_without_dataset_or_bag_and_a_bag_of_another_time_are_refused_by_what_is_missing(
     made: MadePair, folder: Path, tmp_path: Path
 ) -> None:
-    with refused_as("no_release", match="is no folder"):
+    with refused_as("no_release", match="is not an existing folder"):
         dataset_in(tmp_path / "nowhere")
-    with refused_as("no_release", match="holds no dataset: the released ZIP"):
+    with refused_as("no_release", match="contains no dataset: put the released ZIP"):
         dataset_in(folder)
     made.write_zip(tmp_path / "STONE.zip", late_us=3_600_000_000)
     shutil.copy(tmp_path / "STONE.zip", folder)
     with refused_as("no_release", match=r"none of its \d+ frames has .* nearest released frame is 359\d\.\d+ s"):
         compare(folder, Searched(("paper",), (20,), (0.05,), (Kept(),)), tmp_path / "out", 1)
     shutil.rmtree(folder / made.bag.name)
-    with refused_as("no_release", match="holds no bag"):
+    with refused_as("no_release", match="contains no bag"):
         bags_in(folder)
 
 
