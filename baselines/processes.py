@@ -44,14 +44,14 @@ def joined_processes(device: str) -> Iterator[ProcessShare]:
         distributed.destroy_process_group()
 
 
-def usable_device(name: str, place: int = 0) -> torch.device:
-    """Return the CPU, or the GPU with the index `place`. Raises `no_accelerator`."""
+def usable_device(name: str, index: int = 0) -> torch.device:
+    """Return the CPU, or the GPU with the index `index`. Raises `no_accelerator`."""
     if name != "cuda":
         return torch.device(name)
-    if place >= torch.cuda.device_count():
+    if index >= torch.cuda.device_count():
         raise Refused(
             "no_accelerator",
-            f"cuda:{place} cannot be used here by torch {torch.__version__}: use --device cpu, or install the "
+            f"cuda:{index} cannot be used here by torch {torch.__version__}: use --device cpu, or install the "
             "torch that matches the machine's driver",
         )
-    return torch.device(name, place)
+    return torch.device(name, index)

@@ -40,7 +40,7 @@ def opened_run(folder: Path, row: RowConfig, resume: bool) -> tuple[RowConfig, b
     return begun, (folder / CHECKPOINT).exists()
 
 
-def say_row(folder: Path, row: RowConfig) -> None:
+def write_run_row(folder: Path, row: RowConfig) -> None:
     """Create the folder as a run of this row."""
     folder.mkdir(parents=True, exist_ok=True)
     with atomic_file(folder / ROW_FILE) as staging:

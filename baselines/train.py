@@ -30,9 +30,9 @@ from baselines.metrics import RateSchedule, confusion_of, scores_of, take_step
 from baselines.models.occupancy_model import OccupancyModel
 from baselines.processes import ProcessShare, joined_processes
 from baselines.row_config import RowConfig
-from baselines.run_folder import RunLog, TrainingReport, opened_run, say_row
+from baselines.run_folder import RunLog, TrainingReport, opened_run, write_run_row
 from baselines.sources import labelled_frames
-from baselines.training_state import TrainingState, begun_state, resumed_state
+from baselines.training_state import TrainingState, initial_state, resumed_state
 from stone.errors import Refused
 
 # The collate function of loaders: one batch of several frames.
@@ -140,10 +140,10 @@ def train(plan: TrainingPlan, progress: Progress, reports: Reports) -> TrainedRu
         row, goes_on = opened_run(plan.run, plan.row, plan.resume)
         share.wait()  # all processes must check before one writes, or others would find an existing run
         if share.is_first:
-            say_row(plan.run, row)
+            write_run_row(plan.run, row)
         frames = _frames(plan, plan.exports, progress, WantedLabels(row.training.least_confidence, row.label_grid))
         watched = _frames(plan, plan.watch, progress, WantedLabels(grid=row.label_grid)) if plan.watch else ()
-        state = begun_state(row, frames, share)
+        state = initial_state(row, frames, share)
         if goes_on:
             state = resumed_state(plan.run, state)
         elif plan.backbone is not None:

@@ -42,7 +42,7 @@ class TrainingState:
         write_checkpoint(folder, self.model, self.optimizer, self.provenance)
 
 
-def begun_state(row: RowConfig, frames: Sequence[CachedFrame], share: ProcessShare) -> TrainingState:
+def initial_state(row: RowConfig, frames: Sequence[CachedFrame], share: ProcessShare) -> TrainingState:
     """Return the state before the first step: weights by the row's seed, classes weighted by the voxels of `frames`."""
     torch.manual_seed(row.training.seed)
     free, t, p, n = (sum(frame.voxels[class_index] for frame in frames) for class_index in range(4))

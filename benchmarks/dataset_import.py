@@ -39,7 +39,7 @@ class StepShares:
         self.spent[step] += now - self._last  # type: ignore[assignment]
         self._last = now
 
-    def told(self) -> str:
+    def summary(self) -> str:
         self("rest", 0, 0)
         total = sum(self.spent.values())
         return ", ".join(f"{step} {share / total:.0%}" for step, share in self.spent.most_common())
@@ -76,7 +76,7 @@ def _say(what: str, frames: int, cost: tuple[float, StepShares]) -> None:
     held_mib = getrusage(RUSAGE_SELF).ru_maxrss / 1024
     cpu_s, shares = cost
     rate = f"{cpu_s:.1f} CPU-s, {frames / cpu_s:.0f} frames per CPU-s, {held_mib:.0f} MiB at most"
-    print(f"{what}: {frames} frames, {rate}; {shares.told()}", flush=True)
+    print(f"{what}: {frames} frames, {rate}; {shares.summary()}", flush=True)
 
 
 def main(words: Sequence[str]) -> None:

@@ -165,14 +165,14 @@ def measured(context: BrowserContext, shown: tuple[dict[str, Any], str], picture
     page.route("**/whole/*", lambda route: route.fulfill(path=WHOLE / route.request.url.rpartition("/")[2]))
     opened(page, made["id"], cameras)
     given = {"pictures": pictures, "token": made["tokens"][0]}
-    yield f"canvas, {cameras_text}", asked(page, CANVAS)
-    yield f"step to the next frame, {cameras_text}", milliseconds(asked(page, STEPS, given))
-    yield f"pictures a second, {cameras_text}", rates(asked(page, MEASURE, given))
+    yield f"canvas, {cameras_text}", evaluate_in_viewer(page, CANVAS)
+    yield f"step to the next frame, {cameras_text}", milliseconds(evaluate_in_viewer(page, STEPS, given))
+    yield f"pictures a second, {cameras_text}", rates(evaluate_in_viewer(page, MEASURE, given))
     if cameras == "off":
         yield from compared(page, given)
         return
     for width, height in ((320, 200), (160, 100)):
-        took = asked(page, CASTS, {**given, "width": width, "height": height})
+        took = evaluate_in_viewer(page, CASTS, {**given, "width": width, "height": height})
         yield f"six pictures of {width} × {height} labelled", milliseconds(took)
 
 
@@ -183,7 +183,7 @@ def compared(page: Page, given: dict[str, Any]) -> Iterator[tuple[str, str]]:
     three = sum(size for name, size in sizes.items() if "three" in name)
     yield "of it three.js", f"{three / 1e3:.0f} kB"
     given = given | {"colours": [int(hex_of(colour)[1:], 16) for colour in CLASS_RGB.values()]}
-    yield "pictures a second, instanced boxes", rates(asked(page, BOXES + MEASURE, given))
+    yield "pictures a second, instanced boxes", rates(evaluate_in_viewer(page, BOXES + MEASURE, given))
 
 
 def rates(measured_s: tuple[list[float], int]) -> str:
@@ -195,7 +195,7 @@ def milliseconds(seconds: list[float]) -> str:
     return f"{1000 * np.median(seconds):.0f} ms (fastest {1000 * min(seconds):.0f})"
 
 
-def asked(page: Page, script: str, given: object = None) -> Any:
+def evaluate_in_viewer(page: Page, script: str, given: object = None) -> Any:
     """Return the script's result in the page's viewer, its `stage`."""
     return page.evaluate(f"async given => {{ {IMPORTS} {script} }}", given)
 

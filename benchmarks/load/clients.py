@@ -97,11 +97,11 @@ class Client:
         self._secret = secret
         self._streams: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
 
-    async def ask(self, what: str, method: str, path: str, expected: tuple[int, ...], **said: Any) -> LoadReply:
+    async def ask(self, what: str, method: str, path: str, expected: tuple[int, ...], **request: Any) -> LoadReply:
         """Send a request, log it and return the answer. Raises `UnexpectedError`."""
         begun_s = time.perf_counter()
         try:
-            answer = await self._sent(method, path, said.get("headers", {}), said.get("body", b""))
+            answer = await self._sent(method, path, request.get("headers", {}), request.get("body", b""))
         except (OSError, asyncio.IncompleteReadError) as error:
             await self.close()
             raise UnexpectedError(f"{what}: {type(error).__name__}: {error}") from error

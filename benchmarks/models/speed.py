@@ -31,7 +31,7 @@ from baselines.models.column_net_program import ColumnNetProgram, inputs_of
 from baselines.onnx_export import write_onnx
 from baselines.predict import LoadedRun, loaded_run
 from baselines.row_config import read_row
-from baselines.run_folder import say_row
+from baselines.run_folder import write_run_row
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.sequence import open_sequence
 from stone_local.models.recording_prediction import RecordedStore
@@ -82,7 +82,7 @@ def main() -> None:
 def untrained_run(row: str, folder: Path) -> Path:
     """Return a run of this shipped row with its initial weights."""
     config = read_row(row)
-    say_row(folder, config)
+    write_run_row(folder, config)
     torch.manual_seed(0)
     write_weights(folder, build_model(config.model), WeightsProvenance(config.as_json(), "untrained", "none", 0))
     return folder

@@ -232,12 +232,12 @@ class NearReturns:
         self._pair, self._compared, self._trees = pair, compared, dict[int, cKDTree]()
         self._maps = maps_of_frames(pair.sequence)
 
-    def masks(self, place: int, is_asked: Mask, kept: Listing[Kept], grid: LabelGrid) -> dict[Kept, Mask]:
+    def masks(self, number: int, is_asked: Mask, kept: Listing[Kept], grid: LabelGrid) -> dict[Kept, Mask]:
         """Return the voxels of the grid that each way keeps, among the given ones."""
-        row, most = int(self._pair.rows[place]), max(how.sweeps for how in kept)
+        row, most = int(self._pair.rows[number]), max(how.sweeps for how in kept)
         self._trees = {frame: tree for frame, tree in self._trees.items() if frame >= row - most}
         centres_ego = np.array(grid.min_m) + (np.argwhere(is_asked) + 0.5) * grid.voxel_m
-        centres_map = self._compared.frames.map_from_ego[place] @ centres_ego
+        centres_map = self._compared.frames.map_from_ego[number] @ centres_ego
         masks = dict[Kept, Mask]()
         for how in kept:
             masks[how] = is_asked.copy()

@@ -26,7 +26,7 @@ from sqlalchemy import Connection, Engine
 
 from benchmarks.rows.bulk_inserts import analyse, prepare
 from benchmarks.rows.kinds import Amounts, fill
-from benchmarks.rows.plans import StatementPlan, explained, large_tables, taken_down
+from benchmarks.rows.plans import StatementPlan, explained, large_tables, record_statements
 from benchmarks.rows.queries import Kit, Question, people_of, questions
 from services.runtime.database.migrate import upgrade
 from services.runtime.platform import Platform, open_platform
@@ -125,7 +125,7 @@ def answered(kit: Kit, question: Question, at: tuple[Connection, frozenset[str]]
     connection, large = at
     lasted_s, plans, until_s = [], dict[str, StatementPlan](), time.monotonic() + ENOUGH_S
     for number in range(repeats):
-        with taken_down(kit.platform.database.engine) as statements:
+        with record_statements(kit.platform.database.engine) as statements:
             is_answered = _is_answered(kit, question, Random(number))
         lasted_s.append(sum(item.lasted_s for item in statements) if is_answered else PATIENCE_S)
         for statement in statements:

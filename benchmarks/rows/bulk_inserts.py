@@ -36,15 +36,15 @@ def prepare(connection: Connection) -> None:
     connection.execute(text("SET session_replication_role = replica"))
 
 
-def insert_rows(connection: Connection, name: str, source: str, said: Mapping[str, str], order: str = "") -> None:
-    """Insert rows of table `name` from `source` (the text after FROM): each column as in `said` (SQL), else its
+def insert_rows(connection: Connection, name: str, source: str, given: Mapping[str, str], order: str = "") -> None:
+    """Insert rows of table `name` from `source` (the text after FROM): each column as in `given` (SQL), else its
     default.
     """
     table = Base.metadata.tables[name]
-    unknown = set(said) - set(table.columns.keys())
+    unknown = set(given) - set(table.columns.keys())
     if unknown:
         raise ValueError(f"table {name} has no columns {sorted(unknown)}; was the schema changed?")
-    values = [said.get(column.name) or _default(column) for column in table.columns]
+    values = [given.get(column.name) or _default(column) for column in table.columns]
     columns = ", ".join(f'"{column.name}"' for column in table.columns)
     ordered = f" ORDER BY {order}" if order else ""
     connection.execute(text(f"INSERT INTO {name} ({columns}) SELECT {', '.join(values)} FROM {source}{ordered}"))

@@ -40,7 +40,7 @@ class StatementPlan:
 
 
 @contextmanager
-def taken_down(engine: Engine) -> Iterator[list[Statement]]:
+def record_statements(engine: Engine) -> Iterator[list[Statement]]:
     """Yield the list of statements that any session of `engine` executes during the block, in order."""
     statements: list[Statement] = []
     begun_s: dict[int, float] = {}

@@ -67,10 +67,10 @@ class SeasonProgress:
                 self._take_off(submission_id, play)
         self.sent.clear()
 
-    def rescore(self, asked: dict[str, str], meanwhile: Sequence[Play]) -> None:
+    def rescore(self, change: dict[str, str], meanwhile: Sequence[Play]) -> None:
         """Score all with another evaluation version during submissions, read the changes, switch the board."""
         base = f"/admin/phases/{self.season.phase_id}/rescores"
-        address = f"{base}/{self.season.admin.create(base, {**asked, 'reason': 'labels mended'})['id']}"
+        address = f"{base}/{self.season.admin.create(base, {**change, 'reason': 'labels mended'})['id']}"
         self.play(meanwhile)
         self.settle()
         wait_until(lambda: self.season.admin.read(address)["state"] == "complete")

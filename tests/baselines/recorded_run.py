@@ -12,7 +12,7 @@ from baselines.lattice import VoxelLattice
 from baselines.models.column_net import ColumnNet
 from baselines.models.column_net_config import ColumnNetConfig
 from baselines.row_config import RowConfig
-from baselines.run_folder import say_row
+from baselines.run_folder import write_run_row
 from simulator.options import SimulateOptions
 
 DRIVE = SimulateOptions(seconds=0.8, seed=3, channels=16, columns=240, camera_width_px=96, world_width_m=60.0)
@@ -26,7 +26,7 @@ ROW = RowConfig("tiny", "Tiny", "a test", InputConfig("C+L+R", (32, 48), lidar_s
 
 def made_run(folder: Path, row: RowConfig = ROW) -> Path:
     """The folder of a run of `row`, whose network has weights drawn by a seed."""
-    say_row(folder, row)
+    write_run_row(folder, row)
     torch.manual_seed(0)
     assert isinstance(row.model, ColumnNetConfig)
     model = ColumnNet(row.model)

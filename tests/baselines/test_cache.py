@@ -19,7 +19,7 @@ from baselines.frame_record import FrameRecord, WantedLabels, read_record
 from baselines.inputs import InputConfig
 from baselines.lattice import VoxelLattice
 from baselines.row_config import known_rows, read_row, row_of
-from baselines.run_folder import differences, read_run_row, say_row
+from baselines.run_folder import differences, read_run_row, write_run_row
 from baselines.sources import labelled_frames
 from stone.geometry.se3 import SE3
 from stone_exports.files import DamagedExportError
@@ -255,7 +255,7 @@ def test_all_rows_of_the_table_are_shipped() -> None:
 def test_a_shipped_row_is_read_and_survives_its_run(name: str, tmp_path: Path) -> None:
     row = read_row(name)
     assert row.name == name
-    say_row(tmp_path, row)
+    write_run_row(tmp_path, row)
     assert read_run_row(tmp_path) == row
 
 

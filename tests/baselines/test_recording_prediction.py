@@ -31,7 +31,7 @@ from baselines.models.column_net_program import ColumnNetProgram, column_cells, 
 from baselines.models.occfusion_config import OccFusionConfig
 from baselines.predict import PredictionPlan, loaded_run, predict
 from baselines.row_config import RowConfig, row_of
-from baselines.run_folder import say_row
+from baselines.run_folder import write_run_row
 from baselines.train import TrainingPlan
 from services.ingest.sequence import open_sequence
 from services.labeler.exports.sandboxed_export import write_sensed
@@ -316,7 +316,7 @@ def test_other_architectures_are_refused_in_a_line(tmp_path: Path) -> None:
         level_channels=(8, 8, 8, 8),
     )
     row = RowConfig("other", "OccFusion", "a test", replace(ROW.inputs, modality="C+L"), other)
-    say_row(tmp_path, row)
+    write_run_row(tmp_path, row)
     write_weights(tmp_path, build_model(other), WeightsProvenance(row.as_json(), "0" * 64, "all", 1))
     result = CliRunner().invoke(app, ["model", "onnx", str(tmp_path), "-o", str(tmp_path / "model.onnx")])
     assert (result.exit_code, len(result.stderr.splitlines())) == (1, 1)

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.rows.bulk_inserts import analyse, prepare
 from benchmarks.rows.kinds import Amounts, fill
-from benchmarks.rows.plans import Statement, StatementPlan, explained, large_tables, taken_down
+from benchmarks.rows.plans import Statement, StatementPlan, explained, large_tables, record_statements
 from benchmarks.rows.queries import Kit, Question, people_of, questions
 from services.runtime.database.transactions import Database
 from services.runtime.platform import Platform
@@ -57,7 +57,7 @@ def plans_of(platform: Platform, statements: list[Statement]) -> list[StatementP
 
 @pytest.mark.parametrize("question", [one for one in questions() if not one.bound], ids=lambda one: one.name)
 def test_nothing_large_is_read_whole(kit: Kit, question: Question) -> None:
-    with taken_down(kit.platform.database.engine) as statements:
+    with record_statements(kit.platform.database.engine) as statements:
         question.ask(kit, Random(1))
     plans = plans_of(kit.platform, statements)
     assert plans, "nothing was asked of the database"

@@ -14,7 +14,7 @@ import pytest
 from sqlalchemy import event, insert, text, update
 from sqlalchemy.orm import Session
 
-from benchmarks.rows.plans import explained, taken_down
+from benchmarks.rows.plans import explained, record_statements
 from services.runtime.jobs import execution
 from services.runtime.jobs.claims import claim, owners_waiting
 from services.runtime.jobs.control import set_mode
@@ -215,7 +215,7 @@ def test_ends_and_claims_are_planned_once_and_ask_for_little(tmp_path: Path, fre
     with platform.database.transaction() as session:
         session.execute(text("ANALYZE"))
     more = iter(range(19))
-    with taken_down(platform.database.engine) as statements:
+    with record_statements(platform.database.engine) as statements:
         assert run_row(platform, "ingest", HANDLERS, lambda: next(more, None) is not None) == 20
     with platform.database.reading() as session:
         planned = {sql: kept for sql, kept in session.execute(text(PLANS)) if kept}
@@ -236,7 +236,7 @@ def test_however_long_the_history_few_of_its_rows_are_read(on_postgres: Platform
         filled(session, ended + waiting)
     with on_postgres.database.transaction() as session:
         session.execute(text("ANALYZE"))
-    with taken_down(on_postgres.database.engine) as statements, on_postgres.database.reading() as session:
+    with record_statements(on_postgres.database.engine) as statements, on_postgres.database.reading() as session:
         assert len(owners_waiting("ingest").rows(session, {})) == 4
     with on_postgres.database.engine.connect() as connection:
         plan = explained(connection, statements[-1], frozenset({"jobs"}))

@@ -3,7 +3,7 @@
 import pytest
 from sqlalchemy import update
 
-from benchmarks.rows.plans import explained, taken_down
+from benchmarks.rows.plans import explained, record_statements
 from services.maintenance.sweeper import Chore, ChoreLoop, recorded
 from services.runtime.jobs.claims import claim
 from services.runtime.jobs.control import set_mode
@@ -99,7 +99,7 @@ def test_what_the_store_holds_is_added_up_in_steps(platform: Platform) -> None:
 
 
 def test_every_question_about_jobs_is_answered_off_an_index(on_postgres: Platform) -> None:
-    with taken_down(on_postgres.database.engine) as statements:
+    with record_statements(on_postgres.database.engine) as statements:
         standing_of(on_postgres)
     with on_postgres.database.engine.connect() as connection:
         connection.exec_driver_sql("SET enable_seqscan = off")
