@@ -62,9 +62,9 @@ def _drivable32(typing_context: Any, low: Any, high: Any, evaluated: Any, at: An
             builder.load(pointer(context, builder, (kind, array), arguments[3], lanes, 32), align=4)
             for kind, array in zip(signature.args[:3], arguments[:3], strict=True)
         ]
-        ones, twos = (builder.and_(plane, columns[2]) for plane in columns[:2])
-        has_any = builder.icmp_unsigned("!=", builder.or_(ones, twos), none)
-        has_no_three = builder.icmp_unsigned("==", builder.and_(ones, twos), none)
+        low_plane, high_plane = (builder.and_(plane, columns[2]) for plane in columns[:2])
+        has_any = builder.icmp_unsigned("!=", builder.or_(low_plane, high_plane), none)
+        has_no_three = builder.icmp_unsigned("==", builder.and_(low_plane, high_plane), none)
         return builder.bitcast(builder.and_(has_any, has_no_three), I32)
 
     return types.uint32(low, high, evaluated, types.int64), emit

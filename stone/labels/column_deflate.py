@@ -95,12 +95,12 @@ def _find_literals(words, columns, eights, places, codes):  # type: ignore[no-un
 
     `eights` is a tuple with one element per eight bytes of a column, so that the height is known at compile time.
     """
-    (ones, twos), count, height = words, np.int64(0), EIGHT * len(eights)
+    (low_plane, high_plane), count, height = words, np.int64(0), EIGHT * len(eights)
     last, whole = np.uint32(height - BEFORE), np.uint32((np.uint64(1) << np.uint64(height)) - np.uint64(1))
     for n in range(columns.size):
         column = columns[n]
-        low, high = ones[column], twos[column]
-        one_before, two_before = (ones[column - 1], twos[column - 1]) if n else (~low & whole, high)
+        low, high = low_plane[column], high_plane[column]
+        one_before, two_before = (low_plane[column - 1], high_plane[column - 1]) if n else (~low & whole, high)
         differs = np.uint64((low ^ one_before) | (high ^ two_before))
         near_one = np.uint64(low) << np.uint64(BEFORE) | np.uint64(one_before >> last)
         near_two = np.uint64(high) << np.uint64(BEFORE) | np.uint64(two_before >> last)

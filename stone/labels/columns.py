@@ -100,9 +100,9 @@ def reconcile(columns: Columns, visible: Words, height: int = PAPER.shape[2]) ->
 
 @njit(cache=True, nogil=True)
 def _reconcile(words, masks, counts):  # type: ignore[no-untyped-def]
-    (ones, twos, observed, visible), (by_class, by_mask) = words, counts
-    for column in range(ones.size):
-        low, high = ones[column], twos[column]
+    (low_plane, high_plane, observed, visible), (by_class, by_mask) = words, counts
+    for column in range(low_plane.size):
+        low, high = low_plane[column], high_plane[column]
         seen = observed[column] | low | high
         masks[0][column], masks[1][column] = seen, seen & visible[column]
         for kind, word in enumerate((low & ~high, high & ~low, low & high)):

@@ -107,11 +107,11 @@ def _cuts(
     window: Window, placings: Sequence[CropPlacement], taken: NDArray[np.int32], shape: tuple[int, int, int]
 ) -> list[Columns]:
     starts, steps = np.array([placing.start for placing in placings]), np.array([placing.step for placing in placings])
-    ones, twos, observed = (np.empty((len(placings), *shape[:2]), np.uint32) for _ in range(3))
+    low_plane, high_plane, observed = (np.empty((len(placings), *shape[:2]), np.uint32) for _ in range(3))
     rows = np.empty((len(placings), 2, shape[1], 4), np.uint32)
     filled = np.zeros(len(placings), np.int64)
-    _cut(window.voxels, (starts, steps), (rows, shape[2]), (ones, twos, observed, taken, filled))
-    return [Columns(*words) for words in zip(ones, twos, observed, filled.tolist(), strict=True)]
+    _cut(window.voxels, (starts, steps), (rows, shape[2]), (low_plane, high_plane, observed, taken, filled))
+    return [Columns(*words) for words in zip(low_plane, high_plane, observed, filled.tolist(), strict=True)]
 
 
 @njit(cache=True, nogil=True)
@@ -120,14 +120,16 @@ def _cut(voxels, places, room, out):  # type: ignore[no-untyped-def]
 
     `rows` (F, 2, Y, 4) are this row and the previous one, alternating, one word per bit of the window's voxels.
     """
-    (starts, steps), (rows, height), (ones, twos, observed, taken, filled) = places, room, out
+    (starts, steps), (rows, height), (low_plane, high_plane, observed, taken, filled) = places, room, out
     used = np.uint32((np.uint64(1) << np.uint64(height)) - np.uint64(1))
     ways = np.empty(3 * 32 * rows.shape[2], np.int64)
-    for a in range(ones.shape[1]):
-        for f in range(ones.shape[0]):
+    for a in range(low_plane.shape[1]):
+        for f in range(low_plane.shape[0]):
             _fetch_row(voxels, (starts[f], steps[f]), (a, used), rows[f, a & 1])
             row = (a, rows[f], ways)
-            filled[f] += close_row(voxels, (starts[f], steps[f]), row, (ones[f], twos[f], observed[f], taken))
+            filled[f] += close_row(
+                voxels, (starts[f], steps[f]), row, (low_plane[f], high_plane[f], observed[f], taken)
+            )
 
 
 @njit(cache=True, nogil=True)

@@ -78,11 +78,11 @@ def _is_early(last, brick, later):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _mark_early(columns, place, seen, early):  # type: ignore[no-untyped-def]
     """Set the observed or labelled voxels of the columns that are not late; a brick outside counts as never seen."""
-    (observed, ones, twos), (start, step), (frames, last, later) = columns, place, seen
+    (observed, low_plane, high_plane), (start, step), (frames, last, later) = columns, place, seen
     shift = FRACTION_BITS + BRICK_BITS
     for a in range(early.shape[0]):
         for b in range(early.shape[1]):
-            left = observed[a, b] | ones[a, b] | twos[a, b]
+            left = observed[a, b] | low_plane[a, b] | high_plane[a, b]
             u = start[0] + a * step[0, 0] + b * step[0, 1]
             v = start[1] + a * step[1, 0] + b * step[1, 1]
             w = start[2] + a * step[2, 0] + b * step[2, 1]

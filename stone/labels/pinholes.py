@@ -44,7 +44,7 @@ def _write_classes(placement, row, out, ways):  # type: ignore[no-untyped-def]
 
     Values are copied to local names first, because the compiler cannot exclude that an output overlaps them.
     """
-    (start, step), (a, rows), (ones, twos, observed, _) = placement, row, out
+    (start, step), (a, rows), (low_plane, high_plane, observed, _) = placement, row, out
     along_x = step[0, 0], step[1, 0], step[2, 0]
     along_y = step[0, 1], step[1, 1], step[2, 1]
     along_z = step[0, 2], step[1, 2], step[2, 2]
@@ -52,7 +52,7 @@ def _write_classes(placement, row, out, ways):  # type: ignore[no-untyped-def]
     here, before, count = rows[a & 1], rows[(a + 1) & 1], 0
     for b in range(here.shape[0]):
         occupied = here[b, LABELLED]
-        ones[a, b], twos[a, b] = here[b, CLASS_1] & occupied, here[b, CLASS_2] & occupied
+        low_plane[a, b], high_plane[a, b] = here[b, CLASS_1] & occupied, here[b, CLASS_2] & occupied
         observed[a, b] = here[b, SEEN]
         near, beside = here[b, CLASS_1] & ~occupied, here[b, CLASS_2] & ~occupied
         if near == 0:
@@ -128,7 +128,7 @@ def _fill(voxels, placement, a, ways, out):  # type: ignore[no-untyped-def]
     """On each way between two free centres, give the crossed class to the nearer voxel; return the number of voxels
     that were free before.
     """
-    (ones, twos, _, taken), filled = out, 0
+    (low_plane, high_plane, _, taken), filled = out, 0
     for way in ways:
         end, begin = _ends(placement, a, way)
         crossed, ratio, cell = _stepped_over(voxels, end, begin)
@@ -138,9 +138,9 @@ def _fill(voxels, placement, a, ways, out):  # type: ignore[no-untyped-def]
         at, b, c = a - (is_before & (axis == 0)), (way >> 7) - (is_before & (axis == 1)), (way >> 2) & 31
         c -= is_before & (axis == 2)
         bit = np.uint32(1) << np.uint32(c)
-        filled += (ones[at, b] | twos[at, b]) & bit == 0
-        ones[at, b] = (ones[at, b] & ~bit) | (bit if crossed & LOW else np.uint32(0))
-        twos[at, b] = (twos[at, b] & ~bit) | (bit if crossed & HIGH else np.uint32(0))
+        filled += (low_plane[at, b] | high_plane[at, b]) & bit == 0
+        low_plane[at, b] = (low_plane[at, b] & ~bit) | (bit if crossed & LOW else np.uint32(0))
+        high_plane[at, b] = (high_plane[at, b] & ~bit) | (bit if crossed & HIGH else np.uint32(0))
         if taken.size:
             taken[at, b, c, 0], taken[at, b, c, 1], taken[at, b, c, 2] = cell
     return filled

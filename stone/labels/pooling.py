@@ -21,22 +21,22 @@ def pooled(fine: Columns, grid: LabelGrid) -> Columns:
     """Return the columns of the grid, from the columns of `grid.on_map`."""
     if grid.pooled == 1:
         return fine
-    ones, twos, observed = np.zeros((3, *grid.shape[:2]), np.uint32)
-    _pool((fine.ones, fine.twos, fine.observed), grid.pooled, grid.shape[2], (ones, twos, observed))
-    return Columns(ones, twos, observed, fine.filled)
+    low_plane, high_plane, observed = np.zeros((3, *grid.shape[:2]), np.uint32)
+    _pool((fine.ones, fine.twos, fine.observed), grid.pooled, grid.shape[2], (low_plane, high_plane, observed))
+    return Columns(low_plane, high_plane, observed, fine.filled)
 
 
 @njit(cache=True, nogil=True)
 def _pool(fine, side, height, out):  # type: ignore[no-untyped-def]
-    (ones, twos, observed), (low, high, seen) = fine, out
+    (low_plane, high_plane, observed), (low, high, seen) = fine, out
     cell = np.uint64((1 << side) - 1)
     for a in range(low.shape[0]):
         for b in range(low.shape[1]):
             any_one, any_two, any_seen = np.uint32(0), np.uint32(0), np.uint32(0)
             for u in range(a * side, (a + 1) * side):
                 for v in range(b * side, (b + 1) * side):
-                    any_one |= ones[u, v]
-                    any_two |= twos[u, v]
+                    any_one |= low_plane[u, v]
+                    any_two |= high_plane[u, v]
                     any_seen |= observed[u, v]
             occupied = np.uint64(any_one | any_two)
             any_seen |= any_one | any_two
@@ -44,7 +44,7 @@ def _pool(fine, side, height, out):  # type: ignore[no-untyped-def]
                 shift = np.uint64(c * side)
                 seen[a, b] |= np.uint32((np.uint64(any_seen) >> shift & cell) != 0) << np.uint32(c)
                 if occupied >> shift & cell:
-                    kind = _class_of(ones, twos, (a * side, b * side, cell << shift), side)
+                    kind = _class_of(low_plane, high_plane, (a * side, b * side, cell << shift), side)
                     low[a, b] |= np.uint32(kind & 1) << np.uint32(c)
                     high[a, b] |= np.uint32(kind >> 1) << np.uint32(c)
 
