@@ -213,10 +213,10 @@ def joined(ranges: Iterable[ExaminedRange]) -> ExaminedRange:
     given = list(ranges)
     counts = [part.counts for part in given if part.counts is not None]
     validation = merged(part.validation for part in given)
-    return ExaminedRange(validation, _concatenated(counts) if counts and len(counts) == len(given) else None)
+    return ExaminedRange(validation, _concatenate(counts) if counts and len(counts) == len(given) else None)
 
 
-def _concatenated(counts: Sequence[Counts]) -> Counts:
+def _concatenate(counts: Sequence[Counts]) -> Counts:
     arrays = [part.arrays() for part in counts]
     return counts_in({name: np.concatenate([part[name] for part in arrays]) for name in arrays[0]})
 
@@ -293,11 +293,11 @@ def examine(examination: Examination, watch: SandboxWatch) -> ExaminedRange:
     warm_unless_served(warm)
     unseeing = replace(examination, pack_path=None)
     if examination.pack_path is None or not examination.frames:
-        return _checked(unseeing, watch)
+        return _check_in_child(unseeing, watch)
     supports = supports_of(examination.pack_path, len(examination.tokens))[slice(*examination.span)]
     counts = _counted_apart(examination, watch)
     if counts is None:
-        checked = _checked(unseeing, watch)
+        checked = _check_in_child(unseeing, watch)
         if checked.validation.ok:
             raise ImpossibleCountsError("counted nothing although the frames are valid")
         return checked
@@ -337,7 +337,7 @@ def _is_sampled(examination: Examination) -> NDArray[np.bool_]:
     return np.array([token in wanted for token in examination.tokens[slice(*examination.span)]])
 
 
-def _checked(examination: Examination, watch: SandboxWatch) -> ExaminedRange:
+def _check_in_child(examination: Examination, watch: SandboxWatch) -> ExaminedRange:
     """Return the range as checked by a child that reads no ground truth. Raises as `examine`."""
     try:
         answer = sandboxed_with_progress(partial(check_submission, examination), examination.limits, watch)

@@ -128,8 +128,8 @@ def made_score(
             "code_version": case.kept.code_version if case.kept else code_version("scores"),
             **record_of(counts_of_frames, spectra, evaluation_version.metric),
         },
-        confusions=_stored(context, npz_bytes(counts.arrays())),
-        spectra=_stored(context, spectra_npz(spectra)),
+        confusions=_store(context, npz_bytes(counts.arrays())),
+        spectra=_store(context, spectra_npz(spectra)),
         content_sha256=sha256(counts.confusions.astype("<i4").tobytes()).hexdigest(),
     )
 
@@ -146,7 +146,7 @@ def sequences_of(truth: ReadyTruth) -> tuple[SequenceFacts, ...]:
     )
 
 
-def _stored(context: EvalStageContext, content: bytes) -> PreparedBlob:
+def _store(context: EvalStageContext, content: bytes) -> PreparedBlob:
     """Store the content from a file of this attempt: stored files may share their bytes, so none is rewritten."""
     path = context.folder / f"{token_hex(8)}.npz"
     path.write_bytes(content)

@@ -89,7 +89,7 @@ def count(
     """
     if submission.problems:
         raise SubmissionRefusedError(verdict(submission.problems))
-    examination = _examined(submission, tokens, truth_of, _Onward(threads, progress, len(tokens)))
+    examination = _examine_ranges(submission, tokens, truth_of, _Onward(threads, progress, len(tokens)))
     if examination.counts is None:
         raise SubmissionRefusedError(examination.validation)
     return examination.counts
@@ -109,7 +109,7 @@ class _Onward:
         self.before += total if done == total else 0
 
 
-def _examined(
+def _examine_ranges(
     submission: SubmissionZip, tokens: Sequence[str], truth_of: TruthOf | None, onward: _Onward
 ) -> ExaminedRange:
     """Examine all ranges of these frames, one after another, and join them."""

@@ -116,14 +116,14 @@ def keep_file(platform: Platform, submission: SubmissionRow) -> None:
 def _keep(platform: Platform, submission: SubmissionRow) -> None:
     declared = submission.declared_sha256
     with ExitStack() as copies:
-        prepared = prepare(platform.store, platform.database, _received(platform, submission, copies), adopt=True)
+        prepared = prepare(platform.store, platform.database, _locate_upload(platform, submission, copies), adopt=True)
         if prepared.sha256 != declared:
             raise upload_damaged(prepared.sha256, declared)
         with platform.database.transaction() as session:
             _write(session, submission.id, prepared)
 
 
-def _received(platform: Platform, submission: SubmissionRow, copies: ExitStack) -> Path:
+def _locate_upload(platform: Platform, submission: SubmissionRow, copies: ExitStack) -> Path:
     """Return the path of the uploaded file on this machine. Raises `upload_damaged` if it does not exist."""
     with platform.database.reading() as session:
         upload = session.get(Upload, submission.upload_id or "")

@@ -136,7 +136,7 @@ def _inputs(store: Store, stored: StoredFiles, source: TruthSource) -> tuple[Tru
     ordinals, manifest = _frames(stored, source.facts)
     places = dict[str, list[int]]()
     if source.unordered is not None:
-        ordinals, manifest, places = _unordered(ordinals, manifest, source.unordered)
+        ordinals, manifest, places = _reorder_frames(ordinals, manifest, source.unordered)
     files = {token: _packed_file(stored.files, ordinal) for token, ordinal in ordinals.items()}
     packs = {
         number: store.local(stored.object_keys[number]) for number in sorted({file.pack for file in files.values()})
@@ -170,7 +170,7 @@ def _frames(stored: StoredFiles, facts_by_name: Mapping[str, Mapping[str, Any]])
     return ordinals, Manifest({name: tuple(tokens) for name, tokens in sequences.items()})
 
 
-def _unordered(
+def _reorder_frames(
     ordinals: Mapping[str, int], manifest: Manifest, chosen: UnorderedFrames
 ) -> tuple[dict[str, int], Manifest, dict[str, list[int]]]:
     """Return ordinals and manifest of the chosen frames under their phase tokens, and each frame's place in time."""

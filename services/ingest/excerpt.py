@@ -53,7 +53,7 @@ class ExcerptMaker:
         with private_folder_in(self.folder) as work:
             whole, parts = work / self.source.name, list[Path]()
             sparse_file(whole, self.source.size_bytes)
-            batches = _batches(self._planned(source, whole))
+            batches = _batches(self._plan_chunks(source, whole))
             for number, batch in enumerate(batches):
                 self.attempt.progress("fetch", number, len(batches))
                 source.fetch(batch.ranges, whole)
@@ -64,13 +64,13 @@ class ExcerptMaker:
                 punch(whole, batch.ranges)
         return tuple(parts), source.read_bytes
 
-    def _planned(self, source: PlacedObject, whole: Path) -> list[_Chunks]:
+    def _plan_chunks(self, source: PlacedObject, whole: Path) -> list[_Chunks]:
         here = lacks = first_ranges(self.source.size_bytes)
         for _round in range(ROUNDS):
             source.fetch(lacks, whole)
             task = partial(_plan, whole.name, tuple(here), self.source.with_pictures)
             plan = json.loads(self._ask(whole.parent, task))
-            lacks, chunks = self._believed(plan)
+            lacks, chunks = self._validate_plan(plan)
             if not lacks:
                 return chunks
             here = [*here, *lacks]
@@ -80,7 +80,7 @@ class ExcerptMaker:
         sandbox = JobSandbox(work, (work / self.source.name,), self.attempt, self.platform.settings, warm)
         return sandbox.run(task, "fetch", 1)
 
-    def _believed(self, plan: Any) -> tuple[list[Range], list[_Chunks]]:
+    def _validate_plan(self, plan: Any) -> tuple[list[Range], list[_Chunks]]:
         """Return the ranges in the plan. Raises `SandboxCrashedError` for anything but ranges of the object."""
         match plan:
             case {"lacks": list(lacks), "chunks": list(chunks)}:
@@ -98,10 +98,10 @@ class ExcerptMaker:
 def _batches(chunks: Sequence[_Chunks]) -> list[_Chunks]:
     """Return groups of consecutive chunks, of `BATCH_BYTES` each, or larger to limit them to `MOST_PARTS`."""
     total_bytes = sum(stop - start for chunk in chunks for start, stop in chunk.ranges)
-    return list(_grouped(chunks, max(BATCH_BYTES, total_bytes // MOST_PARTS)))
+    return list(_group_chunks(chunks, max(BATCH_BYTES, total_bytes // MOST_PARTS)))
 
 
-def _grouped(chunks: Sequence[_Chunks], most_bytes: int) -> Iterator[_Chunks]:
+def _group_chunks(chunks: Sequence[_Chunks], most_bytes: int) -> Iterator[_Chunks]:
     group, size_bytes = list[_Chunks](), 0
     for chunk in chunks:
         group.append(chunk)

@@ -121,7 +121,7 @@ def synchronise_in(
 
 def _checked(bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str) -> tuple[Sequence, BagSweeps]:
     """Return the sequence without the hash of the recording."""
-    sequence, sweeps = _grounded(bag, calibration, options, name)
+    sequence, sweeps = _with_ground(bag, calibration, options, name)
     if not options.is_checked:
         return sequence, sweeps
     return replace(sequence, findings=(*sequence.findings, *late_findings(bag, sequence, sweeps))), sweeps
@@ -134,19 +134,21 @@ def late_findings(bag: Bag, sequence: Sequence, sweeps: BagSweeps) -> tuple[Find
     return seen + lag_findings(measured_lag(sequence, SweepsOfOpenBag(sweeps, bag)))
 
 
-def _grounded(bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str) -> tuple[Sequence, BagSweeps]:
+def _with_ground(
+    bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str
+) -> tuple[Sequence, BagSweeps]:
     """Return the sequence with measured ground, drift in z followed, and the LiDAR's mount corrected on request."""
-    (sequence, sweeps), applied = _synchronised(bag, calibration, options, name), tuple[Finding, ...]()
+    (sequence, sweeps), applied = _synchronise_messages(bag, calibration, options, name), tuple[Finding, ...]()
     seen, fit = _ground(bag, sequence, sweeps)
     if options.ground == "auto" and fit is not None:
         options = replace(options, base_from_lidar=calibration.ego_from_lidar)
         settled_on = settled(sequence, SweepsOfOpenBag(sweeps, bag), fit)
-        turned = _synchronised(bag, settled_on, options, name)
+        turned = _synchronise_messages(bag, settled_on, options, name)
         seen, again = _ground(bag, *turned)
         if again is not None and again.is_way_tilted and not (fit.is_mount_tilted or fit.is_way_tilted):
             # The map was right, and the poses, which are of the ego frame, did not rotate with the LiDAR.
             settled_on = settled(sequence, SweepsOfOpenBag(sweeps, bag), fit.untilted())
-            turned = _synchronised(bag, settled_on, options, name)
+            turned = _synchronise_messages(bag, settled_on, options, name)
             seen, again = _ground(bag, *turned)
         placed = tuple(finding for finding in sequence.findings if finding.code == PLACED)
         applied = (*placed, applied_finding(fit, settled_on))
@@ -171,7 +173,7 @@ def _without_refuted(sequence: Sequence, seen: tuple[Finding, ...]) -> Sequence:
     return replace(sequence, calibration=replace(sequence.calibration, mounts=mounts))
 
 
-def _synchronised(
+def _synchronise_messages(
     bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str
 ) -> tuple[Sequence, BagSweeps]:
     """Return the sequence without the cameras' checks, which read frames."""

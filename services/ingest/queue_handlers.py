@@ -89,7 +89,7 @@ def synchronise_recording(platform: Platform, attempt: Attempt) -> Outcome:
         topics=attempt.arguments.get("topics", {}),
         ground=attempt.arguments.get("ground", "given"),
     )
-    paths, calibration = _located(platform, inputs.recordings), locate_file(platform, inputs.calibration)
+    paths, calibration = _locate_bags(platform, inputs.recordings), locate_file(platform, inputs.calibration)
     offsets_ns = attempt.arguments.get("clock_offsets_ns", {})
     bags = StoredBags(paths, inputs.recordings, inputs.sha256s, offsets_ns)
     request = SynchronisationRequest(bags, calibration, inputs.name, inputs.valid_ns, options)
@@ -138,7 +138,7 @@ def check_sequence(platform: Platform, attempt: Attempt) -> Outcome:
     return Outcome(made.result, commit=lambda session: _show(session, shown, overlays, made.result))
 
 
-def _located(platform: Platform, recordings: Sequence[StoredRecording]) -> tuple[Path, ...]:
+def _locate_bags(platform: Platform, recordings: Sequence[StoredRecording]) -> tuple[Path, ...]:
     """Return the bags on this machine."""
     return tuple(locate(platform, recording) for recording in recordings)
 
@@ -180,7 +180,7 @@ def keep_dataset(platform: Platform, attempt: Attempt) -> Outcome:
     """
     imported = import_of_attempt(platform, attempt)
     if archive_place := place_of(imported):
-        size_bytes = _noted(platform, attempt, archive_place)
+        size_bytes = _note_archive(platform, attempt, archive_place)
         return Outcome({"size_bytes": size_bytes}, then=(JobSpec(INDEX),))
     if imported.blob_sha256 is None:
         attempt.progress("keep", 0, 1)
@@ -189,7 +189,7 @@ def keep_dataset(platform: Platform, attempt: Attempt) -> Outcome:
     return Outcome({"size_bytes": imported.size_bytes}, then=(JobSpec(INDEX),))
 
 
-def _noted(platform: Platform, attempt: Attempt, archive_place: RecordingPlace) -> int:
+def _note_archive(platform: Platform, attempt: Attempt, archive_place: RecordingPlace) -> int:
     """Return the size of the archive at the place, comparing it with the recorded size or recording it."""
     settings = platform.settings.in_place
     if archive_place.files:

@@ -82,7 +82,7 @@ def _read_in_place(platform: Platform, attempt: Attempt, requested: RecordingPla
         with unchanged(platform, [StoredRecording(source_place.name, (), source_place)]):
             bag, parts = _at_hand(platform, attempt, source_place, work)
             with received(platform, recording_id, bag) as brought:
-                survey = _seen(platform, attempt, brought, work)
+                survey = _survey_recording(platform, attempt, brought, work)
     except PlatformFaultError:
         raise
     except (IngestError, Refused) as error:
@@ -128,7 +128,7 @@ def _read_and_kept(platform: Platform, attempt: Attempt, brought: ReceivedBag) -
     try:
         with hashed_beside(platform.store, [file.path for file in brought.files], adopt=True) as hashed:
             try:
-                survey = _seen(platform, attempt, brought, work)
+                survey = _survey_recording(platform, attempt, brought, work)
             except IngestError:  # a file damaged during transfer must not be reported as corrupt
                 _refuse_changed(brought, hashed())
                 raise
@@ -156,15 +156,17 @@ def _read_and_kept(platform: Platform, attempt: Attempt, brought: ReceivedBag) -
     return Outcome(result, commit=commit)
 
 
-def _seen(platform: Platform, attempt: Attempt, brought: ReceivedBag, work: Path) -> RecordingSurvey:
+def _survey_recording(platform: Platform, attempt: Attempt, brought: ReceivedBag, work: Path) -> RecordingSurvey:
     """Survey the recording; recovered files are then in `work` until the run is collected."""
     with private_folder_in(work) as folder:
         apart = JobSandbox(folder, brought.reads, attempt, platform.settings, warm, makes_links=True)
         survey = seen(brought, apart)
-        return replace(survey, recovered={row_id: _moved(path, work) for row_id, path in survey.recovered.items()})
+        return replace(
+            survey, recovered={row_id: _move_recovered(path, work) for row_id, path in survey.recovered.items()}
+        )
 
 
-def _moved(path: Path, work: Path) -> Path:
+def _move_recovered(path: Path, work: Path) -> Path:
     target = work / RECOVERED / path.name
     target.parent.mkdir(exist_ok=True)
     return path.replace(target)

@@ -265,7 +265,7 @@ def recovered_files(received: ReceivedBag, folder: Path) -> dict[str, RecoveredF
     """
     folder.mkdir(parents=True, exist_ok=True)
     cut = [file for file in received.files if _is_cut(received, file)]
-    return {file.row_id: _recovered(received.folder, file, folder) for file in cut}
+    return {file.row_id: _recover_file(received.folder, file, folder) for file in cut}
 
 
 def _is_cut(received: ReceivedBag, file: ReceivedFile) -> bool:
@@ -280,7 +280,7 @@ def _is_cut(received: ReceivedBag, file: ReceivedFile) -> bool:
     return False
 
 
-def _recovered(names: Path, file: ReceivedFile, folder: Path) -> RecoveredFile:
+def _recover_file(names: Path, file: ReceivedFile, folder: Path) -> RecoveredFile:
     path, out = named(names, file.path, file.filename), folder / f"{file.row_id}.mcap"
     recovery = recover(path, out)
     if recovery.messages == 0:
@@ -316,7 +316,7 @@ def seen(brought: ReceivedBag, apart: JobSandbox) -> RecordingSurvey:
     Raises the `BAG-*` refusals, `SandboxCrashedError`, `ConfinedInterruptedError`, `JobCancelledError`.
     """
     answer = apart.run(partial(_look, brought), "inspect", STEPS)
-    return _believed(unpacked(answer), brought, apart.folder)
+    return _validate_survey(unpacked(answer), brought, apart.folder)
 
 
 def _look(brought: ReceivedBag, folder: Path, progress: ProgressCallback) -> bytes:
@@ -366,7 +366,7 @@ def _measured(name: str, inspection: Inspection, sampled: SampledMessages, facts
     return packed(content, (*own, *pictures))
 
 
-def _believed(parcel: SandboxResult, brought: ReceivedBag, folder: Path) -> RecordingSurvey:
+def _validate_survey(parcel: SandboxResult, brought: ReceivedBag, folder: Path) -> RecordingSurvey:
     match parcel.record:
         case {
             "inspection": {"findings": list(), **_inspected} as inspection,

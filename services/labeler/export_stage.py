@@ -70,8 +70,8 @@ def export(platform: Platform, attempt: Attempt) -> Outcome:
         require_sequence(session, attempt)
         row = begin_export(session, attempt)
     with attempt_folder(platform, attempt) as folder:
-        files = _packed(platform, attempt, row, folder)
-        made = _made(platform, attempt, folder, files)
+        files = _write_packs(platform, attempt, row, folder)
+        made = _store_export(platform, attempt, folder, files)
     attempt.log("exported", format=row.format, files=len(files), size_bytes=made.size_bytes)
     limit_bytes = platform.settings.uploads.owner_bytes
     result = {"export_id": row.id, "format": row.format, "files": len(files), "size_bytes": made.size_bytes}
@@ -200,7 +200,7 @@ def stored_packs(platform: Platform, attempt: Attempt, folder: Path, files: Pack
     return prepared
 
 
-def _packed(platform: Platform, attempt: Attempt, row: Export, folder: Path) -> PackedFiles:
+def _write_packs(platform: Platform, attempt: Attempt, row: Export, folder: Path) -> PackedFiles:
     """Write the files in a child, then move them into packs."""
     exporter, sandbox = exporter_of(row.format), ExportSandbox(platform, attempt, folder)
     inputs = located_inputs(platform, row.label_set_id, folder / INPUTS, exporter)
@@ -211,7 +211,7 @@ def _packed(platform: Platform, attempt: Attempt, row: Export, folder: Path) -> 
     return pack_files(attempt, folder)
 
 
-def _made(platform: Platform, attempt: Attempt, folder: Path, files: PackedFiles) -> ExportResult:
+def _store_export(platform: Platform, attempt: Attempt, folder: Path, files: PackedFiles) -> ExportResult:
     """Hash the future archives, and store packs and index."""
     read = local_reader(folder / "packs")
     tar = archive_sha256(files, "tar", read, partial(attempt.progress, "tar"))

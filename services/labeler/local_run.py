@@ -123,10 +123,10 @@ def label(
         further = [_at_grid(run, grid) for grid in options.parameters.grids[1:]]
         for other in further:
             stages.run(tasks_of(other, {FRAMES}))
-        run = _completed(run, options, own)
+        run = _complete_run(run, options, own)
         for other in further:
             _publish_grid(replace(other, sequence=run.sequence), refinement, options)
-        report = _published(run, staging, options)
+        report = _publish_files(run, staging, options)
         report = replace(report, refinement=refinement, costs=stages.meter.as_record())
         (staging / REPORT).write_text(report.text())
     return report
@@ -202,7 +202,7 @@ def tasks_of(run: LabelRun, kinds: Collection[str] = STAGES.keys()) -> list[Task
     return [Task(keys[job.key], STAGES[job.kind].work, (run, job.arguments, silent), waits[job.key]) for job in jobs]
 
 
-def _completed(run: LabelRun, options: LabelOptions, own: int) -> LabelRun:
+def _complete_run(run: LabelRun, options: LabelOptions, own: int) -> LabelRun:
     """Return the run with late inputs and findings; its `own` findings come first, those of refinement last."""
     sequence, own_findings = run.sequence, run.sequence.findings
     findings = (*own_findings[:own], *options.late_findings(), *own_findings[own:])
@@ -210,7 +210,7 @@ def _completed(run: LabelRun, options: LabelOptions, own: int) -> LabelRun:
     return replace(run, sequence=replace(sequence, inputs=inputs, findings=findings))
 
 
-def _published(run: LabelRun, out: Path, options: LabelOptions) -> LabelReport:
+def _publish_files(run: LabelRun, out: Path, options: LabelOptions) -> LabelReport:
     """Move everything except `report.json` to its final path, delete scratch, and return the report."""
     report = report_of(run)
     options.at_end(run)

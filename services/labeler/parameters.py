@@ -149,11 +149,11 @@ def chosen_parameters(
     check_choices(profile, choices)
     parameters = replace(parameters_for(cast("Profile", profile)), grids=grids)
     for name, value in choices.items():
-        parameters = _replaced(parameters, name.split("."), value)
+        parameters = _replace_leaf(parameters, name.split("."), value)
     return parameters
 
 
-def _replaced(value: Any, path: list[str], leaf: float) -> Any:
+def _replace_leaf(value: Any, path: list[str], leaf: float) -> Any:
     """Return the frozen value with the leaf at this path replaced."""
     name, *rest = path
-    return replace(value, **{name: _replaced(getattr(value, name), rest, leaf) if rest else leaf})
+    return replace(value, **{name: _replace_leaf(getattr(value, name), rest, leaf) if rest else leaf})

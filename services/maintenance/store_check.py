@@ -147,7 +147,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = _options(arguments)
     platform = open_platform(Settings())
     try:
-        return len(_checked(platform, options)) and 1
+        return len(_check_and_repair(platform, options)) and 1
     except StoneError as error:
         _say(f"{error.code}: {error}")
         return 1
@@ -155,7 +155,7 @@ def main(arguments: list[str] | None = None) -> int:
         platform.database.close()
 
 
-def _checked(platform: Platform, options: argparse.Namespace) -> list[DamagedBlob]:
+def _check_and_repair(platform: Platform, options: argparse.Namespace) -> list[DamagedBlob]:
     """Check and repair as requested; return the objects that are still lost."""
     lost = []
     for blob in damaged_blobs(platform, is_read=options.bytes):

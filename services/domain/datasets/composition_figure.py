@@ -68,8 +68,8 @@ def _draw_frames(axes: "Axes", record: Record) -> None:
         word: {c["environment"]: c["frames"] for c in record["cells"] if c["illumination"] == word} for word in words
     }
     rows = [row["key"] for row in record["environments"]]
-    _stacked(axes, rows, series, {word: LIGHT_COLOURS.get(word, EMPTY) for word in words})
-    _finished(axes, "a  Frames by environment and illumination", "frames")
+    _draw_stacks(axes, rows, series, {word: LIGHT_COLOURS.get(word, EMPTY) for word in words})
+    _finish_axes(axes, "a  Frames by environment and illumination", "frames")
 
 
 def _draw_classes(axes: "Axes", record: Record, colours: ColourName) -> None:
@@ -79,7 +79,7 @@ def _draw_classes(axes: "Axes", record: Record, colours: ColourName) -> None:
     rows = [group["key"] for group in known]
     series = {name: {g["key"]: 100 * g["class_ratios"][name] for g in known} for name in CLASSES}
     hexes = dict(zip(CLASSES, map(hex_of, PALETTES[colours].values()), strict=True))
-    _stacked(axes, rows, series, hexes, CLASS_WORDS)
+    _draw_stacks(axes, rows, series, hexes, CLASS_WORDS)
     for row, group in enumerate(known):
         left = 0.0
         for name in CLASSES:
@@ -92,7 +92,9 @@ def _draw_classes(axes: "Axes", record: Record, colours: ColourName) -> None:
     counted_in = record["total"]["voxels_known"]
     hidden = record["total"]["sequences"] - counted_in
     note = f"; {hidden} withheld" if hidden else ""
-    _finished(axes, "b  Occupied voxels by class", f"% of occupied voxels of {counted(counted_in, 'sequence')}{note}")
+    _finish_axes(
+        axes, "b  Occupied voxels by class", f"% of occupied voxels of {counted(counted_in, 'sequence')}{note}"
+    )
 
 
 def _draw_distance(axes: "Axes", record: Record) -> None:
@@ -103,9 +105,9 @@ def _draw_distance(axes: "Axes", record: Record) -> None:
         of_half[cell["environment"]] = of_half.get(cell["environment"], 0.0) + (cell["distance_m"] or 0.0) / 1000.0
     halves = {half: series[half] for half in _in_order(set(series), HALVES)}
     rows = [row["key"] for row in record["environments"]]
-    _stacked(axes, rows, halves, {half: LIGHT_COLOURS.get(half, EMPTY) for half in halves})
+    _draw_stacks(axes, rows, halves, {half: LIGHT_COLOURS.get(half, EMPTY) for half in halves})
     total_km = (record["total"]["distance_m"] or 0.0) / 1000.0
-    _finished(axes, f"c  Distance driven: {total_km:.2f} km", "km")
+    _finish_axes(axes, f"c  Distance driven: {total_km:.2f} km", "km")
 
 
 def _draw_parts(axes: "Axes", record: Record) -> None:
@@ -120,11 +122,11 @@ def _draw_parts(axes: "Axes", record: Record) -> None:
         axes.text(row["frames"] + 0.015 * most, index, label, va="center", color=SOFT)
     axes.set_xlim(0, 1.6 * most)
     _rows(axes, [key or "unassigned" for key in keys])
-    _finished(axes, "d  Splits", "frames")
+    _finish_axes(axes, "d  Splits", "frames")
     axes.xaxis.grid(False)  # it would cross the texts
 
 
-def _stacked(
+def _draw_stacks(
     axes: "Axes",
     rows: list[str],
     series: Mapping[str, Mapping[str, float]],
@@ -152,7 +154,7 @@ def _rows(axes: "Axes", labels: list[str]) -> None:
     axes.set_ylim(max(len(labels), 1) - 0.4, -0.6)
 
 
-def _finished(axes: "Axes", title: str, unit: str) -> None:
+def _finish_axes(axes: "Axes", title: str, unit: str) -> None:
     axes.set_title(title, loc="left", fontsize=10.5, color=INK, parse_math=False)
     axes.set_xlabel(unit, color=SOFT, loc="right")
     axes.tick_params(length=0, colors=SOFT)

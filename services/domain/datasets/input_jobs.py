@@ -172,7 +172,7 @@ def start_version_inputs(session: Session, dataset: Dataset, user_id: str) -> Jo
     members = session.scalars(members_of(dataset.id, OPEN)).all()
     inputs = inputs_of_members(session, members)
     if missing := [entry.member for entry in inputs if entry.state == "missing"]:
-        return _enqueued(session, dataset, missing, Context(user_id))
+        return _enqueue_inputs(session, dataset, missing, Context(user_id))
     if lost := [entry.member.name for entry in inputs if entry.state == "lost"]:
         raise inputs_impossible(lost)
     raise inputs_complete(f"version {dataset.name!r}", len(members))
@@ -186,7 +186,7 @@ def follow_publication(session: Session, dataset: Dataset, user_id: str) -> None
     possible = [member for member in session.scalars(members_of(dataset.id, OPEN)) if is_possible(session, member)]
     if possible:
         with suppress(QueueDrainingError):
-            _enqueued(session, dataset, possible, Context(user_id, None, LAST))
+            _enqueue_inputs(session, dataset, possible, Context(user_id, None, LAST))
 
 
 def inputs_of_members(session: Session, members: Sequence[DatasetMember]) -> tuple[MemberInput, ...]:
@@ -231,7 +231,7 @@ def _input_of(session: Session, member: DatasetMember) -> MemberInput:
     return MemberInput(member, None, "missing" if is_possible(session, member) else "lost")
 
 
-def _enqueued(session: Session, dataset: Dataset, members: Sequence[DatasetMember], context: Context) -> Job:
+def _enqueue_inputs(session: Session, dataset: Dataset, members: Sequence[DatasetMember], context: Context) -> Job:
     holder = {"dataset_id": dataset.id}
     run = enqueue_run(session, RUN, [input_spec(holder, member) for member in members], context)
     run.arguments = holder

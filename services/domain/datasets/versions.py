@@ -72,7 +72,7 @@ def manifest_bytes(
         "created_ns": created_ns,
         "code_version": code_version("labels"),
         "splits": {part: [member.sequence.name for member in labelled] for part, labelled in members.items()},
-        "sequences": [_described(member, part) for part, labelled in members.items() for member in labelled],
+        "sequences": [_describe_sequence(member, part) for part, labelled in members.items() for member in labelled],
         "statistics": public_statistics(members),
         "grid": grid_of_members(members).as_record(),
         "gap": public_gap(members),
@@ -99,7 +99,7 @@ def open_entries(part: str, entries: Iterable[CatalogueEntry]) -> tuple[Catalogu
     return tuple(replace(entry, voxels=None, quality=UNKNOWN) if part == HIDDEN else entry for entry in entries)
 
 
-def _described(labelled: CatalogueSequence, part: str) -> dict[str, Any]:
+def _describe_sequence(labelled: CatalogueSequence, part: str) -> dict[str, Any]:
     """Return the public record of a sequence; for an open part with the recipe and totals of its labels."""
     entry = labelled.entry
     record = {

@@ -85,7 +85,7 @@ def start_export(session: Session, sequence: SequenceRow, form: str) -> tuple[Ex
             return export, job
     else:
         export = _new_export(labels, form, recipe)
-    return export, _enqueued(session, export, Context(sequence.owner_id, sequence.id))
+    return export, _enqueue_export(session, export, Context(sequence.owner_id, sequence.id))
 
 
 def follow_labels(session: Session, sequence: SequenceRow, labels: LabelSet, form: str) -> None:
@@ -97,7 +97,7 @@ def follow_labels(session: Session, sequence: SequenceRow, labels: LabelSet, for
     if has_samples(session, sequence.id, labels.id):
         export = _new_export(labels, form, _recipe(labels, form))
         with suppress(QueueDrainingError):
-            _enqueued(session, export, Context(sequence.owner_id, sequence.id, LAST))
+            _enqueue_export(session, export, Context(sequence.owner_id, sequence.id, LAST))
 
 
 def write_export(session: Session, attempt: Attempt, made: ExportResult, limit_bytes: int) -> None:
@@ -170,7 +170,7 @@ def _new_export(labels: LabelSet, form: str, recipe: str) -> Export:
     return Export(id=new_id(), sequence_id=labels.sequence_id, **facts)
 
 
-def _enqueued(session: Session, export: Export, context: Context) -> Job:
+def _enqueue_export(session: Session, export: Export, context: Context) -> Job:
     """Queue and return the job that writes the export. Raises `QueueDrainingError`, and then writes nothing."""
     job = enqueue(session, JobSpec(EXPORT, {"export_id": export.id}), context)
     export.job_id = job.id

@@ -99,7 +99,11 @@ def start_import(
     """
     if new.sets_splits and not allows(owner.role, ("administrator",)):
         raise splits_forbidden()
-    archive = _uploaded(session, new, owner) if new.archive_place is None else _placed(in_place, new.archive_place)
+    archive = (
+        _archive_of_upload(session, new, owner)
+        if new.archive_place is None
+        else _archive_of_place(in_place, new.archive_place)
+    )
     imported = DatasetImport(
         id=new_id(),
         owner_id=owner.id,
@@ -131,13 +135,13 @@ class _Archive:
     place_record: dict[str, Any] | None = None
 
 
-def _uploaded(session: Session, new: NewImport, owner: User) -> _Archive:
+def _archive_of_upload(session: Session, new: NewImport, owner: User) -> _Archive:
     upload = consume(session, new.upload_id, owner.id, PURPOSE)
     link_to(upload.traceparent)
     return _Archive(upload.filename, upload.sha256, upload.length_bytes, upload.id)
 
 
-def _placed(in_place: InPlaceSettings, requested: RecordingPlace) -> _Archive:
+def _archive_of_place(in_place: InPlaceSettings, requested: RecordingPlace) -> _Archive:
     """Return the archive at a place; its file is not read yet, so the hash is that of the place."""
     resolved = requested_dataset(in_place, requested)
     return _Archive(resolved.name, sha256(str(resolved).encode()).hexdigest(), 0, place_record=resolved.as_record())

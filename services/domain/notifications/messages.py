@@ -36,7 +36,7 @@ def message_of(session: Session, event: NotificationEvent) -> EventWords | None:
     return WORDS[event.kind](session, event)
 
 
-def _quoted(text: str) -> str:
+def _quote(text: str) -> str:
     """Return an untrusted text, quoted for use in a sentence."""
     return f"“{one_line(text)[:LONGEST_NAME].translate(HARMLESS)}”"
 
@@ -50,7 +50,7 @@ def _run(session: Session, event: NotificationEvent) -> EventWords | None:
         sequence = session.get(SequenceRow, run.sequence_id)
         if sequence is None or sequence.deleted_ns is not None:
             return None
-        path, of = f"/sequences/{sequence.id}", f" of {_quoted(sequence.name)}"
+        path, of = f"/sequences/{sequence.id}", f" of {_quote(sequence.name)}"
     what, data = f"{TOLD_FAILED[run.kind].capitalize()}{of}", {"run_id": run.id, "kind": run.kind}
     if event.kind == events.RUN_DONE:
         return EventWords(f"{what} is done.", path, data)
@@ -66,7 +66,7 @@ def _labels(session: Session, event: NotificationEvent) -> EventWords | None:
     if sequence is None or sequence.deleted_ns is not None:
         return None
     first = one_line(str(event.facts["message"]))[:500].translate(HARMLESS)
-    text = f"Labels of {_quoted(sequence.name)} are unreliable ({event.facts['code']}): {first}"
+    text = f"Labels of {_quote(sequence.name)} are unreliable ({event.facts['code']}): {first}"
     data = {"sequence_id": sequence.id, "code": event.facts["code"], "page": f"/codes/{event.facts['code']}"}
     return EventWords(text, f"/sequences/{sequence.id}", data)
 
@@ -81,7 +81,7 @@ def _submission(session: Session, event: NotificationEvent) -> EventWords | None
         events.SUBMISSION_INVALID: "is invalid",
         events.SUBMISSION_FAILED: "could not be scored",
     }
-    text = f"The submission {_quoted(submission.method)} to {phase[0]} {ends[event.kind]}."
+    text = f"The submission {_quote(submission.method)} to {phase[0]} {ends[event.kind]}."
     return EventWords(text, f"/submissions/{submission.id}", {"submission_id": submission.id, "phase": phase[0]})
 
 

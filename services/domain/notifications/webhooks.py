@@ -32,7 +32,7 @@ def set_webhook(session: Session, user_id: str, url: str, settings: Notification
     row = session.get(Webhook, user_id, with_for_update=True) or Webhook(user_id=user_id)
     row.url, row.created_ns = url, now_ns()
     session.add(row)
-    return _renewed(session, row)
+    return _renew_secret(session, row)
 
 
 def rotate_secret(session: Session, user_id: str) -> Webhook:
@@ -40,7 +40,7 @@ def rotate_secret(session: Session, user_id: str) -> Webhook:
     row = session.get(Webhook, user_id, with_for_update=True)
     if row is None:
         raise Refused("no_webhook", "you have no webhook yet; set its URL first")
-    return _renewed(session, row)
+    return _renew_secret(session, row)
 
 
 def remove_webhook(session: Session, user_id: str) -> None:
@@ -73,7 +73,7 @@ def switch_off(session: Session, user_id: str, url: str) -> None:
         record(session, NewEvent(WEBHOOK_DISABLED, "", user_id=user_id))
 
 
-def _renewed(session: Session, row: Webhook) -> Webhook:
+def _renew_secret(session: Session, row: Webhook) -> Webhook:
     row.secret = PREFIX + b64encode(token_bytes(SECRET_BYTES)).decode("ascii")
     row.failing_ns = row.disabled_ns = None
     session.flush()

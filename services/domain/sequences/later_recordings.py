@@ -60,13 +60,13 @@ def follow_recordings(platform: Platform, walk: SequenceWalk | None = None) -> i
 
 def later_recordings(session: Session, sequence: SequenceRow, labels: LabelSet) -> LaterRecordings | None:
     """Return the recordings that are missing in these labels; None if no recording is missing."""
-    names = _unused(session, sequence.id, session.get(Job, labels.job_id))
+    names = _unused_recordings(session, sequence.id, session.get(Job, labels.job_id))
     if not names:
         return None
     last = _last_run(session, sequence.id)
     if last is None or last.state not in TERMINAL or pending_recordings(session, sequence):
         return LaterRecordings(names)
-    if not _unused(session, sequence.id, last):
+    if not _unused_recordings(session, sequence.id, last):
         return LaterRecordings(names, f"the run with these recordings, {last.id}, {last.state}: {last.failure}"[:500])
     try:
         checked_inputs(session, sequence, request_of(last.arguments))
@@ -83,7 +83,7 @@ def _processed_again(platform: Platform, sequence_id: str) -> bool:
             last = _last_run(session, sequence_id)
             if last is None or last.state not in TERMINAL or pending_recordings(session, sequence):
                 return False
-            if not _unused(session, sequence_id, last):
+            if not _unused_recordings(session, sequence_id, last):
                 return False
             run = start_processing(session, sequence, request_of(last.arguments))
             log.info("processed again for later recordings", sequence_id=sequence_id, job_id=run.id)
@@ -110,7 +110,7 @@ def _lacks(session: Session, sequence_id: str) -> bool:
     """Return whether a recording is newer than the sequence's newest labels; a cheap check, repeated under locks."""
     newest = select(LabelSet).where(LabelSet.sequence_id == sequence_id).order_by(LabelSet.id.desc()).limit(1)
     labels = session.scalars(newest).one_or_none()
-    return labels is not None and bool(_unused(session, sequence_id, session.get(Job, labels.job_id)))
+    return labels is not None and bool(_unused_recordings(session, sequence_id, session.get(Job, labels.job_id)))
 
 
 def _last_run(session: Session, sequence_id: str) -> Job | None:
@@ -120,7 +120,7 @@ def _last_run(session: Session, sequence_id: str) -> Job | None:
     ).one_or_none()
 
 
-def _unused(session: Session, sequence_id: str, run: Job | None) -> tuple[str, ...]:
+def _unused_recordings(session: Session, sequence_id: str, run: Job | None) -> tuple[str, ...]:
     """Return the names of the registered recordings that the run did not use.
 
     Empty if the run's owner selected recordings, or if the labels were made without recordings.

@@ -45,7 +45,9 @@ def prepared_previews(
     """Store (name, media type, bytes), one after the other; at most `MOST_PREVIEWS`."""
     folder = work / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
-    return tuple(_prepared(platform, folder, *picture) for picture, _ in zip(drawn, range(MOST_PREVIEWS), strict=False))
+    return tuple(
+        _prepare_preview(platform, folder, *picture) for picture, _ in zip(drawn, range(MOST_PREVIEWS), strict=False)
+    )
 
 
 def replace_previews(session: Session, shown: PreviewSubject, previews: Iterable[PreparedPreview]) -> None:
@@ -67,7 +69,7 @@ def replace_previews(session: Session, shown: PreviewSubject, previews: Iterable
     storage_quota.count(session, owner_id, more_bytes, shown.recording_id or shown.sequence_id, "previews")
 
 
-def _prepared(platform: Platform, folder: Path, name: str, media_type: str, content: bytes) -> PreparedPreview:
+def _prepare_preview(platform: Platform, folder: Path, name: str, media_type: str, content: bytes) -> PreparedPreview:
     path = folder / name
     with atomic_file(path) as staging:
         staging.write_bytes(content)

@@ -66,7 +66,7 @@ def add_recording(
     if len(set(received.upload_ids)) < len(received.upload_ids):
         raise bad_bag_files("an upload is listed twice")
     ordered = sorted(received.upload_ids)  # a common lock order prevents deadlocks
-    uploads = [_consumed(session, upload_id, uploader_id, sequence.id) for upload_id in ordered]
+    uploads = [_consume_uploads(session, upload_id, uploader_id, sequence.id) for upload_id in ordered]
     uploads.sort(key=lambda upload: upload.filename)
     recording = _recording_of(sequence, uploads, received.name)
     session.add(recording)
@@ -135,7 +135,7 @@ def remove_recording(session: Session, recording: Recording) -> None:
         storage_quota.release(session, subject_id, "recording deleted")
 
 
-def _consumed(session: Session, upload_id: str, uploader_id: str, sequence_id: str) -> Upload:
+def _consume_uploads(session: Session, upload_id: str, uploader_id: str, sequence_id: str) -> Upload:
     upload = consume(session, upload_id, uploader_id, PURPOSE)
     if upload.target_id not in ("", sequence_id):
         raise Refused(

@@ -29,7 +29,7 @@ class LabelFolders:
 
     def grids(self, token: str) -> tuple[LabelGrids, LabelGrids]:
         """Return the labels of a frame in A and B. Raises `UnreadableInputError`, `GroundTruthError`."""
-        return _read(self.a[token], self.grid), _read(self.b[token], self.grid)
+        return _read_labels(self.a[token], self.grid), _read_labels(self.b[token], self.grid)
 
     def pairs(self) -> Iterator[FrameGrids]:
         return (partial(self.grids, token) for token in self.frames.tokens)
@@ -72,5 +72,5 @@ def write_pictures(folders: LabelFolders, record: dict[str, Any], folder: Path) 
     return written
 
 
-def _read(path: Path, grid: LabelGrid) -> LabelGrids:
+def _read_labels(path: Path, grid: LabelGrid) -> LabelGrids:
     return label_grids(read_bounded(path, MAX_LABELS_BYTES, GroundTruthError), path, grid)

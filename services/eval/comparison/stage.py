@@ -114,7 +114,7 @@ def compare_label_sets(context: EvalStageContext) -> Outcome:
         totals, grid = (a.frames, b.frames), recorded_grid(a.grid)
     if not pairs:
         raise no_shared_frame(comparison.a_id, comparison.b_id, totals)
-    counts = _counted(context, pairs, grid)
+    counts = _count_in_child(context, pairs, grid)
     frames = ComparedFrames([pair.a.token for pair in pairs], totals[0] - len(pairs), totals[1] - len(pairs))
     record = comparison_record(frames, counts)
     attempt.log("compared", frames=len(pairs))
@@ -127,7 +127,7 @@ def count_pairs(packed: PackedPairs, _folder: Path, progress: ProgressCallback) 
     return CountsAnswer.of(counted_pairs(packed.frames(), len(packed.pairs), packed.grid, progress)).packed()
 
 
-def _counted(context: EvalStageContext, pairs: list[StoredPair], grid: LabelGrid) -> LabelSetCounts:
+def _count_in_child(context: EvalStageContext, pairs: list[StoredPair], grid: LabelGrid) -> LabelSetCounts:
     packed = _packed(context, pairs, grid)
     folder = context.folder / f"comparison-{token_hex(8)}"
     folder.mkdir()

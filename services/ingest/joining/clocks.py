@@ -177,8 +177,8 @@ def measured_offset(bag: Bag, name: str, reference: RunReference) -> ClockOffset
             )
     if not fits:
         raise unmeasured_offset([name], reasons)
-    offset = _weighed(name, fits)
-    return _triggered(bag, [topic for topic in topics if topic.role == "camera"], reference, offset) or offset
+    offset = _average_offsets(name, fits)
+    return _trigger_offset(bag, [topic for topic in topics if topic.role == "camera"], reference, offset) or offset
 
 
 def _fit(bag: Bag, topics: Sequence[Candidate], how: tuple[Read, RobotMotion]) -> LagFit | None:
@@ -192,7 +192,7 @@ def _fit(bag: Bag, topics: Sequence[Candidate], how: tuple[Read, RobotMotion]) -
     return fit if fit is not None and fit.sigma_s <= MOST_SIGMA_S else None
 
 
-def _weighed(name: str, fits_by_kind: dict[str, LagFit]) -> ClockOffset:
+def _average_offsets(name: str, fits_by_kind: dict[str, LagFit]) -> ClockOffset:
     """Return the mean weighted by inverse variance. Raises: `SYN-524`."""
     fits = list(fits_by_kind.values())
     offsets, sigmas = (np.array(column) for column in zip(*((fit.offset_s, fit.sigma_s) for fit in fits), strict=True))
@@ -208,7 +208,7 @@ def _weighed(name: str, fits_by_kind: dict[str, LagFit]) -> ClockOffset:
     return ClockOffset(round(mean_s * 1e9), round(float(weights.sum()) ** -0.5 * 1e9), tuple(fits_by_kind))
 
 
-def _triggered(
+def _trigger_offset(
     bag: Bag, cameras: Sequence[Candidate], reference: RunReference, offset: ClockOffset
 ) -> ClockOffset | None:
     """Return the offset by the phase of cameras that fire when the LiDAR faces their way.
@@ -317,7 +317,7 @@ def clock_offsets(request: JoinRequest, held: Held) -> tuple[ClockOffset, ...]:
     """
     known = _known(request, held)
     if len(known) < len(held):
-        known |= _measured(request, held, known)
+        known |= _measure_offsets(request, held, known)
     _check_common_time(held, known)
     return tuple(known[number] for number in range(len(held)))
 
@@ -341,7 +341,7 @@ def _known(request: JoinRequest, held: Held) -> dict[int, ClockOffset]:
     return known
 
 
-def _measured(request: JoinRequest, held: Held, known: Mapping[int, ClockOffset]) -> Mapping[int, ClockOffset]:
+def _measure_offsets(request: JoinRequest, held: Held, known: Mapping[int, ClockOffset]) -> Mapping[int, ClockOffset]:
     """Return the offsets of the other recordings, measured together for each clock."""
     waiting = [number for number in range(len(held)) if number not in known]
     if request.calibration is None:

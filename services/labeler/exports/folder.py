@@ -80,7 +80,7 @@ def export(request: ExportRequest, open_source: Callable[[], LabelledSequence], 
     Raises `unknown_format`, `not_an_export`, `damaged_labels`, `export_clash`, `output_exists`, and what opening and
     exporting raise.
     """
-    exporter, (name, frames) = exporter_of(request.format), _described(request.report)
+    exporter, (name, frames) = exporter_of(request.format), _describe_report(request.report)
     known = read_manifest(request.out, request.format)
     recipe = recipe_of(
         "exports", {"format": request.format} | {key: request.report.get(key) for key in _deciding(request.format)}
@@ -109,7 +109,7 @@ def _deciding(format_name: str) -> tuple[str, ...]:
     return SENSED if format_name == "inputs" else DECIDING
 
 
-def _described(report: Mapping[str, Any]) -> tuple[str, int]:
+def _describe_report(report: Mapping[str, Any]) -> tuple[str, int]:
     """Return the sequence name and the number of frames in a report."""
     name, frames = report.get("sequence"), report.get("frames")
     if not isinstance(name, str) or not NAME.fullmatch(name) or not isinstance(frames, int):

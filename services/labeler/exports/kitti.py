@@ -86,7 +86,7 @@ def _write_frame(source: LabelledSequence, index: int, visible: Words, folder: P
     grids, name = source.grids(index), f"{index:06d}"
     scan = _in_ego(source.samples.lidar(index), source.sequence.calibration.ego_from_lidar)
     contents = {
-        "bin": packed(_occupied(scan[:, :3], source.grid)),
+        "bin": packed(_occupied_voxels(scan[:, :3], source.grid)),
         "label": grids["semantics"].astype("<u2").tobytes(),
         "invalid": packed(grids["mask_lidar"] == 0),
         "occluded": packed(spread_out(~visible, height=source.grid.shape[2])),
@@ -101,7 +101,7 @@ def _in_ego(sample: LidarSample, ego_from_lidar: SE3) -> NDArray[np.float64]:
     return np.column_stack([ego_from_lidar @ sample.points_lidar.astype(np.float64), sample.intensity])
 
 
-def _occupied(points_ego: NDArray[np.float64], label_grid: LabelGrid) -> NDArray[np.bool_]:
+def _occupied_voxels(points_ego: NDArray[np.float64], label_grid: LabelGrid) -> NDArray[np.bool_]:
     """Return the voxels of the grid that contain a point."""
     indices = np.floor((points_ego - np.array(label_grid.min_m)) / label_grid.voxel_m).astype(np.int64)
     inside = ((indices >= 0) & (indices < np.array(label_grid.shape))).all(axis=1)

@@ -95,7 +95,7 @@ def open_mesh(path: Path) -> MeshFile:
     expected = faces_at + counts[1] * FACE.itemsize
     if _facts(head) != _facts(header.removesuffix(END).decode()) or path.stat().st_size != expected:
         raise damaged_labels(path, f"its header requires {expected} bytes")
-    return MeshFile(_mapped(path, record, start, counts[0]), _mapped(path, FACE, faces_at, counts[1]))
+    return MeshFile(_map_file(path, record, start, counts[0]), _map_file(path, FACE, faces_at, counts[1]))
 
 
 def _facts(head: str) -> list[str]:
@@ -103,7 +103,7 @@ def _facts(head: str) -> list[str]:
     return [line for line in head.split("\n") if not line.startswith("comment ")]
 
 
-def _mapped(path: Path, record: np.dtype[np.void], offset: int, count: int) -> NDArray[np.void]:
+def _map_file(path: Path, record: np.dtype[np.void], offset: int, count: int) -> NDArray[np.void]:
     if count == 0:
         return np.zeros(0, record)
     return np.memmap(path, record, "r", offset, (count,))

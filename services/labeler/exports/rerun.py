@@ -184,9 +184,9 @@ def write_rerun(source: LabelledSequence, out: Path, step: Step = silent) -> Non
     try:
         recording.save(out / f"{source.sequence.name}.rrd", default_view(source.sequence))
         step(0, total)
-        recording.send_chunks(_numbered(chunk, next(numbers)) for chunk in _once(source))
+        recording.send_chunks(_number_chunk(chunk, next(numbers)) for chunk in _once(source))
         for index in range(total):
-            recording.send_chunks(_numbered(chunk, next(numbers)) for chunk in _frame(source, index))
+            recording.send_chunks(_number_chunk(chunk, next(numbers)) for chunk in _frame(source, index))
             step(index + 1, total)
         recording.flush()
     finally:
@@ -267,7 +267,7 @@ def _times(index: int, stamp_ns: int) -> list[rr.TimeColumn]:
     return [rr.TimeColumn("frame", sequence=[index]), rr.TimeColumn("stamp", timestamp=stamp)]
 
 
-def _numbered(chunk: Chunk, number: int) -> Chunk:
+def _number_chunk(chunk: Chunk, number: int) -> Chunk:
     """Return the one-row chunk with ids that follow from its number, not from the clock."""
     batch = chunk.to_record_batch()
     row = pa.array([number.to_bytes(16, "big")], pa.binary(16))

@@ -287,7 +287,7 @@ def lidar_sample(span: ExportFileSpan) -> LidarSample:
 
 def radar_sample(span: ExportFileSpan, taken_ns: int, motion: RadarMotion) -> RadarSample:
     """Return the scan in a binary PCD of a radar with this motion. Raises `DamagedExportError`."""
-    records = _believed(scan_records(span))
+    records = _valid_detections(scan_records(span))
     points = _columns(records, WANTED[:3])
     ground_rate_m_s = _rates(points, _columns(records, ("vx_comp", "vy_comp")))
     own = compensated(points, np.zeros(len(points)), motion)
@@ -299,7 +299,7 @@ def radar_sample(span: ExportFileSpan, taken_ns: int, motion: RadarMotion) -> Ra
     return RadarSample(taken_ns, points, own.points_lidar, range_rate_m_s, ground_rate_m_s, rcs_db)
 
 
-def _believed(records: Records) -> Records:
+def _valid_detections(records: Records) -> Records:
     """Return the valid detections that have a position and a motion near the sensor."""
     names = records.dtype.names or ()
     measured = _columns(records, (*WANTED, *(name for name in MEASURED if name in names)))

@@ -74,7 +74,7 @@ class VoteBricks:
         if self._state[1] >= MOST_FRAMES:
             return begun
         words = np.require(classes.reshape(-1), requirements=("C", "A")).view(np.uint64)
-        start, step = _placed(map_from_ego, self.grid)
+        start, step = _cube_steps(map_from_ego, self.grid)
         bricks = (self._table, self._rows, self._keys, self._votes, self._state)
         column = int(_vote(words, (start, step, self.grid.pooled), (self.grid.shape, begun), bricks))
         self._state[1] += column < 0
@@ -87,12 +87,12 @@ class VoteBricks:
         order = np.argsort(groups.reshape(-1), kind="stable")
         ends = np.cumsum(np.bincount(groups.reshape(-1), minlength=len(tiles))).tolist()
         for (i, j), start, stop in zip(tiles.tolist(), [0, *ends], ends, strict=False):
-            yield (i, j), self._gathered(order[start:stop])
+            yield (i, j), self._gather_votes(order[start:stop])
         self._votes[:used] = 0
         self._table.fill(EMPTY)
         self._state[:] = 0
 
-    def _gathered(self, rows: NDArray[np.int64]) -> VoxelVotes:
+    def _gather_votes(self, rows: NDArray[np.int64]) -> VoxelVotes:
         """Return the votes of these bricks."""
         count = sum(int(np.count_nonzero(self._votes[row])) for row in rows.tolist())
         votes = VoxelVotes(np.empty(count, np.int64), np.empty((count, 3), np.uint32))
@@ -100,7 +100,7 @@ class VoteBricks:
         return votes
 
 
-def _placed(map_from_ego: SE3, grid: LabelGrid) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _cube_steps(map_from_ego: SE3, grid: LabelGrid) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the centre (3,) of the first cube of voxel [0, 0, 0] in map voxels, and the steps between cubes.
 
     The steps along each axis are the columns of (3, 3).
@@ -197,7 +197,7 @@ class FusedLabels:
         self._spill()
         for tile in sorted(self._records):
             votes = self._merged_votes(tile)
-            yield tile, votes["key"].astype(np.int64), _elected(votes["counts"])
+            yield tile, votes["key"].astype(np.int64), _elect_classes(votes["counts"])
 
     def _spill(self) -> None:
         """Move the votes of the bricks into the files of their tiles."""
@@ -236,6 +236,6 @@ class FusedLabels:
         return self.scratch / f"{tile_name(tile)}.votes"
 
 
-def _elected(counts: NDArray[np.uint32]) -> NDArray[np.uint8]:
+def _elect_classes(counts: NDArray[np.uint32]) -> NDArray[np.uint8]:
     """Return the class (K,) with most votes (K, 3)."""
     return np.asarray(3 - counts[:, ::-1].argmax(axis=1), dtype=np.uint8)

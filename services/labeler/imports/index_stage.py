@@ -38,7 +38,7 @@ def index_tar(context: ImportStageContext) -> Outcome:
         _refuse(context, index)
         for scene in index.scenes:
             _keep(folder, context.workspace.folder, scene.ordinal)
-        kept = _stored(context, folder, index)
+        kept = _store_extra(context, folder, index)
     context.workspace.push(f"{SCENES}/")
     frames = sum(scene.frames for scene in index.scenes)
     context.attempt.log("indexed", scenes=len(index.scenes), frames=frames)
@@ -46,7 +46,9 @@ def index_tar(context: ImportStageContext) -> Outcome:
     return Outcome(result, then=_jobs(index), commit=partial(_write, context, index, kept))
 
 
-def _stored(context: ImportStageContext, folder: Path, index: DatasetIndexAnswer) -> list[tuple[str, PreparedBlob]]:
+def _store_extra(
+    context: ImportStageContext, folder: Path, index: DatasetIndexAnswer
+) -> list[tuple[str, PreparedBlob]]:
     """Store the files outside the tables by name. Raises `SandboxCrashedError` if they differ from the answer."""
     stored = list[tuple[str, PreparedBlob]]()
     for number, file in enumerate(index.extra):

@@ -150,7 +150,7 @@ def exposed_faces(keys: Keys, classes: NDArray[np.uint8], size_m: float) -> Tile
     voxels, sides = np.nonzero(_is_open(keys))
     corners = (indices_of(keys)[voxels, None, :] + CORNERS[sides]).reshape(-1, 3)
     kinds = classes[voxels].repeat(4)
-    _, first, rows = np.unique(_named(corners, kinds), return_index=True, return_inverse=True)
+    _, first, rows = np.unique(_number_corners(corners, kinds), return_index=True, return_inverse=True)
     triangles = rows.reshape(-1, 4)[:, HALVES].reshape(-1, 3)
     return TileMesh(corners[first] * size_m, kinds[first], triangles.astype(np.int32))
 
@@ -178,7 +178,7 @@ def _is_open(keys: Keys) -> NDArray[np.bool_]:
     return is_open
 
 
-def _named(corners: NDArray[np.int64], kinds: NDArray[np.uint8]) -> NDArray[np.int64]:
+def _number_corners(corners: NDArray[np.int64], kinds: NDArray[np.uint8]) -> NDArray[np.int64]:
     """Return a number for each corner and class: 20 bits per axis from the lowest corner on, 2 for the class."""
     low = corners.min(axis=0, initial=1 << 40) if len(corners) else np.zeros(3, np.int64)
     i, j, k = (corners - low).T

@@ -81,7 +81,7 @@ def write_source(parts: SceneParts, out: Path, progress: Told, *, is_in_place: b
     check_names(names)
     sensors, packed = sensors_of(parts), PackWriter(out / SOURCE)
     if is_in_place:
-        (out / SOURCE_PLACED).write_bytes(placed_bytes(_placed(parts, [*labels])))
+        (out / SOURCE_PLACED).write_bytes(placed_bytes(_place_files(parts, [*labels])))
         names = sorted(tables)
     for done, name in enumerate(names):
         progress(done, len(names))
@@ -90,11 +90,11 @@ def write_source(parts: SceneParts, out: Path, progress: Told, *, is_in_place: b
         elif name in labels:
             packed.add(name, labels[name].pieces())
         else:
-            packed.add(name, _checked(parts, places[name], sensors).pieces())
+            packed.add(name, _check_file(parts, places[name], sensors).pieces())
     (out / SOURCE_INDEX).write_bytes(index_bytes(packed.files()))
 
 
-def _placed(parts: SceneParts, labels: list[str]) -> PlacedFiles:
+def _place_files(parts: SceneParts, labels: list[str]) -> PlacedFiles:
     """Return the offsets of the scene's files, and of the label files with these names, in the archive."""
     spans, held = parts.spans, [f"{parts.about.root}{name}" for name in labels]
     places = np.concatenate([spans.places, spans.labels[: len(labels)]])
@@ -111,7 +111,7 @@ def sensors_of(parts: SceneParts) -> dict[str, ExportedSensor]:
     }
 
 
-def _checked(parts: SceneParts, number: int, sensors: dict[str, ExportedSensor]) -> ExportFileSpan:
+def _check_file(parts: SceneParts, number: int, sensors: dict[str, ExportedSensor]) -> ExportFileSpan:
     """Return the span of a file after checking that it fits its sensor; maps are not checked."""
     span, channel, row = parts.file(number), parts.spans.channels[number], int(parts.spans.rows[number])
     if not channel:

@@ -57,7 +57,7 @@ def import_one_scene(context: ImportStageContext) -> Outcome:
         with context.archive(folder) as archive:
             opening = SceneOpening(archive, ordinal, context.classes, is_in_place=context.place is not None)
             answer = context.ask(PublicationAnswer, partial(import_scene, opening), "import", (archive, folder))
-        kept = _Kept(ordinal, _stored(context, _files(scene / OUT, answer)))
+        kept = _Kept(ordinal, _store_files(context, _files(scene / OUT, answer)))
     _leave(context, ordinal, answer)
     size_bytes = sum(blob.size_bytes for _, blob in kept.files)
     context.attempt.log("imported", scene=ordinal, frames=len(answer.tokens), size_bytes=size_bytes)
@@ -89,7 +89,7 @@ def _files(out: Path, answer: PublicationAnswer) -> list[LeftFile]:
     return [pack_left(file.path, packs[name]) if name in packs else file for name, file in files.items()]
 
 
-def _stored(context: ImportStageContext, files: list[LeftFile]) -> list[tuple[LeftFile, PreparedBlob]]:
+def _store_files(context: ImportStageContext, files: list[LeftFile]) -> list[tuple[LeftFile, PreparedBlob]]:
     stored = list[tuple[LeftFile, PreparedBlob]]()
     for number, file in enumerate(files):
         context.attempt.progress("store", number, len(files))

@@ -27,13 +27,13 @@ def fused_columns(points: PointMap, observed: Observed) -> dict[str, NDArray[np.
     return {
         "box": box,
         "cells": cells,
-        "counts": _narrowed(points.moments[:, COUNT]),
-        "frames": _narrowed(points.moments[:, FRAMES]),
-        "offsets": _narrowed(points.moments[:, OFFSET]),
-        "views": _narrowed(points.moments[:, VIEW]),
+        "counts": _narrow(points.moments[:, COUNT]),
+        "frames": _narrow(points.moments[:, FRAMES]),
+        "offsets": _narrow(points.moments[:, OFFSET]),
+        "views": _narrow(points.moments[:, VIEW]),
         "bricks": observed.keys,
         "words": observed.words,
-        "since": _narrowed(observed.since),
+        "since": _narrow(observed.since),
     }
 
 
@@ -63,7 +63,7 @@ def _cells_of(keys: Keys) -> tuple[NDArray[np.int64], NDArray[np.generic]]:
     low, high = corners_of(indices)
     extent = high - low + 1
     i, j, k = (indices - low).T
-    return np.stack([low, extent]), _narrowed((i * extent[1] + j) * extent[2] + k)
+    return np.stack([low, extent]), _narrow((i * extent[1] + j) * extent[2] + k)
 
 
 def _keys_in(box: NDArray[np.generic], cells: NDArray[np.generic]) -> Keys:
@@ -86,7 +86,7 @@ def _rows_in(plan: Plan, box: NDArray[np.generic], cells: NDArray[np.generic]) -
     return np.asarray(rows.start + np.flatnonzero((first[1] <= j) & (j < end[1])))
 
 
-def _narrowed(values: NDArray[np.integer[Any]]) -> NDArray[np.generic]:
+def _narrow(values: NDArray[np.integer[Any]]) -> NDArray[np.generic]:
     """Return the numbers in the narrowest type that holds all of them."""
     if not values.size:
         return values.astype(np.uint8)

@@ -53,7 +53,7 @@ def reconstruct(
     cells, width_m = extent
     corners = np.stack([low, low + cells * width_m - SLACK_M])
     points_map = np.concatenate([points_map, corners])
-    return _solved(points_map, np.concatenate([normals, np.zeros((2, 3))]), width_m)
+    return _solve(points_map, np.concatenate([normals, np.zeros((2, 3))]), width_m)
 
 
 def _normals(
@@ -75,7 +75,7 @@ def _upright(points_map: NDArray[np.float64], extent: tuple[int, float]) -> tupl
     return cells, float(bottom_m)
 
 
-def _solved(points_map: NDArray[np.float64], normals: NDArray[np.float64], width_m: float) -> Mesh:
+def _solve(points_map: NDArray[np.float64], normals: NDArray[np.float64], width_m: float) -> Mesh:
     import open3d
 
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points_map))

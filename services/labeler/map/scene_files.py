@@ -119,7 +119,7 @@ class SceneWriter:
         if len(voxels.indices):
             first, last = corners_of(voxels.indices)
             low, high = first * self.about.map_voxel_m, (last + 1) * self.about.map_voxel_m
-        facts = {"name": name, "min_m": _rounded(low), "max_m": _rounded(high), "voxels": len(voxels.indices)}
+        facts = {"name": name, "min_m": _round_pose(low), "max_m": _round_pose(high), "voxels": len(voxels.indices)}
         self.tiles.append(facts | {"bytes": self._write(f"tile_{name}.bin", tile_bytes(voxels))})
         moved = replace(mesh, vertices_m=np.round((mesh.vertices_m - low) / VERTEX_STEP_M) * VERTEX_STEP_M)
         size_bytes = self._write(f"mesh_{name}.bin", mesh_bytes(moved))
@@ -164,7 +164,7 @@ def _poses(poses: SE3) -> list[list[float]]:
     return np.hstack([poses.translation_m.round(metres), poses.wxyz.round(digits)]).tolist()  # type: ignore[no-any-return]
 
 
-def _rounded(corner: NDArray[np.float64]) -> list[float]:
+def _round_pose(corner: NDArray[np.float64]) -> list[float]:
     return [round(float(value), POSE_DIGITS[0]) for value in corner]
 
 
@@ -183,12 +183,12 @@ def thinned(mesh: TileMesh, most_triangles: int) -> TileMesh:
     """Return at most `most_triangles` (> 0) triangles; smaller meshes are returned unchanged."""
     smaller, cell_m = mesh, FIRST_CELL_M
     while len(smaller.triangles) > most_triangles:
-        smaller = _clustered(mesh, cell_m)
+        smaller = _cluster(mesh, cell_m)
         cell_m *= GROWTH
     return smaller
 
 
-def _clustered(mesh: TileMesh, cell_m: float) -> TileMesh:
+def _cluster(mesh: TileMesh, cell_m: float) -> TileMesh:
     """Return one vertex for each cell of this size that is still a corner of a triangle."""
     vertices = mesh.vertices_m.astype(np.float64)
     rows = _cells(np.floor((vertices - corners_of(vertices)[0]) / cell_m).astype(np.int64))

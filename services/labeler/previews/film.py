@@ -43,7 +43,7 @@ def write_film(source: LabelledSequence, out: Path, step: Step = silent) -> None
     palette = gif_palette([_small(picture) for picture in _spread(source, reel)], _kept_colours())
     with atomic_file(out / MP4) as mp4, atomic_file(out / GIF) as gif:
         frame_ms = round(1000 * reel.gif_every / RATE_HZ)
-        write_gif(gif, _filmed(source, reel, mp4, step), palette, frame_ms)
+        write_gif(gif, _write_frames(source, reel, mp4, step), palette, frame_ms)
 
 
 def _kept_colours() -> list[tuple[int, int, int]]:
@@ -66,7 +66,7 @@ def _spread(source: LabelledSequence, reel: _Reel) -> Iterator[Image.Image]:
         yield frame_sheet(source, index, reel.ratio)
 
 
-def _filmed(source: LabelledSequence, reel: _Reel, path: Path, step: Step) -> Iterator[Image.Image]:
+def _write_frames(source: LabelledSequence, reel: _Reel, path: Path, step: Step) -> Iterator[Image.Image]:
     """Write the film to `path`; yield the small pictures of the GIF on the way."""
     with Mp4(path, sheet_size(reel.ratio), RATE_HZ) as film:
         for number, index in enumerate(reel.indices):
@@ -126,7 +126,7 @@ class Mp4:
 
 def write_gif(path: Path, pictures: Iterable[Image.Image], palette: Image.Image, frame_ms: int) -> None:
     """Write the pictures, all of one size, in the colours of `palette` (of mode P); there is at least one."""
-    frames = _quantized(pictures, palette)
+    frames = _quantize(pictures, palette)
     first = next(frames)
     first.save(path, "GIF", save_all=True, append_images=frames, duration=frame_ms, loop=0, optimize=False)
 
@@ -143,6 +143,6 @@ def gif_palette(pictures: list[Image.Image], kept: list[tuple[int, int, int]]) -
     return palette
 
 
-def _quantized(pictures: Iterable[Image.Image], palette: Image.Image) -> Iterator[Image.Image]:
+def _quantize(pictures: Iterable[Image.Image], palette: Image.Image) -> Iterator[Image.Image]:
     for picture in pictures:
         yield picture.quantize(palette=palette, dither=Image.Dither.NONE)

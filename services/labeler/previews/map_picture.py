@@ -63,7 +63,7 @@ class TopView:
         side = (max(1, round(image.width * scale)), max(1, round(image.height * scale)))
         image = image.resize(side, Image.Resampling.NEAREST)
         track = (map_from_ego.translation_m[:, :2] / whole.side_m - whole.low) * scale
-        return _framed(image, np.stack([track[:, 0], side[1] - track[:, 1]], axis=1), scale / whole.side_m)
+        return _add_frame(image, np.stack([track[:, 0], side[1] - track[:, 1]], axis=1), scale / whole.side_m)
 
     def shaded(self) -> ShadedMap:
         """Return a pixel per column, or per square of columns beyond `MOST_PIXELS`; there is at least one tile."""
@@ -76,7 +76,7 @@ class TopView:
             order = np.argsort(indices[:, 2], kind="stable")  # a square shows its highest column
             indices, classes = indices[order] // step, classes[order]
             low, size = low // step, indices[:, :2].max(axis=0) - low // step + 1
-        return ShadedMap(_shaded(indices - np.append(low, 0), classes, size), low, VOXEL_M * step)
+        return ShadedMap(_shade(indices - np.append(low, 0), classes, size), low, VOXEL_M * step)
 
 
 def write_top_view(path: Path, view: TopView, map_from_ego: SE3) -> None:
@@ -91,7 +91,7 @@ def _scale(side: int) -> float:
     return float(max(1, round(MIN_SIDE_PX / side)))
 
 
-def _shaded(indices: NDArray[np.int64], classes: NDArray[np.uint8], size: NDArray[np.int64]) -> Indices:
+def _shade(indices: NDArray[np.int64], classes: NDArray[np.uint8], size: NDArray[np.int64]) -> Indices:
     """Return (Y, X), north up: classes, lit from the north-west by the relief of the top voxels."""
     top = np.full((size[1], size[0]), np.nan)
     kind = np.zeros((size[1], size[0]), np.uint8)
@@ -101,7 +101,7 @@ def _shaded(indices: NDArray[np.int64], classes: NDArray[np.uint8], size: NDArra
     return lit(kind, down + right)
 
 
-def _framed(image: Image.Image, track: NDArray[np.float64], px_per_m: float) -> Indices:
+def _add_frame(image: Image.Image, track: NDArray[np.float64], px_per_m: float) -> Indices:
     """Return the map with the track, its start, a legend and a scale bar."""
     width = max(image.width, 620) + 2 * MARGIN_PX
     sheet = Image.new("L", (width, image.height + 2 * MARGIN_PX + LEGEND_PX), GROUND_INDEX)

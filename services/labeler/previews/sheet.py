@@ -120,12 +120,12 @@ def _write_bar(sheet: Image.Image, source: LabelledSequence, index: int) -> None
     words = f"frame {index + 1} / {len(stamps_ns)}   {since_s:.1f} s   {utc}"
     pen.text((left, top + BAR_PX * 0.27), words, INK, font(BAR_TEXT_PX), anchor="lm")
     room_px = WIDTH_PX - 2 * left - pen.textlength(words, font(BAR_TEXT_PX)) - 2 * BAR_TEXT_PX
-    name = _fitted(sequence.name, room_px, pen)
+    name = _fit_name(sequence.name, room_px, pen)
     pen.text((WIDTH_PX - left, top + BAR_PX * 0.27), name, SOFT, font(BAR_TEXT_PX), anchor="rm")
     legend(sheet, (left, top + BAR_PX * 0.73), BAR_TEXT_PX)
 
 
-def _fitted(name: str, room_px: float, pen: ImageDraw.ImageDraw) -> str:
+def _fit_name(name: str, room_px: float, pen: ImageDraw.ImageDraw) -> str:
     """Return the name, shortened to the available width."""
     while name and pen.textlength(name, font(BAR_TEXT_PX)) > room_px:
         name = name[:-2].rstrip("…") + "…" if len(name) > 2 else ""

@@ -30,7 +30,7 @@ def thumbnail(view: TopView, map_from_ego: SE3) -> Indices:
     centre_m, width_m = _framing(track_m)
     per_m = WIDTH_PX / width_m
     corner_m = centre_m + np.array([-width_m, width_m * HEIGHT_PX / WIDTH_PX]) / 2  # its upper left
-    image = _cropped(view.shaded(), corner_m, width_m)
+    image = _crop_map(view.shaded(), corner_m, width_m)
     line = [((x - corner_m[0]) * per_m, (corner_m[1] - y) * per_m) for x, y in track_m.tolist()]
     _draw_track(ImageDraw.Draw(image), line)
     return np.asarray(image)
@@ -43,7 +43,7 @@ def _framing(track_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     return (low + high) / 2, float(max(across, up * WIDTH_PX / HEIGHT_PX, LEAST_M))
 
 
-def _cropped(whole: ShadedMap, corner_m: NDArray[np.float64], width_m: float) -> Image.Image:
+def _crop_map(whole: ShadedMap, corner_m: NDArray[np.float64], width_m: float) -> Image.Image:
     """Return the part of the map with its upper left at `corner_m`, surrounded by background."""
     indices, low, side_m = whole.indices, whole.low, whole.side_m
     north_m = (low[1] * side_m) + len(indices) * side_m

@@ -69,7 +69,7 @@ def connection_to(
     host: str, port: int, addresses: list[str], context: ssl.SSLContext | None
 ) -> Iterator[http.client.HTTPConnection]:
     """Yield a connection to the first of `addresses` that answers, with TLS if `context` is given. Raises `OSError`."""
-    open_socket = _connected(addresses, port)
+    open_socket = _connect(addresses, port)
     timer = Timer(ANSWER_WITHIN_S, _shut, (open_socket,))
     timer.daemon = True
     timer.start()
@@ -84,7 +84,7 @@ def connection_to(
         open_socket.close()
 
 
-def _connected(addresses: list[str], port: int) -> socket.socket:
+def _connect(addresses: list[str], port: int) -> socket.socket:
     error = OSError("it has no address")
     for address in addresses[:2]:
         try:

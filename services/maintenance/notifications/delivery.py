@@ -129,7 +129,7 @@ def deliver(platform: Platform, attempt: Attempt) -> Outcome:
     try:
         answer = ready.send()
     except NotTakenError as error:
-        return _missed(platform, attempt, ready, error)
+        return _record_missed(platform, attempt, ready, error)
     return Outcome({"state": "delivered"}, commit=partial(_taken, delivery_id, ready, answer))
 
 
@@ -139,7 +139,7 @@ def _is_any_ready(platform: Platform) -> bool:
         return wake_ups_wanted(session, QUEUE) > 0
 
 
-def _missed(platform: Platform, attempt: Attempt, ready: PreparedDelivery, error: NotTakenError) -> Outcome:
+def _record_missed(platform: Platform, attempt: Attempt, ready: PreparedDelivery, error: NotTakenError) -> Outcome:
     """Wait for the next try. Raises `delivery_failed` after the last.
 
     The try is written immediately, because a failed job commits nothing. A repeated job counts one try too many.

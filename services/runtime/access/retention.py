@@ -44,10 +44,10 @@ def forget_ended(platform: Platform) -> int:
         (DeviceGrant.id, DeviceGrant.expires_ns <= now),
         (IdempotentReply.id, IdempotentReply.created_ns <= now - REPLIES_KEPT_NS),
     )
-    return sum(_deleted(platform, key, is_over) for key, is_over in ended)
+    return sum(_delete_rows(platform, key, is_over) for key, is_over in ended)
 
 
-def _deleted(platform: Platform, key: InstrumentedAttribute[str], is_over: ColumnElement[bool]) -> int:
+def _delete_rows(platform: Platform, key: InstrumentedAttribute[str], is_over: ColumnElement[bool]) -> int:
     """Delete rows in several small transactions, so that other writers wait only briefly; return their number."""
     some = select(key).where(is_over).limit(AT_A_TIME)
     ended = delete(key.class_).where(key.in_(some), is_over)

@@ -28,7 +28,7 @@ class BackupOutcome:
 
 def take_backup(settings: Settings, folder: BackupFolder) -> BackupOutcome:
     """Back up the platform of these settings. Raises what `make_backup` raises."""
-    with _opened(settings) as platform:
+    with _open_platform(settings) as platform:
         taken = make_backup(platform, folder)
     record = {"snapshot": taken.folder.name, "blobs": taken.blobs, "new": taken.brought, "bytes": taken.brought_bytes}
     return BackupOutcome(of_backup(taken), record, not taken.snapshot.flaws)
@@ -38,7 +38,7 @@ def restore_backup(settings: Settings, folder: BackupFolder, snapshot: str) -> B
     """Restore a snapshot (empty: the newest) while no embedded platform can start. Raises what `restore` raises."""
     with ExitStack() as stack:
         stack.enter_context(hold_folder(settings.root))
-        restored = restore(stack.enter_context(_opened(settings)), folder, snapshot)
+        restored = restore(stack.enter_context(_open_platform(settings)), folder, snapshot)
     record = {"rows": restored.rows, "objects": restored.objects, "lost": restored.flawed}
     return BackupOutcome(of_restored(restored), record, not restored.snapshot.flaws)
 
@@ -70,7 +70,7 @@ def list_backups(folder: BackupFolder) -> BackupOutcome:
 
 
 @contextmanager
-def _opened(settings: Settings) -> Iterator[Platform]:
+def _open_platform(settings: Settings) -> Iterator[Platform]:
     platform = open_silent_platform(settings)
     try:
         yield platform

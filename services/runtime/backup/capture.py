@@ -191,7 +191,7 @@ def make_backup(platform: Platform, folder: BackupFolder) -> BackupResult:
     writer = _BackupWriter(platform, folder)
     with folder.writing(), gc_hold(platform.database, "backup") as hold, folder.new_snapshot() as snapshot_folder:
         made_ns = now_ns()
-        tables, named = _frozen(platform, snapshot_folder)
+        tables, named = _dump_database(platform, snapshot_folder)
         contents = partial(dumped_rows, snapshot_folder, _named(tables, Blob), ("sha256", "object_key", "size_bytes"))
         _require_room(platform, folder, contents())
         writer.bring_blobs(contents())
@@ -227,7 +227,7 @@ def _named(tables: tuple[TableFacts, ...], row: type[Base]) -> TableFacts:
     return next(table for table in tables if table.name == row.__tablename__)
 
 
-def _frozen(platform: Platform, snapshot_folder: Path) -> tuple[tuple[TableFacts, ...], BackupReferences]:
+def _dump_database(platform: Platform, snapshot_folder: Path) -> tuple[tuple[TableFacts, ...], BackupReferences]:
     """Dump the current database; the transaction ends before anything slow is copied."""
     with snapshot_of(platform.database) as connection:
         return dump(connection, snapshot_folder), backup_references(connection)

@@ -54,7 +54,7 @@ def restore(platform: Platform, folder: BackupFolder, name: str = "") -> BackupR
     snapshot, files = read_snapshot(snapshot_folder)
     _refuse(platform, snapshot)
     checked_tables(snapshot_folder, snapshot.tables)
-    wanted = dict(_wanted(snapshot_folder, snapshot, files))
+    wanted = dict(_wanted_objects(snapshot_folder, snapshot, files))
     present = {stored.key: stored for stored in platform.store.listed("")}
     _refuse_foreign(platform, wanted, present, files)
     missing = {key: content for key, content in wanted.items() if key not in present}
@@ -75,7 +75,7 @@ def _refuse(platform: Platform, snapshot: BackupSnapshot) -> None:
         raise target_not_empty("the database", f"{len(tables)} tables")
 
 
-def _wanted(
+def _wanted_objects(
     snapshot_folder: Path, snapshot: BackupSnapshot, files: tuple[BackupFile, ...]
 ) -> Iterator[tuple[str, BackupContent]]:
     """Yield the objects of the snapshot by key."""

@@ -62,9 +62,7 @@ def line_of(row: Iterable[Any], kinds: Sequence[Kind]) -> str:
 def row_of(line: str, kinds: Sequence[Kind]) -> list[Any]:
     """Return a line's row for SQLite's driver. Raises `ValueError` for an invalid line."""
     fields = line.split("\t")
-    return [
-        None if field == NULL else _READ[kind](_unescaped(field)) for field, kind in zip(fields, kinds, strict=True)
-    ]
+    return [None if field == NULL else _READ[kind](_unescape(field)) for field, kind in zip(fields, kinds, strict=True)]
 
 
 def lines_of(pieces: Iterable[bytes]) -> Iterator[str]:
@@ -78,7 +76,7 @@ def lines_of(pieces: Iterable[bytes]) -> Iterator[str]:
         raise ValueError("the last line is incomplete")
 
 
-def _unescaped(field: str) -> str:
+def _unescape(field: str) -> str:
     return _ESCAPE.sub(lambda match: _SIGNS.get(match[1], match[1]), field) if "\\" in field else field
 
 

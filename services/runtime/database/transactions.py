@@ -59,14 +59,14 @@ class Database:
     def transaction(self) -> Iterator[Session]:
         """Yield a session; commit at the end, then send the wake-ups it noted; roll back on any exception."""
         with Session(self._writing, expire_on_commit=False) as session:
-            with self._ballasted(), session.begin():
+            with self._with_ballast(), session.begin():
                 yield session
             for queue, times in session.info.pop(WAKE_UPS, {}).items():
                 if times:
                     self._wake_up(queue, times)
 
     @contextmanager
-    def _ballasted(self) -> Iterator[None]:
+    def _with_ballast(self) -> Iterator[None]:
         """Delete the ballast before a transaction if space is low, and after a transaction that found no space."""
         if self.ballast is None:
             yield

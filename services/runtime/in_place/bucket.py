@@ -44,7 +44,7 @@ class PlacedObject:
 
     def file(self) -> PlacedFile:
         """Return the object's current state. Raises `recording_vanished`, `store_unavailable`."""
-        with self._translated():
+        with self._translate_errors():
             head = self._client.head_object(Bucket=self._bucket, Key=self._key)
         return PlacedFile(self._place.name, int(head["ContentLength"]), head["ETag"].strip('"'))
 
@@ -68,7 +68,7 @@ class PlacedObject:
         start, stop = piece
         for attempt in range(TRIES):
             try:
-                with self._translated():
+                with self._translate_errors():
                     answer = self._client.get_object(
                         Bucket=self._bucket,
                         Key=self._key,
@@ -94,7 +94,7 @@ class PlacedObject:
             raise changed_in_place(self._place, self.file(), self._known)
 
     @contextmanager
-    def _translated(self) -> Iterator[None]:
+    def _translate_errors(self) -> Iterator[None]:
         """Translate the client's errors."""
         try:
             yield

@@ -27,7 +27,7 @@ def located_in_place(settings: Settings, place: RecordingPlace) -> Path:
     """Return the bag, as links with the names of its files. Raises as `files_in_folder`."""
     links = settings.root / NAMES_FOLDER
     files = {path.name: path.resolve() for path in _files_of(settings.in_place, place)}
-    if _resolved(settings.in_place, place).is_dir():
+    if _resolve(settings.in_place, place).is_dir():
         return linked_bag(links, str(place), files, place.name)
     return linked_bag(links, str(place), files) / place.name
 
@@ -37,7 +37,7 @@ def file_in_folder(settings: InPlaceSettings, place: RecordingPlace) -> Path:
 
     Raises `recording_vanished`, `root_unavailable`, `unknown_root`.
     """
-    path = _resolved(settings, place)
+    path = _resolve(settings, place)
     if not path.is_file() or not os.access(path, os.R_OK):
         raise vanished(place, place.name)
     return path
@@ -46,7 +46,7 @@ def file_in_folder(settings: InPlaceSettings, place: RecordingPlace) -> Path:
 def _files_of(settings: InPlaceSettings, place: RecordingPlace) -> list[Path]:
     """Return the files of the bag; all are within the root."""
     root, parts = _root(settings, place), list[Path]()
-    _resolved(settings, place)
+    _resolve(settings, place)
     with suppress(PermissionError):
         parts = bag_parts(root / place.path)
     if not 1 <= len(parts) <= MOST_FILES or not is_bag_part(parts[0].name):
@@ -62,7 +62,7 @@ def _outside(root: Path, parts: list[Path]) -> Iterator[Path]:
     return (part for part in parts if not part.resolve().is_relative_to(root) or not part.is_file())
 
 
-def _resolved(settings: InPlaceSettings, place: RecordingPlace) -> Path:
+def _resolve(settings: InPlaceSettings, place: RecordingPlace) -> Path:
     root = _root(settings, place)
     try:
         bag = (root / place.path).resolve(strict=True)

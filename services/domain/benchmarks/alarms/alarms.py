@@ -180,8 +180,8 @@ def raise_alarms(session: Session, score: Score, limits: AlarmLimits = DEFAULTS)
     if _is_known(session, score):
         return
     entries = _entries(score, ON_BOARDS if phase.is_hidden else ("entry",))
-    mine = _scored(session, entries.where(SubmissionRow.id == own.id), 1)[0]
-    seen = _seen(session, entries, score, own.team_id, limits)
+    mine = _load_scored(session, entries.where(SubmissionRow.id == own.id), 1)[0]
+    seen = _load_entries(session, entries, score, own.team_id, limits)
     others = [entry for entry in seen if entry.submission_id != own.id]
     of_team = [entry for entry in others if entry.team_id == own.team_id]
     foreign = [entry for entry in others if entry.team_id != own.team_id]
@@ -249,7 +249,9 @@ def _entries(score: Score, kinds: tuple[str, ...]) -> Select[Any]:
     )
 
 
-def _seen(session: Session, entries: Select[Any], score: Score, team_id: str, limits: AlarmLimits) -> list[ScoredEntry]:
+def _load_entries(
+    session: Session, entries: Select[Any], score: Score, team_id: str, limits: AlarmLimits
+) -> list[ScoredEntry]:
     """Return the last entries of the team and of others, and all others with equal content, without duplicates."""
     foreign = SubmissionRow.team_id != team_id
     queries = (
@@ -257,11 +259,11 @@ def _seen(session: Session, entries: Select[Any], score: Score, team_id: str, li
         entries.where(foreign),
         entries.where(foreign, Score.content_sha256 == score.content_sha256),
     )
-    entries_seen = [entry for query in queries for entry in _scored(session, query, limits.looked_at)]
+    entries_seen = [entry for query in queries for entry in _load_scored(session, query, limits.looked_at)]
     return list({entry.submission_id: entry for entry in entries_seen}.values())
 
 
-def _scored(session: Session, query: Select[Any], most: int) -> list[ScoredEntry]:
+def _load_scored(session: Session, query: Select[Any], most: int) -> list[ScoredEntry]:
     return [
         ScoredEntry(row[0], row[1], row[2], row[3], row[4] or 0, row[5], flat_cells(row[6]))
         for row in session.execute(query.limit(most))

@@ -298,8 +298,8 @@ def board(platform: Platform, phase_id: str, query: BoardQuery, viewer: Viewer) 
         return _kept_board(platform, phase_id, query, viewer)
     now = now_ns()
     with platform.database.reading() as session:
-        read = _read(session, session.get_one(Phase, phase_id), query, viewer, now)
-    return _made(platform, read)
+        read = _read_records(session, session.get_one(Phase, phase_id), query, viewer, now)
+    return _make_board(platform, read)
 
 
 def _kept_board(platform: Platform, phase_id: str, query: BoardQuery, viewer: Viewer) -> Board:
@@ -312,20 +312,20 @@ def _kept_board(platform: Platform, phase_id: str, query: BoardQuery, viewer: Vi
             kept = _KEPT.get(key)
         if kept is not None and kept.revision == revision.digest:
             return kept
-        read = _read(session, session.get_one(Phase, phase_id), query, viewer, now)
-    made = replace(_made(platform, read), revision=revision.digest)
+        read = _read_records(session, session.get_one(Phase, phase_id), query, viewer, now)
+    made = replace(_make_board(platform, read), revision=revision.digest)
     if len(made.rows) < MOST_KEPT_ROWS:
         with _KEPT_LOCK:
             _KEPT[key] = made
     return made
 
 
-def _made(platform: Platform, read: _BoardRecords) -> Board:
+def _make_board(platform: Platform, read: _BoardRecords) -> Board:
     ranked = [RankedScore(entry.ratios["miou"] or 0.0, entry.spectra_sha256) for entry in read.order.ranked]
     confidence = rank_confidence_of(platform.store, ranked, read.key_of) if ranked else RankConfidence((), ())
     ceilings = (row for row in read.reported if row.standing == "ceiling")
     published = (row for row in read.reported if row.standing == "reported")
-    rows = (*ceilings, *_ranked(read, confidence), *_unranked(read), *published)
+    rows = (*ceilings, *_ranked_rows(read, confidence), *_unranked_rows(read), *published)
     return replace(read.board, rows=rows, silence=confidence.silence, rank_scope=confidence.scope)
 
 
@@ -345,7 +345,7 @@ def drives_of(truth: GroundTruthRow) -> int:
     return len({(bool(sequence.get("drive")), sequence.get("drive") or sequence["name"]) for sequence in facts})
 
 
-def _read(session: Session, phase: Phase, query: BoardQuery, viewer: Viewer, now: int) -> _BoardRecords:
+def _read_records(session: Session, phase: Phase, query: BoardQuery, viewer: Viewer, now: int) -> _BoardRecords:
     if query.as_of_ns is not None:
         query = replace(query, as_of_ns=min(query.as_of_ns, now))
     activation = in_force(session, phase.id, query.as_of_ns)
@@ -358,15 +358,15 @@ def _read(session: Session, phase: Phase, query: BoardQuery, viewer: Viewer, now
     benchmark = session.get_one(Benchmark, phase.benchmark_id)
     at = (query, secrecy_of(phase, now), phase.is_hidden, pair, len(entries.ranked))
     empty = Board(benchmark.name, phase.name, *at, ())
-    shown = _bounded(entries)
+    shown = _bound_order(entries)
     every = (*shown.ranked, *shown.baselines, *shown.undefined)
     keys = _object_keys(session, [entry.spectra_sha256 for entry in shown.ranked])
     return _BoardRecords(
-        empty, shown, viewer, phase, _details(session, every), keys, _reported(session, phase, query), now
+        empty, shown, viewer, phase, _details(session, every), keys, _reported_rows(session, phase, query), now
     )
 
 
-def _bounded(entries: BoardOrder) -> BoardOrder:
+def _bound_order(entries: BoardOrder) -> BoardOrder:
     cut = slice(MOST_ROWS)
     return BoardOrder(entries.ranked[cut], entries.ranks[cut], entries.baselines[cut], entries.undefined[cut])
 
@@ -401,7 +401,7 @@ def _chunks(values: Sequence[str]) -> Iterable[Sequence[str]]:
     return (values[start : start + CHUNK] for start in range(0, len(values), CHUNK))
 
 
-def _reported(session: Session, phase: Phase, query: BoardQuery) -> tuple[LeaderboardRow, ...]:
+def _reported_rows(session: Session, phase: Phase, query: BoardQuery) -> tuple[LeaderboardRow, ...]:
     """Return the results published elsewhere and the ceilings, the best first."""
     rows_of_phase = select(Reported).where(Reported.phase_id == phase.id)
     if query.as_of_ns is not None:
@@ -425,7 +425,7 @@ def _reported(session: Session, phase: Phase, query: BoardQuery) -> tuple[Leader
     )
 
 
-def _ranked(read: _BoardRecords, confidence: RankConfidence) -> Iterable[LeaderboardRow]:
+def _ranked_rows(read: _BoardRecords, confidence: RankConfidence) -> Iterable[LeaderboardRow]:
     for index, (entry, rank) in enumerate(zip(read.order.ranked, read.order.ranks, strict=True)):
         row = replace(_row(read, entry), rank=rank)
         if policy_of(read.viewer, read.phase, entry.team_id, read.now_ns).shows("ranks"):
@@ -433,7 +433,7 @@ def _ranked(read: _BoardRecords, confidence: RankConfidence) -> Iterable[Leaderb
         yield row
 
 
-def _unranked(read: _BoardRecords) -> Iterable[LeaderboardRow]:
+def _unranked_rows(read: _BoardRecords) -> Iterable[LeaderboardRow]:
     return (_row(read, entry) for entry in (*read.order.baselines, *read.order.undefined))
 
 

@@ -68,7 +68,7 @@ def compare(
     """Compare two submissions that the viewer may see. Raises `not_comparable`, `store_unavailable`."""
     with platform.database.reading() as session:
         phase = session.get_one(Phase, phase_id)
-        a, b = (_scored(session, viewer, phase, submission) for submission in pair)
+        a, b = (_require_scored(session, viewer, phase, submission) for submission in pair)
         keys = [session.get_one(Blob, seen.score.spectra_sha256).object_key for seen in (a, b)]
     is_withheld = not (a.policy.shows("comparison") and b.policy.shows("comparison"))
     totals = {name: _totals(a, b, name) for name in RATIOS}
@@ -76,7 +76,7 @@ def compare(
         return EntryComparison(a, b, totals, True)
     estimates = _differences(platform.store, keys, [totals[name].difference for name in RATIOS])
     compared = {
-        name: replace(_compared(totals[name], estimates, column), sign_flip=_flipped(a, b, name))
+        name: replace(_compare_ratio(totals[name], estimates, column), sign_flip=_test_sign_flips(a, b, name))
         for column, name in enumerate(RATIOS)
     }
     return EntryComparison(a, b, compared, False)
@@ -91,7 +91,7 @@ def _differences(store: Store, keys: Sequence[str], values: Sequence[float | Non
     return {scope: estimates(of_ratios, a.minus(b), scope) for scope in SCOPES}
 
 
-def _compared(totals: RatioDifference, estimates: Found, column: int) -> RatioDifference:
+def _compare_ratio(totals: RatioDifference, estimates: Found, column: int) -> RatioDifference:
     of_ratio = {scope: of_scope[column] for scope, of_scope in estimates.items()}
     known = {scope: _clip(estimate) for scope, estimate in of_ratio.items() if isinstance(estimate, Estimate)}
     silences = {scope: None if isinstance(estimate, Estimate) else estimate for scope, estimate in of_ratio.items()}
@@ -103,7 +103,7 @@ def _clip(estimate: Estimate) -> DifferenceEstimate:
     return DifferenceEstimate((max(low, -1.0), min(high, 1.0)), estimate.error, estimate.degrees, estimate.p)
 
 
-def _scored(session: Session, viewer: Viewer, phase: Phase, submission: SubmissionRow) -> ScoreView:
+def _require_scored(session: Session, viewer: Viewer, phase: Phase, submission: SubmissionRow) -> ScoreView:
     if submission.phase_id != phase.id or active(session, phase.id) is None:
         raise not_comparable(submission.id, phase.name)
     try:
@@ -118,7 +118,7 @@ def _totals(a: ScoreView, b: ScoreView, name: str) -> RatioDifference:
     return RatioDifference(of_a, of_b, _difference(of_a, of_b, is_exact))
 
 
-def _flipped(a: ScoreView, b: ScoreView, name: str) -> SignFlip | None:
+def _test_sign_flips(a: ScoreView, b: ScoreView, name: str) -> SignFlip | None:
     """Return the sign-flip test over the drives in which both entries have the ratio."""
     by = (seen.score.record["by"] for seen in (a, b))
     of_a, of_b = (parts.get("drive", parts.get("sequence", {})) for parts in by)

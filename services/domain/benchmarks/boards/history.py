@@ -122,11 +122,11 @@ def _best(stays: Sequence[_BoardPeriod], pairs: Sequence[tuple[int, tuple[str, s
 def _round_and_merge(moments: Iterable[BoardChange]) -> list[BoardChange]:
     """Return the changes in order, rounded up to the microsecond as in API requests, without duplicates."""
     exact = [replace(moment, at_ns=-(-moment.at_ns // 1000) * 1000) for moment in moments]
-    merged = _merged(exact, 1)
-    return merged if len(merged) <= MOST_CHANGES else _merged(merged, DAY_NS)[-MOST_CHANGES:]
+    merged = _merge_changes(exact, 1)
+    return merged if len(merged) <= MOST_CHANGES else _merge_changes(merged, DAY_NS)[-MOST_CHANGES:]
 
 
-def _merged(moments: Iterable[BoardChange], within_ns: int) -> list[BoardChange]:
+def _merge_changes(moments: Iterable[BoardChange], within_ns: int) -> list[BoardChange]:
     """Merge the changes within each stretch of this length into the last of them."""
     ordered = sorted(moments, key=lambda change: change.at_ns)
     stretches = (list(some) for _, some in groupby(ordered, key=lambda change: change.at_ns // within_ns))

@@ -79,11 +79,11 @@ def _csv(board: Board) -> bytes:
     writer.writerow(columns())
     for row in board.rows:
         values = cells(board, row)
-        writer.writerow([_spelled(values[name]) for name in columns()])
+        writer.writerow([_format_cell(values[name]) for name in columns()])
     return out.getvalue().encode()
 
 
-def _spelled(cell: Cell) -> Cell:
+def _format_cell(cell: Cell) -> Cell:
     return csv_text(cell) if isinstance(cell, str) else cell
 
 

@@ -22,9 +22,9 @@ class UnorderedFrames:
 
     def of(self, tokens: Sequence[str]) -> tuple[tuple[str, int], ...]:
         """Return phase token and place in time of each selected frame; `tokens` are the sequence's, in time order."""
-        return tuple(sorted((self._token(tokens[at]), at) for at in range(0, len(tokens), self.every_nth)))
+        return tuple(sorted((self._phase_token(tokens[at]), at) for at in range(0, len(tokens), self.every_nth)))
 
-    def _token(self, own: str) -> str:
+    def _phase_token(self, own: str) -> str:
         return hmac.new(bytes.fromhex(self.token_key), own.encode(), sha256).hexdigest()[:TOKEN_DIGITS]
 
 

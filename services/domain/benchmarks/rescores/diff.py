@@ -95,7 +95,7 @@ def rescore_diff(session: Session, rescore: Rescore) -> RescoreDiff:
     old, new = (_entries(session, phase, pair) for pair in (before, after))
     old_ranks, new_ranks = _ranks(old), _ranks(new)
     rows = [
-        _moved(shown, (old.get(key), new.get(key)), (old_ranks.get(key), new_ranks.get(key)))
+        _move_of(shown, (old.get(key), new.get(key)), (old_ranks.get(key), new_ranks.get(key)))
         for key, shown in {**old, **new}.items()
     ]
     last = len(rows) + 1
@@ -114,7 +114,7 @@ def _ranks(entries: Mapping[str, BoardEntry]) -> dict[str, int]:
     return {entry.submission_id: rank for entry, rank in zip(board.ranked, board.ranks, strict=True)}
 
 
-def _moved(
+def _move_of(
     shown: BoardEntry, sides: tuple[BoardEntry | None, BoardEntry | None], ranks: tuple[int | None, int | None]
 ) -> RescoreMove:
     old, new = (side.ratios if side else None for side in sides)
@@ -182,16 +182,16 @@ def _summary(diff: RescoreDiff) -> str:
 def _cells(moved: RescoreMove) -> tuple[str, ...]:
     miou = (side["miou"] if side else None for side in (moved.new, moved.old))
     values = tuple(NOTHING if value is None else f"{value:.4f}" for value in miou)
-    ranks = (_whole(moved.new_rank), _whole(moved.old_rank), _signed(moved.rank_move, "d"))
+    ranks = (_whole(moved.new_rank), _whole(moved.old_rank), _format_signed(moved.rank_move, "d"))
     names = (plain(moved.team), plain(moved.method), moved.modality if moved.kind == "entry" else moved.kind)
-    return (*ranks, *values, _signed(moved.value_move, ".4f"), *names, moved.submission_id)
+    return (*ranks, *values, _format_signed(moved.value_move, ".4f"), *names, moved.submission_id)
 
 
 def _whole(rank: int | None) -> str:
     return NOTHING if rank is None else str(rank)
 
 
-def _signed(move: float | None, form: str) -> str:
+def _format_signed(move: float | None, form: str) -> str:
     return NOTHING if move is None else f"{move:+{form}}" if move else "0"
 
 

@@ -47,7 +47,7 @@ def expected_of(session: Session, submissions: Iterable[SubmissionRow]) -> dict[
     before = select(SubmissionRow.phase_id, SubmissionRow.job_id).where(SubmissionRow.state.in_(LIVE))
     waiting = session.execute(before.where(SubmissionRow.job_id <= max(job_ids)).order_by(SubmissionRow.job_id)).all()
     frames = _frames(session, {phase_id for phase_id, _ in waiting})
-    left = _left(session, [job_id for _, job_id in waiting if job_id])
+    left = _remaining_shares(session, [job_id for _, job_id in waiting if job_id])
     work, expected = 0.0, dict[str, int]()
     for phase_id, job_id in waiting:
         work += frames[phase_id] * left.get(job_id or "", 1.0)
@@ -87,7 +87,7 @@ def _frames(session: Session, phase_ids: Iterable[str]) -> dict[str, int]:
     }
 
 
-def _left(session: Session, run_ids: list[str]) -> Mapping[str, float]:
+def _remaining_shares(session: Session, run_ids: list[str]) -> Mapping[str, float]:
     """Return the share of each run that remains, judged by the jobs known so far."""
     succeeded = func.sum(case((Job.state == "succeeded", 1), else_=0))
     of_runs = select(Job.root_id, succeeded, func.count()).where(Job.root_id.in_(run_ids), Job.queue != "")

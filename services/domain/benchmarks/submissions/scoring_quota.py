@@ -187,7 +187,7 @@ def _settle_at(session: Session, submission_id: str, wanted: int, reason: str) -
     given_back = 0
     for phase_id, team_id in _charged_to(session, submission_id):
         lock_team(session, team_id)
-        taken = _held(session, submission_id)
+        taken = _held_scorings(session, submission_id)
         if taken == wanted:
             continue
         entry = ScoringEntry(phase_id=phase_id, team_id=team_id, submission_id=submission_id)
@@ -202,7 +202,7 @@ def _charged_to(session: Session, submission_id: str) -> Sequence[Row[str, str]]
     return session.execute(charged.distinct()).all()
 
 
-def _held(session: Session, submission_id: str) -> int:
+def _held_scorings(session: Session, submission_id: str) -> int:
     held = select(func.sum(ScoringEntry.amount)).where(ScoringEntry.submission_id == submission_id)
     return int(session.scalar(held) or 0)
 

@@ -136,7 +136,7 @@ def finalise(session: Session, submission: SubmissionRow, upload_id: str) -> Job
         raise SubmissionStateError(submission.id, submission.state, "finalised", "draft")
     phase = session.get_one(Phase, submission.phase_id)
     _scored_against(session, phase)
-    upload = _consumed(session, submission, upload_id)
+    upload = _consume_upload(session, submission, upload_id)
     enter(session, phase, submission.team_id)
     if scoring_quota.is_charged(phase, submission.kind):
         scoring_quota.reserve(session, phase, submission.team_id, submission.id)
@@ -272,7 +272,7 @@ def _refuse_exhausted(session: Session, phase: Phase, team_id: str) -> None:
         raise ExhaustedError("validations_exhausted", sentence, next_ns)
 
 
-def _consumed(session: Session, submission: SubmissionRow, upload_id: str) -> Upload:
+def _consume_upload(session: Session, submission: SubmissionRow, upload_id: str) -> Upload:
     """Consume and return the upload that was made for this draft."""
     owner_id = session.scalar(select(Upload.owner_id).where(Upload.id == upload_id))
     if owner_id is None:

@@ -102,7 +102,7 @@ def join(session: Session, secret: str, user: User) -> Team:
     if is_member(session, team.id, user.id):
         raise Refused("already_member", f"{user.name!r} is already a member of this team; the invitation was not used")
     _refuse_many_teams(session, user.id)
-    phases = _entered(session, team.id)
+    phases = _open_phases_of(session, team.id)
     _refuse_full(session, team.id, phases)
     session.add(TeamMember(team_id=team.id, user_id=user.id))
     invitation.used_by, invitation.used_ns = user.id, now_ns()
@@ -190,7 +190,7 @@ def _unbind(session: Session, team_id: str, user_id: str) -> None:
     session.execute(delete(PhaseTeam).where(*bound, PhaseTeam.phase_id.not_in(scored)))
 
 
-def _entered(session: Session, team_id: str) -> list[Phase]:
+def _open_phases_of(session: Session, team_id: str) -> list[Phase]:
     """Return the unfinished phases in which the team takes part, by id."""
     bound = select(PhaseTeam.phase_id).where(PhaseTeam.team_id == team_id)
     phases = session.scalars(select(Phase).where(Phase.id.in_(bound)).order_by(Phase.id))
