@@ -144,6 +144,5 @@ def upload_damaged(actual: str, declared: str) -> Refused:
     what = f"a file with sha256 {actual}" if actual else "no file"
     return Refused(
         "upload_damaged",
-        f"the upload contains {what} instead of the declared {declared}; was the file changed after sending? Send it "
-        "again",
+        f"the upload has {what}, but {declared} was declared; was the file changed after sending? Send it again",
     )

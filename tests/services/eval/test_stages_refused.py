@@ -111,7 +111,7 @@ def test_a_file_that_is_gone_is_told(world: World) -> None:
     upload_file(world.platform.settings, row_of(world.platform, submission_id).upload_id or "").unlink()
     row = ended(world, submission_id)
     assert (row.state, row.failure_code) == ("failed", "upload_damaged")
-    assert "no file stands" in row.failure
+    assert "has no file" in row.failure
 
 
 @pytest.mark.parametrize("part_frames", [500, 1])
