@@ -22,7 +22,7 @@ def slow_line(address: tuple[str, int], bytes_per_s: float) -> Iterator[int]:
 
 
 def _accept(listener: socket.socket, address: tuple[str, int], bytes_per_s: float) -> None:
-    with suppress(OSError):  # the listener was closed: no more connections
+    with suppress(OSError):
         while True:
             near, _ = listener.accept()
             try:

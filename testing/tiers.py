@@ -47,7 +47,7 @@ def is_whole_file(path: Path) -> bool:
     return "mark.everyday" not in text and (WHOLE_FILE.search(text) is not None or is_in_whole_folder(path))
 
 
-@cache  # called for every test of a file
+@cache
 def is_in_whole_folder(path: Path) -> bool:
     return path.is_relative_to(TESTS) and any(path.is_relative_to(TESTS / folder) for folder in WHOLE_FOLDERS)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from testing.outside.ground import Array, Ground, heights_m
 
-LENGTH_M, WIDTH_M = 1.06, 0.85  # size of the footprint
+LENGTH_M, WIDTH_M = 1.06, 0.85
 SWING_M, PERIOD_M = 2.5, 30.0
 
 

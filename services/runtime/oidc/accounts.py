@@ -24,7 +24,7 @@ from services.runtime.orm.base import now_ns
 from stone.errors import Refused
 
 LOCK = 0x4F494443  # "OIDC": the number of the advisory lock that serialises first sign-ins
-LONGEST_BASE = 56  # leaves room for a number
+LONGEST_BASE = 56
 
 
 @dataclass(frozen=True)

@@ -112,7 +112,7 @@ def refusal(url: str) -> str:
     try:
         with build_opener(ProxyHandler({})).open(url, timeout=ANSWER_S):
             return ""
-    except OSError as error:  # includes HTTPError
+    except OSError as error:
         return f"{url}: {error}"
 
 

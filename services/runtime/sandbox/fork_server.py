@@ -65,7 +65,7 @@ def serve(requests: socket.socket) -> None:
         while True:
             for key, _ in selector.select():
                 child, now = key.data, selector.get_map().get(key.fd)
-                if now is None or now.data is not child:  # it ended a moment ago
+                if now is None or now.data is not child:
                     continue
                 if child is None:
                     if not _answer_request(requests, selector):
@@ -74,7 +74,7 @@ def serve(requests: socket.socket) -> None:
                     selector.unregister(child.ended)
                     _forget(selector, child)
                     child.tell()
-                else:  # the client has gone, or ends the child
+                else:
                     _forget(selector, child)
                     child.end()
 

@@ -32,7 +32,7 @@ from services.runtime.sandbox.limits import SandboxLimits
 from services.runtime.sandbox.system_calls import MACHINES, NEWEST
 
 AUDIT_ARCH = {"x86_64": 0xC000003E, "aarch64": 0xC00000B7}
-CALL = {"x86_64": 317, "aarch64": 277}  # seccomp(2) itself
+CALL = {"x86_64": 317, "aarch64": 277}
 SET_MODE_FILTER, SPEC_ALLOW = 1, 1 << 2  # without it, older kernels slow down the child's branches
 ACTION_IS_KNOWN = 2
 PR_SET_NO_NEW_PRIVS = 38

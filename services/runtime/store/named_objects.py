@@ -13,7 +13,7 @@ from hashlib import sha256
 from pathlib import Path
 from secrets import token_hex
 
-NAMES_FOLDER = "names"  # below the data folder
+NAMES_FOLDER = "names"
 
 
 def named(folder: Path, path: Path, filename: str) -> Path:

@@ -132,7 +132,7 @@ class S3Store:
         """Abort multipart uploads started before the grace, and delete leftovers of dead downloads from the cache."""
         before = datetime.now(UTC) - timedelta(seconds=grace_s)
         aborted = 0
-        with self._translating(""), suppress(self._client.exceptions.NoSuchUpload):  # another process aborted it first
+        with self._translating(""), suppress(self._client.exceptions.NoSuchUpload):
             for page in self._client.get_paginator("list_multipart_uploads").paginate(Bucket=self.bucket):
                 for upload in page.get("Uploads", []):
                     aborted += upload["Initiated"] <= before and self._aborted(upload["Key"], upload["UploadId"])
@@ -233,7 +233,7 @@ def _create(client: "S3Client", store: StoreSettings) -> bool:
     try:
         client.create_bucket(Bucket=store.s3_bucket, **arguments)
     except ClientError as error:
-        if _code(error) in EXISTING:  # another process created it first
+        if _code(error) in EXISTING:
             return False
         raise
     return True

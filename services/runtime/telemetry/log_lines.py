@@ -52,7 +52,7 @@ def speak_json(level: int = logging.INFO) -> None:
     lines.setFormatter(structlog.stdlib.ProcessorFormatter(foreign_pre_chain=list(_SHARED), processors=finish))
     logging.root.handlers[:] = [lines]
     logging.root.setLevel(level)
-    for name in LIBRARIES:  # these have their own handlers
+    for name in LIBRARIES:
         logger = logging.getLogger(name)
         logger.handlers.clear()
         logger.propagate = True

@@ -103,7 +103,7 @@ def _expire(platform: Platform, upload: Upload) -> bool:
     detail = "it expired before it was " + ("finished" if upload.state == "open" else "used")
     try:
         held = backend_of(platform, upload).hold(upload) if upload.state == "open" else None
-    except UploadLockedError:  # bytes are arriving
+    except UploadLockedError:
         return False
     except FileNotFoundError:
         held = None
