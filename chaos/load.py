@@ -28,7 +28,7 @@ REPLY_NOT_KEPT = "reply_not_kept"
 
 @dataclass
 class _Load:
-    """Shared state of the load: its owner, acknowledged writes and errors."""
+    """Shared state of the load: its owner, acknowledged writes and violations."""
 
     owner: RoundOwner
     over: Event = field(default_factory=Event)

@@ -83,7 +83,7 @@ def _fuzz(name: str, options: argparse.Namespace) -> FuzzResult:
 
 
 def _environment(options: argparse.Namespace, folder: Path, may: FuzzLimits) -> dict[str, str]:
-    """Return the environment with a separate numba cache: numba takes unchecked code from a cache for checked."""
+    """Return the environment; checked kernels have a cache of their own, since numba mixes them with unchecked."""
     checked = {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(folder / "kernels")} if may.is_checked else {}
     return {**os.environ, "TMPDIR": options.scratch, **checked}
 

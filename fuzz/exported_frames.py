@@ -102,7 +102,7 @@ def frames_seeds() -> Iterator[tuple[str, bytes]]:
 
 
 def exported_labels_seeds() -> Iterator[tuple[str, bytes]]:
-    """Yield labels as written by the platform and stored uncompressed, with a small array of few zeros."""
+    """Yield labels as written by the platform, and uncompressed with small arrays, which have fewer zeros to mutate."""
     free = np.zeros(PAPER.shape, np.uint8)
     yield "ours", npz_bytes({"semantics": free, "mask_lidar": free})
     file, small = BytesIO(), BytesIO()

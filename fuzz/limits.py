@@ -22,7 +22,8 @@ Target = Callable[[bytes], None]
 class FuzzLimits:
     """Limits of an input: growth of the process, time, and total memory of the process.
 
-    libFuzzer starts with inputs of up to `longest_bytes`. `is_checked`: kernels check their indices.
+    Inputs have at most `longest_bytes`, and this length from the start if it is short. `is_checked`: kernels check
+    their indices.
     """
 
     growth_bytes: int

@@ -89,7 +89,7 @@ def prepare(store: Store, database: Database, path: Path, *, adopt: bool = False
 def prepare_all(
     store: Store, database: Database, paths: Iterable[Path], *, adopt: bool = False
 ) -> Iterator[PreparedBlob]:
-    """Prepare several files: hash a few at once, store them one after another, with one transaction for all."""
+    """Prepare several files: hash a few at once, register them together, then store them one after another."""
     with hashed_beside(store, paths, adopt=adopt) as hashed:
         prepared = hashed()
     yield from prepare_hashed(database, prepared)
