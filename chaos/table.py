@@ -12,7 +12,7 @@ COLUMNS = ("rounds", "hit work", "lost", "doubled", "differing", "recovered, med
 
 
 def table_of(played: Iterable[RoundSeries], seed: int, seconds: float) -> Table:
-    """`lost`, `doubled` and `differing` count violations; recovery is from the kill until all was done."""
+    """Return the table; its counts are violations, and recovery is the time from the kill to the end of the run."""
     table = Table(title=f"seed {seed}, {seconds / 60:.1f} minutes")
     table.add_column("kind")
     for column in COLUMNS:

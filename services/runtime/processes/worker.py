@@ -82,7 +82,7 @@ def arguments(queues: Sequence[str], concurrency: int) -> list[str]:
 
 @worker_shutting_down.connect
 def _drain(**_: object) -> None:
-    """Called within a signal handler: a thread does the waiting."""
+    """Start the drain in a thread, because this is called within a signal handler."""
     stop_claiming()
     Thread(target=_end_after, args=(Settings().jobs.drain_s,), name="drain", daemon=True).start()
 
