@@ -63,38 +63,38 @@ _COUNTED = """\
 - A frame is a grid of 256 × 256 × 32 voxels of 0.2 m over [−25.6, 25.6) × [−25.6, 25.6) × [−2.0, 4.4) m in the frame
   of the robot (x forward, y left, z up), C order, uint8. Classes: 0 free, 1 traversable (T), 2 potentially traversable
   (P), 3 non-traversable (N). *Occupied* means T, P or N. There is no class "unknown": a prediction that holds any other
-  value (such as 255) in any voxel, evaluated or not, is refused as `label_out_of_range` and not scored.
-- The phase's mask selects the *evaluated* voxels. `all` selects every voxel, so the ground truth's 0 means free or
-  never seen. `lidar` and `camera` select voxels whose `mask_lidar` or `mask_camera` in the ground truth is not 0.
-  Predictions have no masks. Other voxels are never counted.
-- Evaluated voxels are counted in a 4 × 4 confusion matrix (rows ground truth, columns prediction, in class order) per
-  frame and per ring. A ring is a range of horizontal distance from the robot to the voxel's centre (0–10, 10–20, from
-  20 m, half-open).
-- The confusion matrices of all frames of all sequences are added as integers, and ratios are computed once from the
-  sum. Ratios are never averaged over frames, rings or sequences.
+  value (255, say) anywhere, evaluated or not, is refused as `label_out_of_range` and not scored.
+- A voxel is *evaluated* by the mask of the phase: `all` – every voxel, so that the ground truth's 0 means free or never
+  seen; `lidar` – where `mask_lidar` of the ground truth is not 0; `camera` – where `mask_camera` is not 0. Masks belong
+  to the ground truth alone. A voxel that is not evaluated counts nowhere.
+- Per frame, and per ring of horizontal distance of the voxel's centre from the robot (0–10, 10–20, from 20 m,
+  half-open), evaluated voxels are counted in a 4 × 4 confusion: rows ground truth, columns prediction, in the order of
+  the classes.
+- Confusions of all frames, of all sequences, are added first, as integers; ratios are read once, from the sum. No ratio
+  is ever averaged over frames, rings or sequences.
 """
 
 _RULES = """\
     mIoU    = (IoU_T + IoU_P + IoU_N) / 3
 
-*Free is not in the mean*: the confusion matrix counts it, so predicting a class in free space lowers that class's IoU.
-No IoU of free space is computed.
+*Free is not in the mean*: the confusion counts it, so that a class predicted into free space can cost that class, but
+there is no IoU of free space in mIoU or anywhere else.
 
 ## What is undefined
 
-A ratio with an empty union (the class is neither in the ground truth nor in the prediction) is undefined: `null`, never
-0 or 1. It is shown with its support (the voxels of the class in the ground truth). An mIoU with an undefined part is
-also `null`, because a mean of two classes is not comparable with a mean of three. A class that is absent from the
-ground truth but predicted has IoU 0. A submission whose mIoU is `null` has no rank.
+A ratio whose union holds no voxel – the class is neither in the ground truth nor in the prediction – is undefined:
+`null`, never 0 and never 1, and it is shown with its support (the voxels of the class in the ground truth). An mIoU
+with an undefined part is `null` too, for a mean of two classes is not comparable with one of three. A class that is
+absent from the ground truth but predicted there has IoU 0. A submission whose mIoU is `null` has no rank.
 
 ## Ties
 
 Entries are ordered by mIoU, then IoU_occ, then IoU_N, each rounded to four digits, then by the time of finalisation,
-earlier first; entries with equal rounded values share a rank."""
+earlier first; equal rounded values share a rank."""
 
 _BLOCK_RESAMPLING = """\
  Ranks come with an interval from paired block resampling (blocks of
-200 frames inside sequences, circular), because neighbouring frames are not independent samples.
+200 frames inside sequences, circular), since neighbouring frames are no independent samples.
 """
 
 _SPECTRAL_INTERVALS = """\
@@ -117,8 +117,8 @@ _OTHERS_AT_FIRST = """\
     T predicted N = |truth T ∧ predicted N| / |truth T|       (over-caution)
     drivable IoU  = columns drivable in both / columns drivable in either
 
-A column (32 voxels, one above the other) is drivable if its evaluated voxels contain a T or P and no N. A ratio is
-`null` if its denominator is 0.
+A column (the 32 voxels above one another) is drivable where its evaluated voxels hold a T or P and no N. Each is `null`
+where its denominator is 0.
 """
 
 _OTHERS = """\
@@ -157,8 +157,8 @@ Over all evaluated voxels:
 """
 
 _OCCUPIED_ONLY = """\
-IoU_occ uses all evaluated voxels. The class IoUs use only evaluated voxels that are occupied in the ground truth, so
-predictions in the ground truth's free space lower only IoU_occ:
+IoU_occ over all evaluated voxels; the classes over those evaluated voxels that the ground truth calls occupied, so that
+what is predicted into the ground truth's free space costs IoU_occ and no class:
 
     IoU_occ = |truth occupied ∧ predicted occupied| / |truth occupied ∨ predicted occupied|
     IoU_c   = |truth c ∧ predicted c| / |truth occupied ∧ (truth c ∨ predicted c)|,  c ∈ {T, P, N}
