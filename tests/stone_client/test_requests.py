@@ -176,7 +176,7 @@ def test_a_server_that_is_new_enough_or_says_nothing_is_understood_and_told_our_
 
 def test_a_server_that_is_too_old_is_refused_whether_read_at_once_or_as_it_comes() -> None:
     with scripted((200, {HEADER: "0.0.9"}, b"{}")) as script, Api(Server(script.url, "t")) as api:
-        with refused_as("server_too_old", match=rf"release 0\.0\.9, .* {OLDEST_SERVER} and newer; .*/downloads/"):
+        with refused_as("server_too_old", match=rf"release 0\.0\.9, .* {OLDEST_SERVER} or newer; .*/downloads/"):
             api.read("/me")
         with refused_as("server_too_old"), api.stream("/events"):
             pass

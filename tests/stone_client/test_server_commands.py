@@ -219,7 +219,7 @@ def test_label_sets_are_named_by_id_or_by_age_and_any_other_name_is_refused(plat
         cells = [list(column.cells) for column in label_set_table("forest", sets).columns[3:5]]
         assert cells == [["97.3 %"] * 2, ["LAB-605"] * 2]
         for named in ("latest~2", "yesterday's"):
-            with refused_as("no_label_set", match=r"expected is an id, or latest, .* of the 2 of this sequence"):
+            with refused_as("no_label_set", match=r"give an id, or latest, .* \(this sequence has 2"):
                 compare_label_sets(api, made, ("latest", named), lambda *_: None)
         with working(platform, "eval", handlers):
             compared = compare_label_sets(api, made, ("latest", earlier.id), lambda *_: None)

@@ -103,7 +103,7 @@ def test_rows_of_another_clock_than_the_frames_are_refused(copied: Path) -> None
     stamped(copied, lambda us: us - FIRST_US, ("sample_data",))
     (fault,) = check_dataset(copied).faults.found
     assert (fault.code, fault.rows, Path(fault.place.file).stem) == ("DST-028", 24, "sample_data")
-    assert "those of frames are of 1990 to 2100" in str(fault)
+    assert "frames have stamps from 1990 to 2100" in str(fault)
 
 
 def test_stamps_of_annotations_have_the_same_rules(copied_annotated: Path) -> None:
@@ -139,8 +139,8 @@ MISTAKES: dict[str, tuple[Callable[[Path], object], str, str]] = {
     "backslashes": (in_names(lambda name: name.replace("/", "\\")), "DST-004", "has backslashes (paths use /"),
     "absolute paths": (in_names(lambda name: f"/data/{name}"), "DST-004", "the path is absolute; paths must start"),
     "paths from the working folder": (
-        in_names(lambda name: f"data/nuscenes/{name}"), "DST-041", "leave out 'data/nuscenes'"),
-    "paths that begin with a dot": (in_names(lambda name: f"./{name}"), "DST-041", "leave out '.'"),
+        in_names(lambda name: f"data/nuscenes/{name}"), "DST-041", "remove 'data/nuscenes'"),
+    "paths that begin with a dot": (in_names(lambda name: f"./{name}"), "DST-041", "remove '.'"),
     "names without folders": (in_names(lambda name: name.rpartition("/")[2]), "DST-041", "a file name without its"),
     "folders in small letters": (
         in_names(lambda name: name.replace("samples/LIDAR_TOP", "samples/lidar_top")),

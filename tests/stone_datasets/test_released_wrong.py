@@ -142,16 +142,16 @@ WRONG = {
     ),
     "poses of the frame before": Wrong("DST-073", rf"{SHARE} poses of the frame after: (9\d|100)", change=late_poses),
     "labels of the frame before": Wrong(
-        "DST-074", r"\d+ returns of its sweep .* in those of gts/", change=of_frame_before(label)
+        "DST-074", r"\d+ returns of its sweep .* gts/", change=of_frame_before(label)
     ),
     "sweeps of the frame before": Wrong(
-        "DST-074", r"\d+ returns of its sweep .* in those of gts/", change=of_frame_before(sweep)
+        "DST-074", r"\d+ returns of its sweep .* gts/", change=of_frame_before(sweep)
     ),
     "labels of another scene": Wrong(
-        "DST-074", rf"\d+ returns of its sweep .* in those of gts/{TABLES.names[1]}/", change=exchanged(label)
+        "DST-074", rf"\d+ returns of its sweep .* gts/{TABLES.names[1]}/", change=exchanged(label)
     ),
     "sweeps of another scene": Wrong(
-        "DST-074", rf"\d+ returns of its sweep .* in those of gts/{TABLES.names[1]}/", change=exchanged(sweep)
+        "DST-074", rf"\d+ returns of its sweep .* gts/{TABLES.names[1]}/", change=exchanged(sweep)
     ),
     "a torn drive": Wrong(
         "DST-044",
@@ -159,9 +159,9 @@ WRONG = {
         change=with_splits(train=["field-0000"], test=["field-0001"]),
     ),
     "class 17": Wrong(
-        "DST-066", r"the labels have 17, which 'stone' does not", change=relabelled(lambda grid: _set(grid, 17))
+        "DST-066", r"the labels have the values 17, which 'stone' does not", change=relabelled(lambda grid: _set(grid, 17))
     ),
-    "class 4": Wrong("DST-066", r"the labels have 4, which", change=relabelled(lambda grid: _set(grid, 4))),
+    "class 4": Wrong("DST-066", r"the labels have the values 4, which", change=relabelled(lambda grid: _set(grid, 4))),
     "floats": Wrong(
         "DST-064", r"label\.npy is float32 in C order", change=relabelled(lambda grid: grid.astype(np.float32))
     ),
@@ -174,7 +174,7 @@ WRONG = {
     ),
     "flat": Wrong("DST-063", r"has shape \(640000,\); the grid is release", change=relabelled(np.ravel)),
     "another key": Wrong(
-        "DST-062", "it has no label, but semantics", change=relabelled(lambda grid: grid, key="semantics")
+        "DST-062", "it has no label, only semantics", change=relabelled(lambda grid: grid, key="semantics")
     ),
     "a frame without labels": Wrong("DST-060", rf"{LABEL}: it is missing", change=without(LABEL)),
     "a frame without its sweep": Wrong("DST-050", re.escape(sweep(0, 3)), change=without(sweep(0, 3))),

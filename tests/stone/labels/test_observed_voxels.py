@@ -117,7 +117,7 @@ def test_a_larger_window_observes_the_same():
 
 def test_a_range_beyond_the_largest_window_is_refused():
     assert len(carved(rays(1), CarveParameters(max_range_m=100.0)).keys)
-    with pytest.raises(ValueError, match="followed for 101 m, farther than a window reaches"):
+    with pytest.raises(ValueError, match="the longest ray is 101 m, beyond the reach of a window"):
         Carver(CarveParameters(max_range_m=101.0))
 
 
