@@ -76,7 +76,7 @@ def _version_of(type_name: str, messages: list[StampedMessage]) -> Registry:
     payload = messages[0].payload
     fitting = [(known, sketch) for known in (registry(), older()) if (sketch := _fitted(payload, known, type_name))]
     if not fitting:
-        raise MessageLayoutError(type_name, f"{len(payload)} bytes fit no version of the type that is known")
+        raise MessageLayoutError(type_name, f"{len(payload)} bytes fit no known version of the type")
     return next((known for known, sketch in fitting if _is_plausible(payload, sketch)), fitting[0][0])
 
 
