@@ -28,7 +28,7 @@ TITLES: Mapping[str, tuple[str, str]] = {
     "score": ("Score frames", "frames"),
     "predict": ("Predict frames", "frames"),
     "compare": ("Compare frames", "frames"),
-    "export": ("Write the export", "frames"),
+    "export": ("Export the labels", "frames"),
     "odometry": ("Estimate odometry", "sweeps"),
     "build world": ("Build the world", "steps"),
     "record sweeps": ("Record sweeps", "sweeps"),

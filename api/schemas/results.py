@@ -45,7 +45,7 @@ class ExtrasItem(DangerItem):
 
 
 class ScopedIntervals(Answer):
-    """About the ground of the ground truth, and about a new place."""
+    """About the ground of the ground truth, and about unseen places."""
 
     model_config = example(new_place=dict.fromkeys(example_of(RatiosItem)))
 

@@ -7,7 +7,7 @@ are separated is then the stated one. Among many pairs, some variance estimates 
 Therefore every variance has a lower limit: the pair's power (sum of squared coefficients) times the median ratio of
 variance to power. The median is over the board's pairs, which share the ground and its correlation.
 
-The variance is that of these places. If it is known for too few pairs, the variance of a new place is used, from the
+The variance is that of these places. If it is known for too few pairs, the variance of unseen places is used, from the
 pairs' differences in whole sequences. It includes the variation within and between places, so its claims also hold for
 these places.
 

@@ -67,7 +67,7 @@ def compare(api: Api, a: str, b: str) -> dict[str, Any]:
 def results_tables(record: Mapping[str, Any]) -> list[Table]:
     """Return the totals with their intervals, then the other visible scores."""
     named = f"{record['method']} ({record['modality']}) in {record['benchmark']} / {record['phase']}"
-    table = plain_table(safe_text(named), "", "%", "95 % here", "95 % in new places", *READINGS.values())
+    table = plain_table(safe_text(named), "", "%", "95 % here", "95 % in unseen places", *READINGS.values())
     readings = [record.get(reading) or {} for reading in READINGS]
     for key, name in RATIOS.items():
         spans = (_told(record, scope, key) for scope in ("these_places", "new_place"))
@@ -99,7 +99,7 @@ def breakdown_table(record: Mapping[str, Any]) -> Table:
 
 def comparison_table(record: Mapping[str, Any]) -> Table:
     """Return a table of A, B and their difference, ratio by ratio."""
-    columns = ("A", "B", "A − B", "95 % of A − B", "p", "p in new places")
+    columns = ("A", "B", "A − B", "95 % of A − B", "p", "p in unseen places")
     table = plain_table(f"A {record['a']}  B {record['b']}, %", "", *columns)
     for key, name in RATIOS.items():
         item = record["ratios"][key]

@@ -33,7 +33,7 @@ def summary_lines(record: Mapping[str, Any], folders: tuple[Path, ...], spent_s:
         f"Board    {_board_line(record)}",
         f"Files    {sizes}; the demo took {duration(spent_s)}",
         f"Next     label your own bag: {own_command()} label BAG --calibration ROBOT.yaml -o labels; without a "
-        f"calibration begin with: {own_command()} calibration init BAG -o ROBOT.yaml",
+        f"calibration start with: {own_command()} calibration init BAG -o ROBOT.yaml",
     ]
 
 

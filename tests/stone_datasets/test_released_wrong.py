@@ -141,12 +141,8 @@ WRONG = {
         replace(TWIN, changed=with_quaternions_last),
     ),
     "poses of the frame before": Wrong("DST-073", rf"{SHARE} poses of the frame after: (9\d|100)", change=late_poses),
-    "labels of the frame before": Wrong(
-        "DST-074", r"\d+ returns of its sweep .* gts/", change=of_frame_before(label)
-    ),
-    "sweeps of the frame before": Wrong(
-        "DST-074", r"\d+ returns of its sweep .* gts/", change=of_frame_before(sweep)
-    ),
+    "labels of the frame before": Wrong("DST-074", r"\d+ returns of its sweep .* gts/", change=of_frame_before(label)),
+    "sweeps of the frame before": Wrong("DST-074", r"\d+ returns of its sweep .* gts/", change=of_frame_before(sweep)),
     "labels of another scene": Wrong(
         "DST-074", rf"\d+ returns of its sweep .* gts/{TABLES.names[1]}/", change=exchanged(label)
     ),
@@ -159,7 +155,7 @@ WRONG = {
         change=with_splits(train=["field-0000"], test=["field-0001"]),
     ),
     "class 17": Wrong(
-        "DST-066", r"the labels have the values 17, which 'stone' does not", change=relabelled(lambda grid: _set(grid, 17))
+        "DST-066", r"the labels have the values 17, which 'stone' does", change=relabelled(lambda grid: _set(grid, 17))
     ),
     "class 4": Wrong("DST-066", r"the labels have the values 4, which", change=relabelled(lambda grid: _set(grid, 4))),
     "floats": Wrong(

@@ -28,7 +28,7 @@ QUOTA_LOW, LABELS_UNUSABLE = "quota.low", "labels.unusable"
 EVENTS: Mapping[str, str] = {
     RUN_DONE: "One of my runs finished",
     RUN_FAILED: "One of my runs failed",
-    LABELS_UNUSABLE: "A finding makes my labels unreliable",
+    LABELS_UNUSABLE: "A run finished with warnings about its labels",
     SUBMISSION_SCORED: "A submission of my team was scored",
     SUBMISSION_INVALID: "A submission of my team is invalid",
     SUBMISSION_FAILED: "A submission of my team could not be scored",
