@@ -185,7 +185,7 @@ def test_a_version_says_how_well_its_labels_hold_but_not_those_of_test(api: http
     assert [one.get("label_set", {}).get("quality") for one in described] == [known, known, None]
 
 
-@pytest.mark.parametrize(("recall", "told"), [(0.8996, "89.96%"), (None, "none")])
+@pytest.mark.parametrize(("recall", "told"), [(0.8996, "89.96%"), (None, "no held-out recall")])
 def test_a_version_is_refused_if_labels_are_below_the_administrators_limit_or_unknown(
     platform: Platform, recall: float | None, told: str
 ) -> None:

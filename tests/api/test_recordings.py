@@ -172,8 +172,8 @@ def test_files_that_are_not_one_bag_are_refused_and_kept(
     api: httpx.Client, platform: Platform, curator: Person, forest: Mapping[str, Any]
 ) -> None:
     for files, why in [
-        ({"a.mcap": b"1", "b.db3": b"2"}, "several kinds are there: .db3, .mcap"),
-        ({"a.mcap": b"1", "b.db3-wal": b"2"}, "has no 'b.db3' beside it"),
+        ({"a.mcap": b"1", "b.db3": b"2"}, "the files have several formats: .db3, .mcap"),
+        ({"a.mcap": b"1", "b.db3-wal": b"2"}, "'b.db3-wal' was sent without 'b.db3'"),
     ]:
         upload_ids = uploads(platform, curator, files)
         answer = sealed(api, curator, forest["id"], {"upload_ids": upload_ids, "name": "run"})

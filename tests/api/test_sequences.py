@@ -353,7 +353,7 @@ def test_what_is_in_test_is_not_made_public_and_the_refusal_says_which_and_where
     refused = change(ids["test"], is_public=True)
     assert (refused.status_code, refused.json()["code"]) == (409, "hidden_truth")
     assert f"sequence '{name}' is in test of the draft splits" in refused.json()["detail"]
-    assert "make another sequence public, or remove this sequence from test" in refused.json()["detail"]
+    assert "Make another sequence public, or remove this sequence from test" in refused.json()["detail"]
     assert [change(ids[part], is_public=True).status_code for part in ("train", "val")] == [200, 200]
     published(api, administrator)
     assert "in test of version 'stone-1.0'" in change(ids["test"], is_public=True).json()["detail"]

@@ -74,7 +74,7 @@ def test_the_setting_that_made_the_labels_is_the_closest_and_its_labels_are_the_
     assert "warning CAL-438" in said.out
     assert "warning LAB-601" in said.out, "what labelling notices is there, not what the bag alone shows"
     assert "--profile paper --parameter terrain.neighbours=20 --parameter reference.alpha=0.01" in said.out
-    assert "cut.mcap is left out: BAG-" in said.err
+    assert "cut.mcap is skipped: BAG-" in said.err
     grid = read_grid_file(tmp_path / "out" / "farm_rosbag.grid.json")
     assert grid.shape == RELEASE.shape
     assert grid.min_m == pytest.approx((-40, -40, RELEASE.min_m[2] + RELEASED.ego_height_m), abs=0.02)

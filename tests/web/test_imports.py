@@ -61,7 +61,7 @@ def test_a_tar_is_sent_once_and_its_import_watched_and_forgotten(
         page.get_by_text("Metadata for all sequences").click()
         page.get_by_label("Environment").fill("mountain")
         page.get_by_role("button", name="Import", exact=True).click()
-        expect(page.locator("#said")).to_contain_text("0 is 'grass', expected one of", timeout=120_000)
+        expect(page.locator("#said")).to_contain_text("0 is 'grass'; expected one of", timeout=120_000)
         page.locator('input[name="classes"]').set_input_files(classes)
         page.get_by_role("button", name="Import", exact=True).click()
         expect(page.get_by_role("heading", name="offroad")).to_be_visible(timeout=120_000)

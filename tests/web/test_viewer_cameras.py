@@ -145,7 +145,7 @@ def test_every_pixel_with_a_label_is_of_the_first_voxel_that_its_ray_meets(
 ) -> None:
     """Catches alone a pixel off by a half, a quaternion transposed, the frame's pose in the place of the shutter's."""
     token, run = seen["tokens"][1], seen["run"]
-    expect(at_viewer.get_by_text(f"Labels reach {reach} m from the robot")).to_be_visible()
+    expect(at_viewer.get_by_text(f"Labels are drawn up to {reach} m from the robot")).to_be_visible()
     large, small = views(at_viewer, token, (320, 200)), views(at_viewer, token, (64, 40))
     for place, channel in enumerate(CHANNELS):
         are_within(run, channel, large[place])

@@ -91,7 +91,7 @@ def test_occupied_voxels_of_low_confidence_are_left_out(
     assert limited["confidence"] == told
     assert f"|mask:{mask},confidence>=0.8|" in limited["signature"]
     assert score(submission, tmp_path, mask=mask).as_record() == score(submission, world.folder, mask=mask).as_record()
-    with refused_as("no_confidence", match=r"labels\.npz: .*stone label --confidence"):
+    with refused_as("no_confidence", match=r"labels\.npz has no array confidence.*stone label --confidence"):
         score(submission, world.folder, least_confidence=0.8)
 
 
@@ -144,7 +144,7 @@ def test_columns_are_counted_in_few_frames_evenly_spaced(
 
 def test_missing_frames_are_refused_before_any_is_counted(world: World, tmp_path: Path) -> None:
     write_submission(tmp_path / "sub.zip", list(world.predictions.items())[:1])
-    with pytest.raises(SubmissionRefusedError, match=r"2 problems .* missing_frame"):
+    with pytest.raises(SubmissionRefusedError, match=r"2 problems; .* missing_frame"):
         score(tmp_path / "sub.zip", world.folder)
 
 

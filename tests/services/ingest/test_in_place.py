@@ -267,7 +267,7 @@ def test_a_path_that_is_more_than_names_below_the_root_is_refused(placed: Platfo
 
 
 def test_a_root_that_is_not_set_is_refused_and_its_folder_is_not_named(placed: Platform, root: Path) -> None:
-    with refused_as("unknown_root", match="there is nas") as refusal:
+    with refused_as("unknown_root", match="the roots are nas") as refusal:
         requested_place(placed.settings.in_place, RecordingPlace("disk", "run.db3"))
     assert str(root) not in str(refusal.value)
 

@@ -81,7 +81,7 @@ def test_a_sensor_that_nobody_places_is_named_with_what_to_add(tmp_path, parent,
     sequence, _ = synchronised(rigs.written(tmp_path / "a.mcap", sweeps(), poses))
     finding = next(f for f in sequence.findings if f.code == "CAL-405")
     assert (finding.severity, finding.topic) == ("warning", child)
-    assert f"it is the {sensor}'s" in finding.message
+    assert f"indicates the {sensor}," in finding.message
 
 
 @pytest.mark.parametrize(("parent", "child"), [("odom", "body"), ("camera_init", "base_link"), ("map", "base")])

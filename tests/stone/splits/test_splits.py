@@ -124,7 +124,7 @@ def test_a_split_without_night_is_found_where_there_are_nights_enough() -> None:
     spare = tuple(entry(900 + i, illumination="moonlit") for i in range(3))
     finding = only(check_light(split_of(parts[0], lit, parts[2]), (*parts[0], *lit, *parts[2], *spare)))
     assert (finding.code, finding.severity) == (LIGHT, "error")
-    assert finding.message == "night is not in val, though 11 sequences have it"
+    assert finding.message == "no night sequence in val, although 11 sequences have it"
 
 
 def test_a_split_without_an_environment_is_found_where_there_is_enough_of_it() -> None:
@@ -132,7 +132,7 @@ def test_a_split_without_an_environment_is_found_where_there_is_enough_of_it() -
     dry = tuple(one for one in parts[2] if one.environment != "lake")
     finding = only(check_places(split_of(parts[0], parts[1], dry), sum(parts, ())))
     assert (finding.code, finding.severity) == (SEPARATED_PLACES, "error")
-    assert finding.message.startswith("lake is not in test")
+    assert finding.message.startswith("no lake sequence in test")
 
 
 @pytest.mark.parametrize(
@@ -273,7 +273,7 @@ def test_nights_in_two_regions_that_hold_too_many_for_test_name_night() -> None:
 def test_more_than_there_are_names_the_sizes_alone() -> None:
     proposal = propose(catalogue(20, 3), PAPER, QUICK)
     assert [finding.code for finding in proposal.conflict] == [SIZES]
-    assert "there are 20" in proposal.conflict[0].message
+    assert "20 exist" in proposal.conflict[0].message
 
 
 def test_too_many_short_sequences_name_the_length() -> None:

@@ -191,7 +191,7 @@ def aslant(t: Any) -> tuple[Any, Any, Any, Any]:
 def test_a_straight_track_does_not_hide_an_orientation_that_points_elsewhere(tmp_path: Path, yaw: str) -> None:
     drive = PathDrive(path=aslant)
     run, calibration = drive.write(tmp_path, drive.lidar_topic(), odometry_of(drive, ODOMETRY[yaw]))
-    assert_refused(outcome_of(run, calibration, tmp_path / "labels"), "aside")
+    assert_refused(outcome_of(run, calibration, tmp_path / "labels"), "off the heading")
 
 
 def test_a_robot_that_turns_on_the_spot_has_no_constant_orientation(tmp_path: Path) -> None:

@@ -116,7 +116,7 @@ def test_points_of_another_clock_are_read_by_the_constant_between_the_two(
         assert "TIM-220" in codes
         assert not codes & {"TOP-102", "MSG-321", "MSG-322"}
     point = "last" if late else "first"
-    assert f"the {point} point of a sweep counts as simultaneous with its stamp" in found.messages("TIM-220")
+    assert f"The {point} point of a sweep counts as simultaneous with its stamp" in found.messages("TIM-220")
     assert len(labelled_frames(tmp_path / "labels")) == SWEEPS
     assert occupied_iou(tmp_path / "labels", sound(late)) >= LEAST_IOU
 

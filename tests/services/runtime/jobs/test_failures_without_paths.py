@@ -70,7 +70,7 @@ def lines_with(platform: Platform, text: str) -> list[str]:
 def test_an_answer_of_the_api_names_no_path(platform: Platform) -> None:
     answer = problems.answer_to(StoreFullError(platform.settings.root / "store"))
     assert answer.status_code == 507
-    assert json.loads(bytes(answer.body))["detail"].startswith("no space left at store; free some")
+    assert json.loads(bytes(answer.body))["detail"].startswith("no space left at store; free space")
 
 
 def test_temporary_files_and_the_data_folder_itself_are_hidden_and_names_of_topics_are_not(platform: Platform) -> None:
