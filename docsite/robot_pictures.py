@@ -29,8 +29,11 @@ def _as_it_is(calibration: str) -> str:
 
 
 def _low_lidar(calibration: str) -> str:
-    """Return the calibration with the LiDAR 0.14 m too low."""
-    return calibration.replace("translation_m: [0.0, 0.0, 0.95]", "translation_m: [0.0, 0.0, 0.81]", 1)
+    """Return the calibration with the LiDAR 0.14 m too low. Raises ValueError if it has another mount than expected."""
+    before, mount, after = calibration.partition("translation_m: [0.0, 0.0, 0.95]")
+    if not mount:
+        raise ValueError("the simulated LiDAR is not mounted at (0, 0, 0.95) m: change this picture's fault")
+    return f"{before}translation_m: [0.0, 0.0, 0.81]{after}"
 
 
 def _strict_limits(calibration: str) -> str:
