@@ -123,9 +123,9 @@ check-beside: develop
 style: develop
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/python -m testing.english
 
 static: style
+	$(BIN)/python -m testing.english
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/deptry stone stone_base stone_files stone_recordings stone_submissions stone_exports stone_datasets baselines services simulator stone_client stone_local api web

@@ -217,7 +217,7 @@ def bad_profile_file(name: str, fault: str) -> Refused:
     )
 
 
-# A topic profile as a small YAML file, so that the choice for one recording serves the next. **Conventions.**
+# A topic profile as a small YAML file, so that the choice for one recording serves the next.
 # `stone_profile: 1`, `platform:` and `topics:` by part. The file is untrusted: plain YAML without aliases and tags, at
 # most 64 KiB.
 
@@ -259,7 +259,7 @@ def write_profile(path: Path, profile: TopicProfile) -> None:
         yaml.dump(document, stream)
 
 
-# Channels of cameras and radars: from the frame of their messages, else from words in their names. **Conventions.**
+# Channels of cameras and radars: from the frame of their messages, else from words in their names.
 # Channels are nuScenes' (CAM_FRONT_LEFT, RADAR_RIGHT). A frame in the calibration decides. Otherwise the words front,
 # back (rear), left and right in the topic decide; the frame's words count only if the topic has none. Contradictory or
 # missing words give no channel.

@@ -3,12 +3,12 @@
 import random
 from collections.abc import Iterator, Sequence
 
+from testing.english.pages import LEAST_WORDS
 from testing.english.sentences import sentences, word_count
 from testing.english.texts import Source, Text
 
 SHARES = {"docs": 60, "help": 30, "templates": 30, "errors and API": 30}
 """Sentences of each stratum in a sample of 150."""
-LEAST_WORDS = 4
 HELP = ("stone_client/commands/", "stone_local/commands/")
 
 

@@ -15,12 +15,11 @@ from enum import Enum
 from pathlib import Path
 from typing import NamedTuple
 
-from testing.english.pages import markdown_texts, template_texts, typescript_texts
+from testing.english.pages import LEAST_WORDS, markdown_texts, template_texts, typescript_texts
 
 ROOT = Path(__file__).resolve().parents[2]
 OTHERS = ("tests/", "web/libraries/", "testing/english/")
 """Folders that are not read: tests, libraries by others, and this check, which quotes what it finds."""
-LEAST_WORDS = 4
 NO_PROSE = re.compile(
     r"\b(?:SELECT|INSERT|CREATE TABLE|UPDATE|DELETE FROM|PRAGMA)\b|\bpython -c|\(\?[P:!=<]|\\[dwsb(]|=>|&&"
     r"|[{}<>]\S*[{}<>]\S*[{}<>]|^\s*[-.#$]"
